@@ -2,7 +2,6 @@
 """What stands for where on an object: shuffled within it, and never from a later grasp; tables are made of the rows."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from calibrated_models import make_calibration
@@ -10,7 +9,6 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, in_order, predicted, recorded, variant
-from foretouch.models.contact.features import CONDITIONS, FEATURES
 from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import MODALITIES, biotac_touch
 from foretouch_lab.experiments import find_experiment
@@ -26,17 +24,14 @@ def parameters() -> TrackerParameters:
     return replace(make_calibration().tracker_parameters, where_scale=deviation, where_ratio=np.full(4, 2.0))
 
 
-def test_orders_are_shuffled_within_an_object_or_among_neighbours() -> None:
+def test_orders_are_shuffled_within_an_object() -> None:
     assert variant("level", RECORDING, FEATURES_OF, 0) is None
     assert_array_equal(variant("where", RECORDING, FEATURES_OF, 0), FEATURES_OF)
-    for name, size in (("shuffled", 8), ("neighbours", 5)):
-        found = variant(name, RECORDING, FEATURES_OF, 0)
-        assert not np.array_equal(found, FEATURES_OF)
-        for first in [k + part for k in (0, 8, 16) for part in range(0, 8, size)]:
-            own = slice(first, min(first + size, 8 * (first // 8 + 1)))
-            assert_array_equal(np.sort(found[own], axis=0), np.sort(FEATURES_OF[own], axis=0))
-    groups = [variant(f"without {name}", RECORDING, FEATURES_OF, 0).shape[1] for name in ("sizes", "contacts", "hand")]
-    assert sum(groups) == 2 * (len(FEATURES) - len(CONDITIONS))  # each feature is left out once
+    found = variant("shuffled", RECORDING, FEATURES_OF, 0)
+    assert not np.array_equal(found, FEATURES_OF)
+    for first in (0, 8, 16):
+        own = slice(first, first + 8)
+        assert_array_equal(np.sort(found[own], axis=0), np.sort(FEATURES_OF[own], axis=0))
 
 
 def test_no_later_grasp_changes_an_earlier_prediction() -> None:
@@ -59,16 +54,16 @@ def test_samples_of_a_day_without_stamps_are_taken_object_by_object() -> None:
     assert_allclose(np.diff([one.stamp_ns for one in found]), 60e9)
 
 
-def test_rows_and_tables_are_those_of_the_cells(tmp_path: Path) -> None:
+def test_rows_and_tables_are_those_of_the_cells() -> None:
     samples = [
         replace(one, touch=biotac_touch(one.touch.values + 5.0 * np.sin(k + np.arange(50))))
         for k, one in enumerate(make_samples(6, 6))
     ]
-    data = Grasps(samples, None, "0" * 64)
+    data = Grasps(samples, "0" * 64)
     assert find_experiment("benchmarks.where_on_object") is EXPERIMENT
     settings = EXPERIMENT.resolve("smoke", {"variants": ["level", "where", "shuffled"]})
     cells = EXPERIMENT.cells(settings, data)
-    assert [cell.values["what"] for cell in cells] == ["predict"] * 6
+    assert len(cells) == 6
     rows = EXPERIMENT.tabulate(
         settings, [{**cell.values, **row} for cell in cells for row in EXPERIMENT.run(cell, settings, data)]
     )
@@ -83,6 +78,4 @@ def test_rows_and_tables_are_those_of_the_cells(tmp_path: Path) -> None:
     each = select(rows, regime="later", object="all", variant="where")
     assert [row["modality"] for row in each] == [*MODALITIES, MEAN]
     titles = [table.title.partition(":")[0] for table in EXPERIMENT.summarise(rows)]
-    assert titles[:4] == ["Findings", "first three", "later", "Over touches of the object"]
-    (figure,) = EXPERIMENT.draw(rows, tmp_path)
-    assert figure.stat().st_size > 5_000
+    assert titles[:2] == ["first three", "later"]

@@ -13,14 +13,15 @@ import gc
 import itertools
 import multiprocessing
 import os
-import statistics
+import subprocess
+import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 
-from benchmarks.common import OthersLoad, markdown, read_csv, replace_marked, write_csv
+from benchmarks.common import OthersLoad, markdown, print_rows, replace_marked, write_csv
 from foretouch.models.budget import Answer, profile_scene
 from foretouch.models.timing import cpu_name
 from foretouch.pipeline import FoundObject
@@ -51,7 +52,6 @@ LOADS = IDLE, _, PRIORITISED = "none", "comes and goes", "comes and goes, real-t
 REALTIME = 10  # priority, of 1 to 99
 COUNTS, SHARES = (1, 10, 100), (0.6, 0.35, 0.05)
 PERIOD_S = 2.0  # of the load, on and off
-LATE, REDUCED = (b"".join((len(flag).to_bytes(4, "little"), flag)) for flag in (b"late\0", b"reduced\0"))
 SHOWN = {
     "budget_ms": "budget [ms]",
     "load": "load",
@@ -62,20 +62,6 @@ SHOWN = {
     "p50_ms": "p50 [ms]",
     "p99_ms": "p99 [ms]",
 }
-
-
-@dataclass
-class Seen:
-    """One published answer."""
-
-    seconds: float  # from receipt to the call that publishes
-    waited: float  # of this, for which its thread was ready but got no core [s]
-    late: bool  # as flagged
-    reduced: bool  # as flagged
-    level: str
-    skill: float
-    best: float  # skill of the best level that the budget affords on the machine as profiled
-    affordable: bool
 
 
 def publish(number: int, rate_hz: float, begin: Any) -> None:
@@ -103,41 +89,26 @@ def publish(number: int, rate_hz: float, begin: Any) -> None:
     rclpy.try_shutdown()
 
 
-def burn(on: Any, end: Any) -> None:
-    """Use a core while `on` is set."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # not that of the parent
-    while not end.is_set():
-        if on.wait(0.05):
-            stop = time.monotonic() + 0.01
-            while time.monotonic() < stop:
-                pass
+BUSY = f"""
+import os, time
+os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # not that of the parent
+while True:
+    if time.time() % {2 * PERIOD_S} > {PERIOD_S}:
+        time.sleep(0.05)
+"""
 
 
-class Load:
-    """Busy processes that come and go while the context lasts."""
-
-    def __init__(self, *, active: bool) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._on, self._end = context.Event(), context.Event()
-        count = 2 * len(os.sched_getaffinity(0)) if active else 0
-        self._processes = [context.Process(target=burn, args=(self._on, self._end), daemon=True) for _ in range(count)]
-
-    def __enter__(self) -> Self:
-        for process in self._processes:
-            process.start()
-        threading.Thread(target=self._switch, daemon=True).start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end.set()
-        for process in self._processes:
-            process.join(5.0)
-
-    def _switch(self) -> None:
-        while not self._end.wait(PERIOD_S):
-            self._on.set()
-            self._end.wait(PERIOD_S)
-            self._on.clear()
+@contextlib.contextmanager
+def load(*, active: bool) -> Iterator[None]:
+    """Busy processes that come and go, two for each core, while the context lasts."""
+    count = 2 * len(os.sched_getaffinity(0)) if active else 0
+    processes = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 class Waits(threading.local):
@@ -169,7 +140,7 @@ def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
         begun["one"] = begin(count, arrived), count
         return begun["one"][0]
 
-    def published(message: bytes) -> None:
+    def published(message: Any) -> None:
         now = time.monotonic()
         answer, count = begun["one"]
         thread, before = received.pop(answer.arrived, (0, 0.0))
@@ -180,7 +151,7 @@ def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
     budget.begin, publisher.publish, sets.on_first = note, published, receive
 
 
-def measure(budget_ms: float, number: int, rate_hz: float, load_name: str) -> tuple[list[Seen], str]:
+def measure(budget_ms: float, number: int, rate_hz: float, load_name: str) -> tuple[list[dict[str, Any]], str]:
     """One node, one budget; its answers, and the state of the machine when the profile was measured."""
     context = multiprocessing.get_context("spawn")
     begin = context.Event()
@@ -197,15 +168,25 @@ def measure(budget_ms: float, number: int, rate_hz: float, load_name: str) -> tu
         time.sleep(0.05)
     raw: list[tuple[Any, ...]] = []
     watch(node, raw)
-    with Load(active=load_name != IDLE):
+    with load(active=load_name != IDLE):
         begin.set()
         source.join(60.0 + 3.0 * number / rate_hz)
     budget = node._predictor.budget  # noqa: SLF001
     seen = []
-    for seconds, waited, answer, count, data in raw:
+    for seconds, waited, answer, count, message in raw:
         best, skill = budget.affordable(count), answer.level.skill
-        seen.append(Seen(seconds, waited, LATE in data, REDUCED in data, answer.level.name, skill,
-                         skill if best is None else best.skill, best is not None))  # fmt: skip
+        seen.append(
+            {
+                "ms": 1e3 * seconds,  # from receipt to the call that publishes
+                "waited_ms": 1e3 * waited,  # of this, for which its thread was ready but got no core
+                "late": any("late" in one.flags for one in message.predictions),
+                "reduced": any("reduced" in one.flags for one in message.predictions),
+                "level": answer.level.name,
+                "skill": skill,
+                "affordable": best is not None,  # on the machine as profiled
+                "within": skill >= 0.99 * (skill if best is None else best.skill),
+            }
+        )
     rclpy.try_shutdown()
     thread.join(10.0)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -218,35 +199,29 @@ def serve(node: Any) -> None:
         spin([node])
 
 
-def summarise(budget_ms: float, seen: list[Seen], sent: int, load_name: str) -> dict[str, Any]:
-    """One row of the table."""
-    took = np.array([one.seconds for one in seen]) * 1e3
-    could, flagged = (np.array([getattr(one, name) for one in seen], bool) for name in ("affordable", "late"))
-    beyond = took > budget_ms
-    by_waits = beyond & (took - 1e3 * np.array([one.waited for one in seen]) <= budget_ms)
-    within = np.array([one.skill >= 0.99 * one.best for one in seen], bool)
+def summarise(seen: list[dict[str, Any]], budget_ms: float) -> dict[str, Any]:
+    """Counts and shares of one row of the table."""
+    column = {name: np.array([one[name] for one in seen]) for name in seen[0]}
+    could, beyond = column["affordable"], column["ms"] > budget_ms
+    by_waits = beyond & (column["ms"] - column["waited_ms"] <= budget_ms)
+    levels = Counter(one["level"] for one in seen)
 
-    def share(mask: np.ndarray) -> float | None:
+    def share(mask: Any) -> float | None:
         return round(100.0 * float(mask.mean()), 2) if mask.size else None
 
-    levels = {name: sum(one.level == name for one in seen) for name in dict.fromkeys(one.level for one in seen)}
     return {
-        "budget_ms": budget_ms,
-        "load": load_name,
-        "answers": len(seen),
-        "dropped": sent - len(seen),
         "affordable": int(could.sum()),
         "met_percent": share(~beyond[could]),
         "late_by_waits": int(by_waits.sum()),
         "met_but_for_waits_percent": share(~beyond[could & ~by_waits]),
         "late": int(beyond.sum()),
-        "late_and_flagged_percent": share(flagged[beyond]),
-        "flagged_and_not_late": int((flagged & ~beyond).sum()),
-        "best_skill_percent": share(within[could]),
-        "reduced": sum(one.reduced for one in seen),
-        "mean_skill": round(statistics.fmean(one.skill for one in seen), 4),
-        "levels": "; ".join(f"{count} {name}" for name, count in sorted(levels.items(), key=lambda item: -item[1])),
-        **{f"p{q}_ms": round(float(np.percentile(took, q)), 3) for q in (50, 95, 99)},
+        "late_and_flagged_percent": share(column["late"][beyond]),
+        "flagged_and_not_late": int((column["late"] & ~beyond).sum()),
+        "best_skill_percent": share(column["within"][could]),
+        "reduced": int(column["reduced"].sum()),
+        "mean_skill": round(float(column["skill"].mean()), 4),
+        "levels": "; ".join(f"{count} {name}" for name, count in levels.most_common()),
+        **{f"p{q}_ms": round(float(np.percentile(column["ms"], q)), 3) for q in (50, 95, 99)},
     }
 
 
@@ -257,10 +232,8 @@ def write(rows: Sequence[dict[str, Any]], path: Path) -> None:
         cells = [["–" if row[name] in ("", None) else row[name] for name in SHOWN] for row in rows]
         last, others = rows[-1], ", ".join(str(row["other_cores"]) for row in rows)
         machine = f"{last['number']} requests a row at {last['rate_hz']} Hz; {last['cpu']}, {last['cores']} cores"
-        text = (
-            f"{markdown(list(SHOWN.values()), cells)}\n{machine}. Cores that others used meanwhile, by row: {others}."
-        )
-        replace_marked(HERE / "README.md", text)
+        note = f"{machine}. Cores that others used meanwhile, by row: {others}."
+        replace_marked(HERE / "README.md", f"{markdown(list(SHOWN.values()), cells)}\n{note}")
 
 
 def main() -> None:
@@ -271,30 +244,38 @@ def main() -> None:
     parser.add_argument(
         "--loads", choices=LOADS, nargs="+", default=LOADS, help="real-time priority needs the right to it, as of root"
     )
-    parser.add_argument("--resume", action="store_true", help="keep the rows that are there, and measure the others")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "results.csv")
     arguments = parser.parse_args()
-    rows: list[dict[str, Any]] = list(read_csv(arguments.out)) if arguments.resume else []
-    kept = {(float(row["budget_ms"]), row["load"]) for row in rows}
+    rows: list[dict[str, Any]] = []
     folder = tempfile.TemporaryDirectory()
     os.environ["XDG_CACHE_HOME"] = folder.name  # the profile is measured once, as the machine is now
     for load_name, budget_ms in itertools.product(arguments.loads, arguments.budgets):
-        if (budget_ms, load_name) in kept:
-            continue
         gc.collect()  # the participants of the last row would stay until then, and answer to announcements
         others = OthersLoad()
         seen, profile = measure(budget_ms, arguments.count, arguments.rate_hz, load_name)
-        row = summarise(budget_ms, seen, arguments.count, load_name) | {
+        answered = {
+            "budget_ms": budget_ms,
+            "load": load_name,
+            "answers": len(seen),
+            "dropped": arguments.count - len(seen),
+        }
+        setup = {
             "number": arguments.count,
             "rate_hz": arguments.rate_hz,
             "profile": profile,
             "other_cores": others.cores(),
-            "cpu": cpu_name(),
-            "cores": len(os.sched_getaffinity(0)),
         }
-        rows.append(row)
+        rows.append(
+            {
+                **answered,
+                **summarise(seen, budget_ms),
+                **setup,
+                "cpu": cpu_name(),
+                "cores": len(os.sched_getaffinity(0)),
+            }
+        )
         write(rows, arguments.out)
-        print({key: row[key] for key in list(row)[:-2]}, flush=True)
+        print_rows(rows[-1:])
 
 
 if __name__ == "__main__":

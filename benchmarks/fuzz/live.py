@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,21 +25,20 @@ from rcl_interfaces.msg import ParameterValue  # noqa: E402
 from rcl_interfaces.srv import GetParameters, ListParameters  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 from benchmarks.common import ROOT, write_csv  # noqa: E402
 from benchmarks.fuzz import messages as valid  # noqa: E402
-from benchmarks.fuzz.absurd import change, pick, value_of  # noqa: E402
-from benchmarks.fuzz.driver import COLUMNS, OUTCOMES, parser  # noqa: E402
-from benchmarks.fuzz.files import mutated  # noqa: E402
+from benchmarks.fuzz.changes import TEXTS, change, mutated, pick  # noqa: E402
+from benchmarks.fuzz.driver import OUTCOMES, parser  # noqa: E402
 from foretouch_msgs.action import SampleGrasps  # noqa: E402
-from foretouch_msgs.msg import GraspArray, RecorderStatus, Status, TouchPredictionArray  # noqa: E402
+from foretouch_msgs.msg import RecorderStatus, Status, TouchPredictionArray  # noqa: E402
 from foretouch_msgs.srv import LabelGrasp, PredictTouch, StartRecording, StopRecording  # noqa: E402
 
 NODES = ("segmentation", "grasp", "touch_predictor", "recorder", "hand")
 START_S = 120.0
-BATCH = 50  # messages or requests between two checks
 DAMAGED = 0.3  # share of the messages whose bytes are damaged
+TOPICS = ("points", "object_cloud", "table", "grasps", "/rh/tactile", "executed_grasp")
+PATHS = (*TEXTS, "a" * 5000, "x\0y", "a/b/c", "set", "/dev/null/x", "/proc/self/x", "..", ".", "-rf")
 
 
 class Graph(Client):
@@ -54,24 +53,16 @@ class Graph(Client):
         self.folder = folder
         self.touch: dict[int, Any] = {}  # received predictions by stamp
         self.refused = 0
-        self.not_finite: list[str] = []
+        self.faults: list[str] = []  # of received predictions
         self.recorder: Any = None
-        self.own = ""  # topic on which absurd messages are being sent from here
         self._sessions = 0
         self._known_errors: Counter[str] = Counter()
-        for kind, topic, hear in (
-            (TouchPredictionArray, "touch", self._hear_touch),
-            (GraspArray, "grasps", self._hear_grasps),
-            (RecorderStatus, "recorder_status", lambda message: setattr(self, "recorder", message)),
-        ):
-            self.node.create_subscription(kind, topic, hear, self.deep)
+        self.node.create_subscription(TouchPredictionArray, "touch", self._hear_touch, self.deep)
+        hear = lambda message: setattr(self, "recorder", message)  # noqa: E731
+        self.node.create_subscription(RecorderStatus, "recorder_status", hear, self.deep)
         self._publishers: dict[str, Any] = {}
         self._action = ActionClient(self.node, SampleGrasps, "sample_grasps")
         self.serve()
-        self.start()
-
-    def start(self) -> None:
-        """Start the child, wait until all nodes are active, and begin a recording."""
         given = {
             "diagnostics_period_s": 0.2,
             "grasp_hold": 0.0,  # a held grasp would depend on the clouds before
@@ -80,9 +71,6 @@ class Graph(Client):
             "folder": self.folder,
         }
         self.process = spawn(NODES, given, self.folder / "graph.log")
-        with self.lock:
-            self.reports.clear()
-        self._known_errors.clear()
         self.wait(lambda: self.is_active(NODES), START_S, "the graph starts")
         self.record()
 
@@ -91,10 +79,6 @@ class Graph(Client):
         self._sessions += 1
         request = StartRecording.Request(path=f"set-{self._sessions}", object="can")
         return bool(self.call(StartRecording, "start_recording", request).success)
-
-    def close(self) -> None:
-        """End the child."""
-        end(self.process)
 
     def wait(self, condition: Callable[[], Any], timeout_s: float, what: str = "an answer") -> bool:
         """Wait; a `TimeoutError` if it takes longer, a `ChildProcessError` if the graph has ended."""
@@ -124,11 +108,10 @@ class Graph(Client):
 
     def answer(self) -> list[Any]:
         """The predictions for a good cloud from vision alone, as numbers."""
-        cloud = valid.scene_message()
+        cloud, sent = valid.scene_message(), set[int]()
         for name in ("use_tare", "use_touches"):
             self.set_parameter("touch_predictor", name, False)
         self.touch.clear()
-        sent: set[int] = set()
         last = time.monotonic() + CALL_S
         while not (answered := sent & self.touch.keys()):  # an earlier flood may still fill the queues
             if time.monotonic() > last:
@@ -142,14 +125,21 @@ class Graph(Client):
             self.set_parameter("touch_predictor", name, True)
         return [message.status, *(numbers_of(one) for one in message.predictions)]
 
-    def internal_errors(self) -> list[str]:
-        """Internal errors that were counted since the last call."""
+    def check(self, expected: Any) -> list[str]:
+        """What is wrong after a batch: a line for each fault."""
+        again = self.answer()
+        faults = [] if again == expected else [f"changed in silence: answered with {again} instead of {expected}"[:600]]
         since = time.monotonic()
         self.wait(lambda: all(self.report(name, since) for name in NODES), CALL_S, "diagnostics of all nodes")
         values = {f"{node}: {key}": value for node in NODES for key, value in self.report(node).items()}
         found = Counter({name: int(value) for name, value in values.items() if ": internal_errors." in name})
-        new, self._known_errors = found - self._known_errors, found
-        return [f"{count} {name}" for name, count in new.items()]
+        faults += [f"uncaught: {count} {name}: {self.log()}" for name, count in (found - self._known_errors).items()]
+        faults += [f"uncaught: {text}" for text in self.faults[:3]]
+        self._known_errors, self.faults = found, []
+        if not self.recorder.recording:
+            faults.append(f"uncaught: the recording has ended: {self.recorder.reason}")
+            self.record()
+        return faults
 
     def log(self) -> str:
         """The last errors in the log."""
@@ -158,50 +148,32 @@ class Graph(Client):
         return " | ".join(found[-2:])[-700:]
 
     def _hear_touch(self, message: Any) -> None:
-        if self.own == "touch":
-            return
         self.touch[stamp_ns(message.header.stamp)] = message
         self.refused += message.status != 0
         try:
             valid.check_predictions(message)
         except (valid.NotFiniteError, valid.UnnamedError) as err:
-            self.not_finite.append(f"touch: {err}")
-
-    def _hear_grasps(self, message: Any) -> None:
-        for one in message.grasps if self.own != "grasps" else ():
-            if not np.isfinite(numbers := [*valid.contacts(one), *one.rotation]).all():
-                self.not_finite.append(f"grasps: {numbers}")
+            self.faults.append(f"touch: {err}")
 
 
 def numbers_of(one: Any) -> list[Any]:
     """All numbers of a prediction, as they were sent."""
     ends = (one.scalars, one.values, one.scalars_lower, one.lower, one.scalars_upper, one.upper)
-    intervals = [list(end) for end in ends]
     texts = repr(valid.contacts(one.grasp)), repr(list(one.grasp.rotation))
-    return [one.status, *texts, one.grasp.score, repr(intervals)]
-
-
-# --- what is sent -----------------------------------------------------------------------------------------------
-
-
-def topics() -> dict[str, tuple[Sequence[Any], tuple[str, Any] | None, float]]:
-    """By topic: valid messages, a valid message of another topic that completes a set, and a pause [s]."""
-    clouds, table = valid.object_messages(), valid.table_message()
-    return {
-        "points": ([valid.scene_message()], None, 0.05),
-        "object_cloud": (clouds, ("table", table), 0.03),
-        "table": ([table], ("object_cloud", clouds[0]), 0.03),
-        "grasps": ([valid.grasps_message()], ("object_cloud", clouds[0]), 0.03),
-        "touch": ([valid.touch_message()], None, 0.01),
-        "/rh/tactile": ([valid.tactile_message()], None, 0.005),
-        "executed_grasp": ([valid.executed_message()], None, 0.01),
-    }
+    return [one.status, *texts, one.grasp.score, repr([list(end) for end in ends])]
 
 
 def flood(graph: Graph, topic: str, rng: np.random.Generator, size: int) -> None:
     """A batch of absurd messages and of damaged bytes on one topic."""
-    kept, other, pause = topics()[topic]
-    graph.own = topic
+    clouds, table = valid.object_messages(), valid.table_message()
+    kept, other = {  # valid messages, and one of another topic that completes a set
+        "points": ([valid.scene_message()], None),
+        "object_cloud": (clouds, ("table", table)),
+        "table": ([table], ("object_cloud", clouds[0])),
+        "grasps": ([valid.grasps_message()], ("object_cloud", clouds[0])),
+        "/rh/tactile": ([valid.tactile_message()], None),
+        "executed_grasp": ([valid.executed_message()], None),
+    }[topic]
     for _ in range(size):
         message = pick(kept, rng)
         stamped(message, *(other[1:] if other else ()))
@@ -212,9 +184,8 @@ def flood(graph: Graph, topic: str, rng: np.random.Generator, size: int) -> None
             graph.send(topic, data[:4] + mutated(data[4:], rng), type(message))
         else:
             graph.send(topic, change(deserialize_message(data, type(message)), rng))
-        time.sleep(pause)
+        time.sleep(0.03)
     time.sleep(1.0)
-    graph.own = ""
 
 
 def judged(status: int, reason: str) -> str:
@@ -226,8 +197,7 @@ def judged(status: int, reason: str) -> str:
 
 def ask_touch(graph: Graph, rng: np.random.Generator) -> str:
     """An absurd `predict_touch`."""
-    arrays = bool(rng.integers(2))
-    request = change(valid.array_request() if arrays else valid.touch_request(), rng)
+    request = change(pick((valid.array_request, valid.touch_request), rng)(), rng)
     arrays = bool(len(request.contacts) or len(request.rotations))
     response = graph.call(PredictTouch, "predict_touch", request)
     message = response.batch if arrays else response.touch
@@ -247,24 +217,15 @@ def ask_label(graph: Graph, rng: np.random.Generator) -> str:
     return "read" if answer.success else judged(2, answer.message)
 
 
-PATHS = ("", "a" * 5000, "x\0y", "\n", "a/b/c", "set", "/dev/null/x", "/proc/self/x", "..", ".", "é\U0001f4a5", "-rf")
-
-
 def ask_recording(graph: Graph, rng: np.random.Generator) -> str:
     """A recording that is begun twice, at absurd paths, or ended twice; at last, one that goes on."""
     if rng.random() < 0.5:
         graph.call(StopRecording, "stop_recording", StopRecording.Request())
-    names = {"object": value_of("string", rng), "note": value_of("string", rng)}
-    answer = graph.call(StartRecording, "start_recording", StartRecording.Request(path=pick(PATHS, rng), **names))
+    request = StartRecording.Request(path=pick(PATHS, rng), object=pick(TEXTS, rng), note=pick(TEXTS, rng))
+    answer = graph.call(StartRecording, "start_recording", request)
     graph.call(StopRecording, "stop_recording", StopRecording.Request())
     if not graph.record():
         return "uncaught"
-    return "read" if answer.success else judged(2, answer.message)
-
-
-def ask_trigger(graph: Graph, rng: np.random.Generator) -> str:
-    """`forget_touches` or `execute_grasp`."""
-    answer = graph.call(Trigger, pick(("forget_touches", "execute_grasp"), rng), Trigger.Request())
     return "read" if answer.success else judged(2, answer.message)
 
 
@@ -274,15 +235,14 @@ def ask_parameter(graph: Graph, rng: np.random.Generator) -> str:
     names = graph.call(ListParameters, f"{NAMESPACE}/{node}/list_parameters", ListParameters.Request()).result.names
     name = pick(sorted(n for n in names if not n.startswith(("qos_overrides", "use_sim_time", "start_type"))), rng)
     known = graph.call(GetParameters, f"{NAMESPACE}/{node}/get_parameters", GetParameters.Request(names=[name]))
-    before = known.values[0]
     value = change(ParameterValue(type=int(rng.integers(0, 12))), rng)
     if rng.random() < 0.5:
-        value.type = before.type
+        value.type = known.values[0].type
     result = graph.set_parameter(node, name, value)
     if result.successful:
         graph.send("points", valid.scene_message())
         time.sleep(0.1)
-        graph.set_parameter(node, name, before)
+        graph.set_parameter(node, name, known.values[0])
     return "read" if result.successful else judged(2, result.reason)
 
 
@@ -291,96 +251,65 @@ REQUESTS: dict[str, Callable[[Graph, np.random.Generator], str]] = {
     "sample_grasps": ask_samples,
     "label_grasp": ask_label,
     "start_recording": ask_recording,
-    "forget_touches": ask_trigger,
     "set_parameters": ask_parameter,
 }
-TOPICS = ("points", "object_cloud", "table", "grasps", "touch", "/rh/tactile", "executed_grasp")
 KINDS = (*TOPICS, *REQUESTS)
 
 
-# --- the course -------------------------------------------------------------------------------------------------
-
-
-def batch(
-    graph: Graph, kind: str, rng: np.random.Generator, expected: Any, size: int
-) -> tuple[Counter[str], list[str], float]:
+def batch(graph: Graph, kind: str, rng: np.random.Generator, expected: Any, size: int) -> tuple[Any, list[str], float]:
     """One batch and the checks after it: outcomes, faults, and the longest answer to a request [s]."""
     counts: Counter[str] = Counter()
     faults: list[str] = []
     slowest, refused = 0.0, graph.refused
-    try:
-        if kind in TOPICS:
-            flood(graph, kind, rng, size)
-        for _ in range(0 if kind in TOPICS else size):
-            began = time.monotonic()
-            try:
-                outcome = REQUESTS[kind](graph, rng)
-            except (valid.NotFiniteError, valid.UnnamedError) as err:
-                outcome = "uncaught"
-                faults.append(f"uncaught: {err}")
-            slowest = max(slowest, time.monotonic() - began)
-            counts[outcome] += 1
-        again = graph.answer()
-        if again != expected:
-            counts["changed in silence"] += 1
-            faults.append(f"changed in silence: a good cloud is answered with {again} instead of {expected}"[:600])
-        faults += [f"uncaught: {text}: {graph.log()}" for text in graph.internal_errors()]
-        faults += [f"uncaught: {text}" for text in graph.not_finite[:3]]
-        graph.not_finite.clear()
-        if not graph.recorder.recording:
-            faults.append(f"uncaught: the recording has ended: {graph.recorder.reason}")
-            graph.record()
-    except (ChildProcessError, TimeoutError) as err:
-        outcome = "slow" if isinstance(err, TimeoutError) else "signal"
-        faults.append(f"{outcome}: {err}: {graph.log()}")
-        counts[outcome] += 1
-        graph.close()
-        graph.start()
-    counts["uncaught"] = max(counts["uncaught"], sum(text.startswith("uncaught") for text in faults))
+    if kind in TOPICS:
+        flood(graph, kind, rng, size)
+    for _ in range(0 if kind in TOPICS else size):
+        began = time.monotonic()
+        try:
+            counts[REQUESTS[kind](graph, rng)] += 1
+        except (valid.NotFiniteError, valid.UnnamedError) as err:
+            faults.append(f"uncaught: {err}")
+        slowest = max(slowest, time.monotonic() - began)
+    faults += graph.check(expected)
+    counts.update(text.partition(":")[0] for text in faults)
     if kind in TOPICS:
         counts["refused"] = min(graph.refused - refused, size)
         counts["read"] = max(0, size - counts.total())
     return counts, faults, slowest
 
 
-def run(graph: Graph, kind: str, batches: int, size: int, seed: int, expected: Any) -> tuple[Mapping[str, Any], bool]:
-    """A row of the table, and whether a rule was broken; prints a line for each fault."""
-    total: Counter[str] = Counter()
-    slowest, failed = 0.0, False
-    for number in range(batches):
-        rng = np.random.default_rng([seed, KINDS.index(kind), number])
-        counts, faults, longest = batch(graph, kind, rng, expected, size)
-        total += counts
-        slowest, failed = max(slowest, longest), failed or bool(faults)
-        print("".join(f"  {kind} {seed} {number}: {text}\n" for text in faults), end="", flush=True)
-    row = {"kind": f"live {kind}", "cases": batches * size, **{outcome: total[outcome] for outcome in OUTCOMES}}
-    return {**row, "slowest_ms": round(slowest * 1e3, 1)}, failed
-
-
 def main() -> int:
-    """Run all kinds; the exit status is 1 if a rule was broken."""
-    options = parser(__doc__, KINDS, 1300)
-    options.add_argument("--batch", type=int, default=BATCH, help=f"messages between two checks (default {BATCH})")
+    """Run all kinds; the exit status is 1 if a rule was broken, and an error if the graph ends or does not answer."""
+    options = parser(__doc__.splitlines()[0], KINDS, 1200)
+    options.add_argument("--batch", type=int, default=50, help="messages between two checks (default 50)")
     arguments = options.parse_args()
-    kinds, rows, failed = arguments.kind or KINDS, [], False
-    print("  ".join(COLUMNS))
+    kinds, rows, size = arguments.kind or KINDS, [], arguments.batch
     with tempfile.TemporaryDirectory(prefix="foretouch-live-") as folder:
         graph = Graph(Path(folder))
         try:
             expected = graph.answer()
             if len(expected) < 2:
                 raise SystemExit(f"the good cloud has no prediction: {expected}")
-            batches = max(1, round(arguments.cases / len(kinds) / arguments.batch))
+            batches = max(1, round(arguments.cases / len(kinds) / size))
             for kind in kinds:
-                row, broken = run(graph, kind, batches, arguments.batch, arguments.seed, expected)
-                rows, failed = [*rows, row], failed or broken
-                print("  ".join(str(value) for value in row.values()), flush=True)
+                total, slowest = Counter[str](), 0.0
+                for number in range(batches):
+                    rng = np.random.default_rng([arguments.seed, KINDS.index(kind), number])
+                    counts, faults, longest = batch(graph, kind, rng, expected, size)
+                    total, slowest = total + counts, max(slowest, longest)
+                    print("".join(f"  {kind} {number}: {text}\n" for text in faults), end="", flush=True)
+                row = {"kind": f"live {kind}", "cases": batches * size} | {name: total[name] for name in OUTCOMES}
+                rows.append({**row, "slowest_ms": round(slowest * 1e3, 1)})
+                print("  ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
+        except (ChildProcessError, TimeoutError):
+            print(graph.log())
+            raise
         finally:
-            graph.close()
+            end(graph.process)
             graph.leave()
     if arguments.out:
         write_csv(arguments.out, rows)
-    return int(failed)
+    return int(any(row[outcome] for row in rows for outcome in OUTCOMES[2:]))
 
 
 if __name__ == "__main__":

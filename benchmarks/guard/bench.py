@@ -7,6 +7,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import importlib.util
 import math
 import statistics
 import sys
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.common import read_csv, write_csv
-from benchmarks.guard.cases import Case, all_cases, require_close, why_not
+from benchmarks.guard.cases import Case, all_cases, require_close
 
 RATIOS = Path(__file__).parent / "ratios.csv"
 ALLOWED = 0.8  # of the committed ratio: a loss of 20 %
@@ -145,14 +146,8 @@ def main() -> int:
     """Exit status 1 if a ratio has lost more than 20 %."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", action="append", metavar="TEXT", help="cases whose name contains it; may be repeated")
-    parser.add_argument(
-        "--renew",
-        type=int,
-        nargs="?",
-        const=RENEWED,
-        metavar="N",
-        help=f"write the median of N measurements (default {RENEWED}) on this machine to ratios.csv, to commit",
-    )
+    renewing = f"write the median of N measurements (default {RENEWED}) on this machine to ratios.csv, to commit"
+    parser.add_argument("--renew", type=int, nargs="?", const=RENEWED, metavar="N", help=renewing)
     parser.add_argument("--ratios", type=Path, default=RATIOS, help="committed ratios (default: beside this script)")
     arguments = parser.parse_args()
     began, runners = time.monotonic(), []
@@ -160,11 +155,10 @@ def main() -> int:
     for case in all_cases():
         if arguments.only and not any(text in case.name for text in arguments.only):
             continue
-        reason = why_not(case)
-        if reason:
-            print(f"  {case.name}: skipped: {reason}")
-            continue
-        runners.append(Runner(case))
+        if case.needs and importlib.util.find_spec(case.needs) is None:
+            print(f"  {case.name}: skipped: {case.needs} is not installed")
+        else:
+            runners.append(Runner(case))
     if not runners:
         parser.error("--only: no case has such a name")
     if arguments.renew:

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the guard measures: each case is our way and a peer that does the same work, whose answers must agree."""
 
-import importlib.util
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -18,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from benchmarks.common import scene
+from benchmarks.common import cpu_ms, scene
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.models.registry import load_model
@@ -46,13 +44,6 @@ class Case:
     gap: float = 0.0  # largest difference of the two answers
     own_clock: bool = False  # whether the jobs return their CPU seconds themselves, as programs do
     needs: str = ""  # an optional package of the peer
-
-
-def why_not(case: Case) -> str:
-    """Why a case cannot be measured here; "" if it can."""
-    if case.needs and importlib.util.find_spec(case.needs) is None:
-        return f"{case.needs}: not installed"
-    return ""
 
 
 def require_close(name: str, difference: float, gap: float) -> None:
@@ -97,25 +88,11 @@ def segmentation(width: int, height: int) -> Job:
 
 
 def segmentation_against_open3d() -> tuple[Job, Job]:
-    """Both count the objects; Open3D on voxels of 5 mm."""
-    from foretouch.camera.libusb import ensure_libusb
-
-    ensure_libusb()
-    import open3d
+    """Both count the objects."""
+    from benchmarks.segmentation.bench import open3d_pipeline
 
     cloud = scene_cloud()
-
-    def peer() -> Float64:
-        flat = cloud.xyz[cloud.xyz[..., 2] < 2.0].astype(np.float64)
-        points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(flat)).voxel_down_sample(0.005)
-        open3d.utility.random.seed(0)
-        plane, _ = points.segment_plane(0.01, 3, 100)
-        plane = np.array(plane) * np.sign(plane[3])
-        above = np.flatnonzero(np.asarray(points.points) @ plane[:3] + plane[3] > 0.012)
-        clusters = np.asarray(points.select_by_index(above).cluster_dbscan(0.015, 6))
-        return np.array([np.count_nonzero(np.bincount(clusters + 1)[1:] >= 100)])
-
-    return lambda: np.array([len(segment(cloud, SegmentationConfig()).objects)]), peer
+    return lambda: np.array([segment(cloud).labels.max()]), lambda: np.array([open3d_pipeline(cloud).max()])
 
 
 def geograsp(config: GeoGraspConfig) -> Job:
@@ -129,21 +106,6 @@ def geograsp(config: GeoGraspConfig) -> Job:
     return run
 
 
-def geograsp_against_scipy() -> tuple[Job, Job]:
-    """The baseline of benchmarks/geograsp, on the points that `max_points` leaves."""
-    from benchmarks.geograsp import baseline
-    from foretouch.grasp.preprocessing import finite_points
-
-    one, config = target(), GeoGraspConfig(method="original")
-    thinned = finite_points(one.cloud, one.pixels, one.image_shape).downsampled(config).xyz
-
-    def peer() -> Float64:
-        ranking, (first, second) = baseline.plan(thinned, one.plane, config)
-        return np.concatenate([first.candidates.xyz[ranking.first[0]], second.candidates.xyz[ranking.second[0]]])
-
-    return geograsp(config), peer
-
-
 def touch(model: str, count: int) -> Job:
     """(count, 50) predictions [counts]."""
     loaded, one, asked = load_model(model), target(), grasps()[:count]
@@ -152,37 +114,6 @@ def touch(model: str, count: int) -> Job:
         return np.array([found.value.values for found in loaded.predict(one.cloud, asked) if found.value])
 
     return run
-
-
-def networks() -> tuple[Job, Job]:
-    """One shared network of P2's width against four eager ones in the layout of most public PointNets, for one grasp."""
-    import torch
-
-    from benchmarks.guard.eager import channels_first, made_net
-    from foretouch.models.network.checkpoint import NetworkEstimator
-    from foretouch.models.network.config import ModelConfig
-    from foretouch.models.touch_model import TouchModel
-    from foretouch.tactile import MODALITIES
-
-    torch.set_num_threads(1)
-    shared = made_net(ModelConfig(), 0)
-    four = [made_net(ModelConfig(outputs=(name,)), k) for k, name in enumerate(MODALITIES)]
-    eager = [channels_first(net) for net in four]
-    points, grasp, folded = torch.randn(1, 750, 3) * 0.4, torch.randn(1, 15), shared.folded()
-    with torch.inference_mode():
-        pairs = [(folded.regress(folded.features(points[0]), grasp), shared.counts(points, grasp))]
-        pairs += [(net.counts(points, grasp), peer(points, grasp)) for net, peer in zip(four, eager, strict=True)]
-    for one, other in pairs:  # folded and eager, and points in rows and channels first
-        require_close("touchnet", float((one - other).abs().max()), 0.01)
-    model = TouchModel(NetworkEstimator(ModelConfig(), folded), {"name": "full width", "sha256": ""})
-    one, asked = target(), grasps()[:1]
-
-    def peer() -> None:
-        with torch.inference_mode():
-            for net in eager:
-                net(points, grasp)
-
-    return lambda: model.predict(one.cloud, asked) and None, peer
 
 
 def training_step() -> tuple[Job, Job]:
@@ -258,40 +189,27 @@ def graph() -> tuple[Job, Job]:
     def ours() -> float:
         with tempfile.TemporaryDirectory() as folder:
             for k in range(max(COUNTED)):
-                path = Path(folder) / f"{k:03}.npz"
-                if k < len(clouds):
-                    np.savez(path, xyz=clouds[k].xyz)
-                else:
-                    path.symlink_to(Path(folder) / f"{k % len(clouds):03}.npz")
-            (few, few_s), (many, many_s) = (_program_seconds(folder, count) for count in COUNTED)
-        return (many_s - few_s) / (many - few)
+                np.savez(Path(folder) / f"{k:03}.npz", xyz=clouds[k % len(clouds)].xyz)
+            few, many = (_program_seconds(folder, count) for count in COUNTED)
+        return (many - few) / (COUNTED[1] - COUNTED[0])
 
     def peer() -> float:
-        before = _cpu_seconds(resource.RUSAGE_SELF)
-        for k in range(20):
-            made.run(clouds[k % len(clouds)])
-        return (_cpu_seconds(resource.RUSAGE_SELF) - before) / 20
+        return cpu_ms(lambda: [made.run(cloud) for cloud in clouds], 5) / len(clouds) / 1e3
 
     return ours, peer
 
 
-def _program_seconds(folder: str, count: int) -> tuple[int, float]:
-    """Answered clouds and CPU seconds of `foretouch run`, which ends once `count` are answered."""
-    before = _cpu_seconds(resource.RUSAGE_CHILDREN)
+def _program_seconds(folder: str, count: int) -> float:
+    """CPU seconds of `foretouch run`, which ends once `count` clouds are answered."""
     command = [sys.executable, "-m", "foretouch.cli.main", "run", "--source", folder, "--count", str(count), "--json"]
-    domain = os.environ.get("ROS_DOMAIN_ID", "88")
-    environment = {**os.environ, "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = {"ROS_DOMAIN_ID": "88", **os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    before = os.times()
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment, timeout=_LONGEST_S)
-    answers = [json.loads(line) for line in done.stdout.splitlines()]
-    predicted = sum(bool(one.get("predictions")) for one in answers)
+    after = os.times()
+    predicted = sum(bool(json.loads(line).get("predictions")) for line in done.stdout.splitlines())
     if predicted < count:
         raise SystemExit(f"graph: {predicted} of {count} clouds were answered: {done.stderr[-500:]}")
-    return predicted, _cpu_seconds(resource.RUSAGE_CHILDREN) - before
-
-
-def _cpu_seconds(who: int) -> float:
-    used = resource.getrusage(who)
-    return used.ru_utime + used.ru_stime
+    return after.children_user + after.children_system - before.children_user - before.children_system
 
 
 def all_cases() -> list[Case]:
@@ -301,16 +219,15 @@ def all_cases() -> list[Case]:
         return Case(name, "a yardstick of NumPy", against_yardstick(make))
 
     return [
-        Case("segmentation 848x480, Open3D", "Open3D on voxels of 5 mm", segmentation_against_open3d, needs="open3d"),
+        Case("segmentation 848x480, Open3D", "Open3D's RANSAC and DBSCAN", segmentation_against_open3d, needs="open3d"),
         yard("segmentation 848x480", lambda: segmentation(848, 480)),
         yard("segmentation 1280x720", lambda: segmentation(1280, 720)),
-        Case("GeoGrasp original, SciPy", "SciPy's tree, all normals", geograsp_against_scipy, 1e-6),
         yard("GeoGrasp original", lambda: geograsp(GeoGraspConfig(method="original"))),
         yard("GeoGrasp completed", lambda: geograsp(GeoGraspConfig())),
         yard("contact model, 1 grasp", lambda: touch("default", 1)),
         yard("contact model, 100 grasps", lambda: touch("default", 100)),
         yard("contact model, 1000 grasps", lambda: touch("default", 1000)),
-        Case("touchnet, shared", "four eager networks", networks),
+        yard("touchnet, 1 grasp", lambda: touch("touchnet-v1", 1)),
         yard("simulator, rigid", lambda: simulator("rigid")),
         yard("simulator, deformables", lambda: simulator("deformables")),
         Case("training step, fused", "torch's own layers", training_step),

@@ -3,31 +3,22 @@
 
 import argparse
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import add_data, markdown, read_csv, replace_marked, scene, write_csv
-from foretouch.cloud.geometry.limits import check_object
+from benchmarks.common import add_data, print_rows, write_csv
 from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
-from foretouch.grasp.reach import DEFAULT_REACH, check_reach
 from foretouch.models import DEFAULT_MODEL, load_model
-from foretouch.models.contact.features import HandFrameFeatures
-from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import biotac_touch
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, TouchPrediction
 from foretouch_lab.simulation.depth_scene import random_scene
-from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.engine import Engine
-from foretouch_lab.simulation.world import SampleKey
 
 MODELS = (DEFAULT_MODEL, "touchnet-v1")
 HERE = Path(__file__).parent
@@ -39,11 +30,7 @@ STEPS = {
     "segmentation: clusters": ("objects", 0.5),
     "GeoGrasp original: best grasp": ("mm", 10.0),
     "GeoGrasp completed: best grasp": ("mm", 10.0),
-    "reach and limits": ("other verdicts", 0.5),
-    "contact features": ("% of the spread over objects, rms", 25.0),
     **{f"{name}: prediction": ("counts", 50.0) for name in MODELS},
-    "novelty flag": ("other flags", 0.5),
-    "calibration after 3 touches": ("counts", 50.0),
 }
 """What is compared, in which unit, and from where on a difference counts as a jump."""
 
@@ -102,7 +89,6 @@ def changes() -> Iterator[Change]:
 
 
 LIST_ONLY = ("order of points", "points twice")
-OTHERS = ("1 grasp or 100", "offline or live", "flying pixels of the simulator")
 
 
 def _half_image(xyz: Float64, rng: np.random.Generator) -> Float64:
@@ -134,37 +120,6 @@ Difference = Callable[[Float64, Float64], float]
 Found = dict[tuple[str, str], list[float]]  # differences by step and change; NaN where the changed cloud is refused
 
 
-def main() -> None:
-    """Measure, and write the CSV and the table of the README."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_data(parser)
-    parser.add_argument("--every", type=int, default=8, help="use each k-th recorded cloud")
-    parser.add_argument("--table", action="store_true", help="only write the table again")
-    arguments = parser.parse_args()
-    if not arguments.table:
-        write_csv(RESULTS, rows(measure(arguments.data, arguments.every)))
-    found = {(row["step"], row["change"]): row for row in read_csv(RESULTS)}
-    columns = ["change", *(f"{step} [{unit}]" for step, (unit, _) in STEPS.items())]
-    names = [*(change.name for change in changes()), *OTHERS]
-    replace_marked(
-        HERE / "README.md",
-        markdown(columns, [[name, *(text(found.get((step, name))) for step in STEPS)] for name in names]),
-    )
-
-
-def text(row: Mapping[str, str] | None) -> str:
-    """A cell of the table."""
-    if row is None:
-        return "–"
-    answered, over = int(row["n"]) - int(row["refused"]), int(row["over"])
-    if not answered:
-        return "refused"
-    refused = f"; {row['refused']} of {row['n']} refused" if int(row["refused"]) else ""
-    if over:
-        return f"**{100 * over / answered:.0f} %** > {row['limit']}, ≤ {row['largest']}{refused}"
-    return ("exact" if float(row["largest"]) == 0.0 else f"≤ {row['largest']}") + refused
-
-
 def scene_image(seed: int) -> Cloud:
     """A simulated scene of three objects."""
     return random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud()
@@ -176,19 +131,15 @@ def measure(data: Path | None, every: int) -> Found:
     models = {name: load_model(name) for name in MODELS}
     paths = sorted(Path(data).glob("vision2tactile/*/*/cloud-object.pcd"))[::every] if data else []
     clouds = [read_cloud(path).xyz.reshape(-1, 3) for path in paths] + list(made_objects())
-    spread = feature_spread(clouds)
     for seed, xyz in enumerate(clouds):
         for change in changes():
-            object_steps(found, xyz, change, models, spread, np.random.default_rng(seed))
-        batch(found, xyz, models)
+            object_steps(found, xyz, change, models, np.random.default_rng(seed))
     for seed in range(6):
         image = scene_image(seed).xyz
         for change in changes():
             scene_steps(found, image.reshape(-1, 3), change, np.random.default_rng(seed))
             if change.name not in LIST_ONLY:
                 scene_steps(found, image, change, np.random.default_rng(seed))
-    live(found)
-    flying_pixels(found)
     return found
 
 
@@ -232,13 +183,6 @@ def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
     return plan.grasps[0], plan.axis
 
 
-def feature_spread(clouds: list[Float32]) -> Float64:
-    """Standard deviation of each contact feature over the objects; infinite for one that is the same for all."""
-    described = [HandFrameFeatures(xyz).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
-    spread = np.std(described, axis=0)
-    return np.where(spread > 0.0, spread, np.inf)
-
-
 def _largest(before: Float64, after: Float64) -> float:
     return float(np.abs(after - before).max())
 
@@ -248,7 +192,7 @@ def _largest_move(before: Float64, after: Float64) -> float:
 
 
 def object_steps(
-    found: Found, xyz: Float32, change: Change, models: dict[str, TouchModel], spread: Float64, rng: np.random.Generator
+    found: Found, xyz: Float32, change: Change, models: dict[str, TouchModel], rng: np.random.Generator
 ) -> None:
     """The steps on the cloud of one object, before and after a change."""
     other = change.points(xyz, rng)
@@ -272,32 +216,10 @@ def object_steps(
 
     for method in ("original", "completed"):
         compare(f"GeoGrasp {method}: best grasp", partial(_best, method), moved)
-    compare("reach and limits", _verdict)
-    compare(
-        "contact features",
-        lambda points, one, _: HandFrameFeatures(points).describe([one])[0] / spread,
-        lambda before, after: float(np.sqrt(np.mean((after - before) ** 2)) * 100.0),
-    )
     for name, model in models.items():
         compare(
             f"{name}: prediction", lambda points, one, _, model=model: _vector(model.predict(Cloud(points), [one])[0])
         )
-    contact = models[MODELS[0]]
-
-    def flagged(points: Float32, one: Grasp, _: Plane) -> Float64:
-        return np.array([float("unfamiliar" in contact.predict(Cloud(points), [one])[0].flags)])
-
-    def touched(points: Float32, one: Grasp, _: Plane) -> Float64:
-        history = HandHistory(contact)
-        for _ in range(3):
-            history.add_touch(1, Cloud(points), one, _READING)
-        return _vector(contact.predict(Cloud(points), [one], history=history.snapshot(1, same_object=True))[0])
-
-    compare("novelty flag", flagged)
-    compare("calibration after 3 touches", touched)
-
-
-_READING = biotac_touch(np.concatenate([[2850.0, 1850.0], np.full(24, 3000.0), np.full(24, 3400.0)]))
 
 
 def _vector(prediction: TouchPrediction) -> Float64:
@@ -313,22 +235,12 @@ def _best(method: str, points: Float32, _: Grasp | None, table: Plane) -> Float6
     return np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
 
 
-def _verdict(points: Float32, grasp: Grasp, _: Plane) -> Float64:
-    try:
-        check_object(points)
-        check_reach(grasp, points, DEFAULT_REACH.max_width_m, DEFAULT_REACH.max_distance_m)
-    except ForetouchError:
-        return np.array([1.0])
-    return np.array([0.0])
-
-
 def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Generator) -> None:
     """Segmentation of a scene, as an image or as a list of points, before and after a change."""
     shape = xyz.shape[:-1]
     names = ("segmentation: labels", "segmentation: table plane", "segmentation: clusters")
     before, after = segment(Cloud(xyz)), segment(Cloud(change.points(xyz, rng)))
-    assert before.plane is not None
-    if after.plane is None:
+    if before.plane is None or after.plane is None:
         for name in names:
             found[name, change.name].append(np.nan)
         return
@@ -348,71 +260,16 @@ def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Gener
     found[names[2], change.name].append(float(abs(len(before.objects) - len(after.objects))))
 
 
-def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
-    """One grasp alone, and the same as the 57th of 100."""
-    grasp, _ = given_grasp(xyz)
-    rng = np.random.default_rng(0)
-    others = []
-    for _ in range(100):
-        g1, g2 = grasp.g1 + rng.normal(0.0, 0.005, 3), grasp.g2 + rng.normal(0.0, 0.005, 3)
-        others.append(Grasp(g1, g2, hand_rotation(g1, g2, grasp.rotation[:, 1])))
-    others[57] = grasp
-    scene = HandFrameFeatures(xyz)
-    found["contact features", OTHERS[0]].append(_largest(scene.describe([grasp])[0], scene.describe(others)[57]))
-    for name, model in models.items():
-        alone, among = model.predict(Cloud(xyz), [grasp])[0], model.predict(Cloud(xyz), others)[57]
-        found[f"{name}: prediction", OTHERS[0]].append(_largest(_vector(alone), _vector(among)))
-        if name == MODELS[0]:
-            found["novelty flag", OTHERS[0]].append(float(alone.flags != among.flags))
-
-
-def flying_pixels(found: Found, slots: int = 20) -> None:
-    """Simulated objects, cut out by their true outlines, without and with flying pixels on these."""
-    for name, slot in product(("rigid", "deformables", "unseen_objects"), range(slots)):
-        engines = [Engine(scene(name, camera__flying_pixels=one), EFFECTS, ("cloud",)) for one in (None, {})]
-        clean, flown = (engine.run(SampleKey(1, slot)).cloud.xyz for engine in engines)
-        table = Plane.from_coefficients(engines[0].world.view.table_plane())
-        for method in ("original", "completed"):
-            try:
-                before, after = (_best(method, xyz, None, table) for xyz in (clean, flown))
-                moved_mm = 1e3 * _largest_move(before, after)
-            except ForetouchError:  # wider than the hand opens
-                moved_mm = np.nan
-            found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(moved_mm)
-
-
-def live(found: Found) -> None:
-    """The pipeline on a scene, and the same through the messages and functions of the live nodes."""
-    try:
-        from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
-        from foretouch.ros.messages.conversions import plane_from_msg, plane_to_msg
-        from foretouch.ros.messages.requests import plan_targets, read_cloud, read_targets
-    except ImportError:
-        print("no ROS 2: offline and live are not compared")
-        return
-    from foretouch.cloud.geometry.limits import ObjectLimits
-    from foretouch.grasp.messages import decode_grasp
-    from foretouch.pipeline import Pipeline, PipelineConfig
-
-    def add(step: str, difference: float) -> None:
-        found[step, OTHERS[1]].append(difference)
-
-    for seed, method in product(range(3), ("original", "completed")):
-        cloud, pipeline = scene_image(seed), Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
-        message, offline = cloud_to_msg(cloud), pipeline.run(cloud)
-        scene = pipeline.segment(read_cloud(message))
-        table = plane_from_msg(plane_to_msg(scene.targets[0].plane))
-        targets = read_targets(objects_to_msg(scene.targets, cloud.frame_id, 0), table, ObjectLimits())
-        grasp, expected = offline.targets[0].plan.grasps[0], offline.targets[0].predictions[0]
-        sent = decode_grasp(plan_targets(pipeline, targets, message.header).grasps[0])
-        predicted = pipeline.predict(targets[0], [sent])[0]
-        add(f"GeoGrasp {method}: best grasp", 1e3 * max(_largest(grasp.g1, sent.g1), _largest(grasp.g2, sent.g2)))
-        add(f"{DEFAULT_MODEL}: prediction", _largest(_vector(expected), _vector(predicted)))
-        add("novelty flag", float(expected.flags != predicted.flags))
-        one, other = offline.scene.segmentation, scene.segmentation
-        add("segmentation: labels", 100.0 * float((one.labels != other.labels).mean()))
-        add("segmentation: table plane", 1e3 * _largest(one.plane.coefficients, other.plane.coefficients))
-        add("segmentation: clusters", float(abs(len(one.objects) - len(other.objects))))
+def main() -> None:
+    """Measure, print and write the rows; the committed table holds more steps and changes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_data(parser)
+    parser.add_argument("--every", type=int, default=8, help="use each k-th recorded cloud")
+    parser.add_argument("-o", "--out", type=Path, default=Path("invariances.csv"))
+    arguments = parser.parse_args()
+    found = list(rows(measure(arguments.data, arguments.every)))
+    write_csv(arguments.out, found)
+    print_rows(found)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,21 +36,6 @@ POINTS = 5000
 LONGEST_S = 0.6
 ROUNDS_A_DATASET = 5
 TOPIC = "/rh/tactile"
-
-
-@dataclass
-class Round:
-    """The result of one kill."""
-
-    number: int
-    killed_after_ms: float
-    acknowledged: int
-    sessions: int
-    cut_bytes: int
-    found: int
-    lost: int
-    wrong: int
-    clean: bool
 
 
 def made_sample(number: int, points: int = POINTS) -> GraspSample:
@@ -95,7 +80,7 @@ def record_forever(folder: Path, fsync_samples: int) -> None:
                 os.write(1, f"{given} {number}\n".encode())
 
 
-def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> Round:
+def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> dict[str, Any]:
     """Start the recorder, kill it after a while, repair, verify and compare.
 
     Every second kill waits for the first sample, so that the kill hits appending, not only starting, on a busy machine too.
@@ -116,32 +101,17 @@ def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> 
     cut = sum(r.original.stat().st_size - r.path.stat().st_size for r in repairs if r.original)
     clean = all(report.clean for report in verify_dataset(folder)) if repairs else not acknowledged
     there = contents(folder)
-    return Round(
-        number=number,
-        killed_after_ms=1e3 * delay_s,
-        acknowledged=len(acknowledged),
-        sessions=len(repairs),
-        cut_bytes=max(0, cut),
-        found=len(there.keys() - known),
-        lost=len((acknowledged.keys() | known) - there.keys()),
-        wrong=sum(there.get(given, content) != content for given, content in acknowledged.items()),
-        clean=clean,
-    )
-
-
-def campaign(rounds: int, seed: int, fsync_samples: int, show: bool) -> list[Round]:
-    """Run many kills; several consecutive ones hit one dataset, which each recorder resumes."""
-    rng = np.random.default_rng(seed)
-    results = []
-    with tempfile.TemporaryDirectory(prefix="foretouch-kill-") as root:
-        for number in range(rounds):
-            folder = Path(root) / "dataset"
-            if number % ROUNDS_A_DATASET == 0:
-                shutil.rmtree(folder, ignore_errors=True)
-            results.append(kill_once(number, folder, float(rng.uniform(0.0, LONGEST_S)), fsync_samples))
-            if show:
-                print(", ".join(f"{name} {value}" for name, value in asdict(results[-1]).items()), flush=True)
-    return results
+    return {
+        "number": number,
+        "killed_after_ms": 1e3 * delay_s,
+        "acknowledged": len(acknowledged),
+        "sessions": len(repairs),
+        "cut_bytes": max(0, cut),
+        "found": len(there.keys() - known),
+        "lost": len((acknowledged.keys() | known) - there.keys()),
+        "wrong": sum(there.get(given, content) != content for given, content in acknowledged.items()),
+        "not_clean": int(not clean),
+    }
 
 
 def main() -> int:
@@ -154,18 +124,21 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.child:
         record_forever(arguments.child, arguments.fsync_samples)
-    results = campaign(arguments.rounds, arguments.seed, arguments.fsync_samples, not arguments.json)
-    total = {
-        "kills": len(results),
-        "acknowledged": sum(r.acknowledged for r in results),
-        "lost": sum(r.lost for r in results),
-        "wrong": sum(r.wrong for r in results),
-        "not_clean": sum(not r.clean for r in results),
-    }
-    if arguments.json:
-        print(json.dumps({**total, "rounds": [asdict(r) for r in results]}))
-    else:
-        print(", ".join(f"{name.replace('_', ' ')} {value}" for name, value in total.items()))
+    rng, rounds = np.random.default_rng(arguments.seed), []
+    with tempfile.TemporaryDirectory(prefix="foretouch-kill-") as root:
+        for number in range(arguments.rounds):
+            folder = Path(root) / "dataset"
+            if (
+                number % ROUNDS_A_DATASET == 0
+            ):  # several kills in succession hit one dataset, which each recorder resumes
+                shutil.rmtree(folder, ignore_errors=True)
+            rounds.append(kill_once(number, folder, float(rng.uniform(0.0, LONGEST_S)), arguments.fsync_samples))
+            if not arguments.json:
+                print(", ".join(f"{name} {value}" for name, value in rounds[-1].items()), flush=True)
+    total = {name: sum(one[name] for one in rounds) for name in ("acknowledged", "lost", "wrong", "not_clean")}
+    total = {"kills": len(rounds), **total}
+    text = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in total.items())
+    print(json.dumps({**total, "rounds": rounds}) if arguments.json else text)
     return int(total["lost"] + total["wrong"] + total["not_clean"] > 0)
 
 

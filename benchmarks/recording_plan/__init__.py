@@ -29,7 +29,7 @@ from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.prequential.results import REGIMES
-from foretouch_lab.experiments.shared.tables import findings, grouped, listed, select, short, with_notes
+from foretouch_lab.experiments.shared.tables import grouped, listed, with_notes
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, ScoreEstimate, compare, skills
 from foretouch_lab.learning.evaluation.prequential import other_objects_mean
@@ -39,7 +39,6 @@ from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.simulate import Simulation
 
 _NOTHING, _CONTACT, _OBJECT, _REPEAT = "nothing", "contact", "object", "a repeat"
-_WANTED: Final = 0.05  # half width
 _DESIGN: Final = ("objects", "visits", "tares", "days")
 
 
@@ -189,7 +188,7 @@ def _tabulate(_settings: RecordingPlanSettings, rows: Sequence[Row]) -> list[Row
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
-    tables = [findings(_sentences(rows))]
+    tables: list[Table] = []
     head = ["objects", "visits", "tares", "days", "value", "half width", "between seeds", "coverage"]
     titles = {_NOTHING: "skill without vision", _REPEAT: "skill that no predictor exceeds, from repeated grasps"}
     for (regime, known), own in grouped(rows, "regime", "known"):
@@ -202,23 +201,9 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         "PDC_TH PDC_MF E_TH E_MF, means over the seeds, all with history, touches, temperature and tares; skill: 0 is the mean of all readings of the other objects",
         "half width: of the 95 % interval by bootstrap over objects; between seeds: standard deviation of the value; coverage: of the 90 % intervals of predictions",
         "contact: vision as far as the model has learnt it from other objects; object: the mean reading of the object, as if it was recognised; days: sessions",
-        f"objects for ±{short(_WANTED)}: from the half width with the most objects, which falls with the square root of their number",
+        "half widths fall with the square root of the number of objects",
     ]
     return with_notes(tables, notes)
-
-
-def _sentences(rows: Sequence[Row]) -> list[str]:
-    """How many objects each gain requires: half widths fall with the square root of their number."""
-    most, found = max(row["objects"] for row in rows), []
-    chosen = [row for row in select(rows, objects=most, tares="object", days="few") if row["half_width"]]
-    for (regime, known), own in grouped(chosen, "regime", "known"):
-        counts = [
-            f"{' '.join(str(round(most * (row['half_width'] / _WANTED) ** 2)) for row in part)} with {visits} visit{'s' * (visits > 1)}"
-            for visits, part in grouped(own, "visits")
-        ]
-        if known in (_CONTACT, _OBJECT):
-            found.append(f"{regime}: objects for ±{short(_WANTED)} of the gain of {known}: {', '.join(counts)}")
-    return found
 
 
 EXPERIMENT = Experiment(

@@ -2,13 +2,13 @@
 """Does segmentation find all objects, and how exactly, beside a pipeline of Open3D? See README.md."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common import print_rows
-from foretouch.camera.libusb import ensure_libusb
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.types import Cloud
 from foretouch_lab.experiments.tradeoff_perception import overlaps
@@ -22,6 +22,9 @@ N_SCENES = 50
 
 def open3d_pipeline(cloud: Cloud) -> Labels:
     """A common pipeline: crop, RANSAC plane, DBSCAN of the points above it, small clusters dropped."""
+    from foretouch.camera.libusb import ensure_libusb
+
+    ensure_libusb()
     import open3d
 
     flat = cloud.xyz.reshape(-1, 3)
@@ -41,50 +44,44 @@ def open3d_pipeline(cloud: Cloud) -> Labels:
     return labels.reshape(cloud.xyz.shape[:-1])
 
 
-def scenes(width: int, height: int) -> list[tuple[str, Cloud, Labels]]:
-    """One generated scene, clean, noisy and with flying pixels, and the shared one if available."""
-    result = []
-    for name, noise_m, flying in (("exact", 0.0, False), ("noise", 0.0015, False), ("flying", 0.0015, True)):
-        rng = np.random.default_rng(1)
-        image = random_scene(rng, width, height).render(rng, noise_m, flying)
-        result.append((f"{width}x{height} {name}", image.cloud(), image.labels))
-    shared = Path(os.environ.get("FORETOUCH_DATA", "")) / "scenes" / f"oblique_{width}x{height}.npz"
-    if "FORETOUCH_DATA" in os.environ and shared.is_file():
-        with np.load(shared) as scene:
-            result.append((f"{width}x{height} oblique", Cloud(scene["xyz"]), scene["labels"].astype(np.int32)))
-    return result
+def scenes() -> Iterator[tuple[str, Cloud, Labels]]:
+    """In two sizes a generated scene, clean, noisy and with flying pixels, and the shared one if available."""
+    for width, height in ((848, 480), (1280, 720)):
+        for name, noise_m, flying in (("exact", 0.0, False), ("noise", 0.0015, False), ("flying", 0.0015, True)):
+            rng = np.random.default_rng(1)
+            image = random_scene(rng, width, height).render(rng, noise_m, flying)
+            yield f"{width}x{height} {name}", image.cloud(), image.labels
+        shared = Path(os.environ.get("FORETOUCH_DATA", "")) / "scenes" / f"oblique_{width}x{height}.npz"
+        if shared.is_file():
+            with np.load(shared) as scene:
+                yield f"{width}x{height} oblique", Cloud(scene["xyz"]), scene["labels"].astype(np.int32)
 
 
-def check_generated() -> None:
-    """Objects found and least overlap on the generated scenes."""
-    print(f"\n{N_SCENES} generated scenes of {N_OBJECTS} objects, 848x480")
-    rows = []
-    for name, noise_m, flying in (("exact", 0.0, False), ("noise 1 mm", 0.001, False), ("and flying", 0.001, True)):
-        wrong, all_overlaps = 0, []
-        for seed in range(N_SCENES):
-            rng = np.random.default_rng(seed)
-            image = random_scene(rng).render(rng, noise_m, flying)
-            labels = segment(image.cloud()).labels
-            wrong += int(labels.max()) != N_OBJECTS
-            all_overlaps += overlaps(labels, image.labels, OBJECTS)
-        least, mean = min(all_overlaps), float(np.mean(all_overlaps))
-        rows.append({"effects": name, "wrong number": wrong, "least IoU": f"{least:.3f}", "mean IoU": f"{mean:.3f}"})
-    print_rows(rows)
+def generated(noise_m: float, flying: bool) -> dict[str, object]:
+    """Scenes in which another number of objects is found, and the overlaps of all."""
+    wrong, found = 0, []
+    for seed in range(N_SCENES):
+        rng = np.random.default_rng(seed)
+        image = random_scene(rng).render(rng, noise_m, flying)
+        labels = segment(image.cloud()).labels
+        wrong += int(labels.max()) != N_OBJECTS
+        found += overlaps(labels, image.labels, OBJECTS)
+    return {"wrong number": wrong, "least IoU": f"{min(found):.3f}", "mean IoU": f"{float(np.mean(found)):.3f}"}
 
 
 def main() -> None:
-    """Print the tables."""
-    ensure_libusb()
+    """Print both tables."""
     rows = []
-    for name, cloud, truth in scenes(848, 480) + scenes(1280, 720):
-        mine, theirs = segment(cloud).labels, open3d_pipeline(cloud)
-        texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS)) for labels in (mine, theirs)]
-        ours_, theirs_ = (
-            {"objects": labels.max(), "IoU": text} for labels, text in zip((mine, theirs), texts, strict=True)
-        )
-        rows.append({"scene": name, **ours_, **{f"Open3D {key}": value for key, value in theirs_.items()}})
+    for name, cloud, truth in scenes():
+        row: dict[str, object] = {"scene": name}
+        for who, labels in (("", segment(cloud).labels), ("Open3D ", open3d_pipeline(cloud))):
+            texts = (f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS))
+            row |= {f"{who}objects": labels.max(), f"{who}IoU": "/".join(texts)}
+        rows.append(row)
     print_rows(rows)
-    check_generated()
+    print(f"\n{N_SCENES} generated scenes of {N_OBJECTS} objects, 848x480")
+    effects = {"exact": (0.0, False), "noise 1 mm": (0.001, False), "and flying": (0.001, True)}
+    print_rows([{"effects": name} | generated(*given) for name, given in effects.items()])
 
 
 if __name__ == "__main__":

@@ -2,19 +2,20 @@
 """Samples a second of supervised training and seconds a step of the SR-GAN, against the plain composition."""
 
 import argparse
-import statistics
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 
-from benchmarks.training.plain import plain_composition
+from benchmarks.common import print_rows, timed
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import TOUCH_SIZE
 from foretouch_lab.learning.data.training_set import TrainingSet
+from foretouch_lab.learning.network import pointnet
+from foretouch_lab.learning.network.pointnet import Layer
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch_lab.learning.training.trainer import Trainer
@@ -26,6 +27,30 @@ SLIM = FULL.replace(n_points=128, tnet=False, trunk_widths=(32, 64, 128), head_w
 """As small as sweeps use it: here the number of calls counts, not their size."""
 
 CLOUD_POINTS = 5000
+
+
+def _layer(layer: Layer, x: Tensor) -> Tensor:
+    y = layer.linear(x)
+    if layer.norm is not None:
+        y = layer.norm(y.flatten(0, -2)).view_as(y)
+    return torch.relu(y)
+
+
+def _pool(layers: nn.Sequential, points: Tensor, _precision: torch.dtype) -> Tensor:
+    for layer in layers:
+        points = _layer(layer, points)
+    return points.amax(dim=1)
+
+
+@contextmanager
+def plain_composition() -> Iterator[None]:
+    """Within, every PointNet of the package is torch's linear maps, batch norms, ReLUs and a maximum, on the same weights."""
+    forward, pool = Layer.forward, pointnet.pool
+    Layer.forward, pointnet.pool = _layer, _pool  # type: ignore[method-assign,assignment]
+    try:
+        yield
+    finally:
+        Layer.forward, pointnet.pool = forward, pool  # type: ignore[method-assign]
 
 
 def made_data(config: ModelConfig, samples: int) -> TrainingSet:
@@ -57,37 +82,21 @@ def srgan(config: ModelConfig, precision: str, batches: int, batch_norm: str = "
     return SrganTrainer(data, np.arange(10 * batches), np.arange(10 * batches, 20 * batches), how)
 
 
-def weights_after_a_step(make: Callable[[], Trainer], *, plain: bool) -> Mapping[str, torch.Tensor]:
-    with plain_composition() if plain else nullcontext():
-        trainer = make()
-        trainer.run_epoch()
-    return trainer.net.state_dict()
-
-
 def difference(make: Callable[[], Trainer]) -> float:
     """Largest difference of running variances after one epoch of both ways, relative to their size.
 
     Weights would differ more: Adam turns rounding of small gradients into steps of full size.
     """
-    quick, plain = (weights_after_a_step(make, plain=plain) for plain in (False, True))
+    quick, plain = make(), make()
+    quick.run_epoch()
+    with plain_composition():
+        plain.run_epoch()
+    found = quick.net.state_dict()
     return max(
-        float((quick[name].double() - value.double()).norm() / value.double().norm().clamp(min=1e-6))
-        for name, value in plain.items()
+        float((found[name].double() - value.double()).norm() / value.double().norm().clamp(min=1e-6))
+        for name, value in plain.net.state_dict().items()
         if name.endswith("running_var")
     )
-
-
-def seconds(trainer: Trainer, batches: int, repeats: int, *, plain: bool) -> tuple[float, float]:
-    """Median wall and CPU time of a step."""
-    wall, cpu = [], []
-    with plain_composition() if plain else nullcontext():
-        trainer.run_epoch()
-        for _ in range(repeats):
-            began, used = time.perf_counter(), time.process_time()
-            trainer.run_epoch()
-            wall.append((time.perf_counter() - began) / batches)
-            cpu.append((time.process_time() - used) / batches)
-    return statistics.median(wall), statistics.median(cpu)
 
 
 def cases(batches: int) -> Iterator[tuple[str, int, str, Callable[[], Trainer]]]:
@@ -101,17 +110,17 @@ def cases(batches: int) -> Iterator[tuple[str, int, str, Callable[[], Trainer]]]
 
 
 def rows(threads: int, batches: int, repeats: int) -> Iterator[dict[str, Any]]:
-    """One row a case: both ways, one after the other."""
+    """A row for each case and way: the plain one, which has no other precision, and ours."""
     torch.set_num_threads(threads)
     for name, samples, precision, make in cases(batches):
         count = batches * (20 if "slim" in name else 1)
-        plain = seconds(make(), count, repeats, plain=True) if precision == "float32" else (None, None)
-        quick = seconds(make(), count, repeats, plain=False)
-        yield {
-            "case": name, "threads": threads, "precision": precision,
-            "plain_wall_s": plain[0], "plain_cpu_s": plain[1], "wall_s": quick[0], "cpu_s": quick[1],
-            "samples_per_s": samples / quick[0],
-        }  # fmt: skip
+        for way in ("plain", "ours") if precision == "float32" else ("ours",):
+            with plain_composition() if way == "plain" else nullcontext():
+                wall_s, cpu_s = (one / count for one in timed(make().run_epoch, repeats))
+            yield {
+                "case": name, "threads": threads, "precision": precision, "way": way,
+                "wall_ms": 1e3 * wall_s, "cpu_ms": 1e3 * cpu_s, "samples_per_s": samples / wall_s,
+            }  # fmt: skip
 
 
 def main() -> None:
@@ -126,13 +135,7 @@ def main() -> None:
     if worst > 1e-3:
         raise SystemExit("the two ways differ; nothing is timed")
     for threads in arguments.threads:
-        for row in rows(threads, arguments.batches, arguments.repeats):
-            ratio = "" if row["plain_cpu_s"] is None else f"  {row['plain_cpu_s'] / row['cpu_s']:4.1f} x plain (CPU)"
-            print(
-                f"{row['case']:32} {threads} threads {row['precision']:9} {row['wall_s'] * 1e3:8.1f} ms wall "
-                f"{row['cpu_s'] * 1e3:8.1f} ms CPU {row['samples_per_s']:8.1f} samples/s{ratio}",
-                flush=True,
-            )
+        print_rows(list(rows(threads, arguments.batches, arguments.repeats)))
 
 
 if __name__ == "__main__":

@@ -8,51 +8,43 @@ kernel on the geometry among them, are fitted without the object that is predict
     level         nothing: the tracker as it was before
     where         the features of the grasp in the frame of the hand (`foretouch.models.contact.features`)
     shuffled      the same, those of the object's grasps in another order: they are as many and as wide, and say nothing
-    neighbours    the same, shuffled among five grasps in succession: what would be left if geometry stood for the time
-    time          the time alone, in the place of the features
-    without ...   the features without those of one group
 
-Samples without stamps, as of a simulated day, are taken object by object, a minute apart. Where the scene is known, some
-grasps are executed again with everything that no camera sees redrawn: their variance is an error that no predictor avoids.
+Samples without stamps, as of a simulated day, are taken object by object, a minute apart.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from types import SimpleNamespace
+from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.where_on_object.results import draw_where, summarise_where, where_rows
 from foretouch.config import Settings, setting
-from foretouch.dataset.store import Store, is_store
-from foretouch.models.contact.features import CONDITIONS, FEATURES, OBJECT_FEATURES
+from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.types import Float64, GraspSample
-from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch_lab.experiments.noise_ceiling import CAUSES, Repeater
-from foretouch_lab.experiments.shared.scores import labelled
-from foretouch_lab.experiments.shared.simulated_data import SimulatedSettings, load_simulated
+from foretouch.types import Bool, Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.shared.scores import interval_columns, labelled
+from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, SIGNS, grouped, select, short, with_notes
 from foretouch_lab.learning.data import labels_of, load_dataset
-from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
 from foretouch_lab.learning.evaluation.prequential import other_objects_mean
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
-from foretouch_lab.simulation.scene import SceneConfig
 
 LEVEL: Final = "level"
+VARIANTS: Final = (LEVEL, "where", "shuffled")
 _MINUTE_NS: Final = 60 * 10**9
-_NEIGHBOURS: Final = 5
-_NAMES: Final = FEATURES[len(CONDITIONS) :]
-_GROUPS: Final = {
-    "without sizes": [name in OBJECT_FEATURES for name in _NAMES],
-    "without contacts": [name.startswith(("g1_", "g2_")) for name in _NAMES],
-    "without hand": [name not in OBJECT_FEATURES and not name.startswith(("g1_", "g2_")) for name in _NAMES],
+REGIMES: Final[Mapping[str, tuple[int, int]]] = {
+    "first three": (0, 2),
+    "later": (3, 10**9),
+    **{f"{low}-{high}": (low, high) for low, high in ((0, 2), (3, 5), (6, 10), (11, 20), (21, 35), (36, 49))},
 }
-VARIANTS: Final = (LEVEL, "where", "shuffled", "neighbours", "time", *_GROUPS)
+"""Ranges of the number of touches of the object before a grasp, both ends included, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,25 +53,20 @@ class WhereSettings(Settings):
 
     variants: tuple[str, ...] = setting(VARIANTS, "What stands for where on the object", choices=VARIANTS)
     seed: int = setting(0, "Seed of the shuffled orders", minimum=0)
-    repeated: int = setting(4, "Grasps of each simulated object that are executed again", bounds=(0, 1000))
-    repeats: int = setting(8, "Number of times", bounds=(2, 1000))
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
 @dataclass(frozen=True, eq=False)
 class Grasps:
-    """Labelled grasps, and the scene of simulated ones."""
+    """Labelled grasps."""
 
     samples: list[GraspSample]  # in order of time
-    scene: SceneConfig | None
     sha256: str
 
 
 def _load(_settings: WhereSettings, path: Path) -> Grasps:
-    data, scene = load_dataset(path), None
-    if is_store(path) and "scene" in Store(path).manifest.get("about", {}):
-        scene = load_simulated(SimulatedSettings(), path).scene
-    return Grasps(in_order(labelled(data)), scene, data.sha256)
+    data = load_dataset(path)
+    return Grasps(in_order(labelled(data)), data.sha256)
 
 
 def in_order(samples: Sequence[GraspSample]) -> list[GraspSample]:
@@ -105,19 +92,11 @@ def recorded(samples: Sequence[GraspSample]) -> Recording:
 def variant(name: str, recording: Recording, features: Float64, seed: int) -> Float64 | None:
     """(S, P) what stands for where on the object; None for nothing."""
     rng, runs = np.random.default_rng(seed), recording.runs()
-    if name == LEVEL:
-        return None
-    if name == "time":
-        return (recording.stamps_ns - recording.stamps_ns[0])[:, None] / 1e9
-    if name in _GROUPS:
-        return features[:, ~np.array(_GROUPS[name])]
     order = np.arange(len(runs))
-    for run in np.unique(runs) if name != "where" else ():
+    for run in np.unique(runs) if name == "shuffled" else ():
         own = np.flatnonzero(runs == run)
-        size = _NEIGHBOURS if name == "neighbours" else len(own)
-        for first in range(0, len(own), size):
-            order[own[first : first + size]] = rng.permutation(own[first : first + size])
-    return features[order]
+        order[own] = rng.permutation(own)
+    return None if name == LEVEL else features[order]
 
 
 def predicted(
@@ -142,18 +121,14 @@ def predicted(
     return counts, half
 
 
-def _cells(settings: WhereSettings, data: Grasps) -> list[Cell]:
+def _cells(_settings: WhereSettings, data: Grasps) -> list[Cell]:
     names = sorted({sample.object for sample in data.samples})
-    cells = [Cell(f"predict+{name}", {"what": "predict", "object": name}) for name in names]
-    repeated = names if data.scene is not None and settings.repeated else []
-    return cells + [Cell(f"repeat+{name}", {"what": "repeat", "object": name}) for name in repeated]
+    return [Cell(f"predict+{name}", {"object": name}) for name in names]
 
 
 def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
     target, recording = cell.values["object"], recorded(data.samples)
     own = recording.objects == target
-    if cell.values["what"] == "repeat":
-        return [{"variance": variance.tolist()} for variance in _repeated(settings, data, target)]
     others = recording.take(~own)
     others = replace(others, expected=other_objects_mean(others))
     channels = data.samples[0].touch.channels  # type: ignore[union-attr]  # they are labelled
@@ -172,7 +147,6 @@ def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
             {
                 "variant": name,
                 "touches": recording.touches()[scored].tolist(),
-                "ratio": parameters.where_ratio.tolist(),
                 "modalities": {one: channel.size for one, channel in channels.channel_of.items()},
                 **{key: values[scored].tolist() for key, values in parts.items()},
             }
@@ -180,18 +154,84 @@ def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
     return rows
 
 
-def _repeated(settings: WhereSettings, data: Grasps, target: str) -> list[Float64]:
-    """(D,) variances of grasps that are executed again; unbiased."""
-    assert data.scene is not None
-    repeater = Repeater(data.scene, frozenset(CAUSES))
-    own = [sample for sample in data.samples if sample.object == target]
-    chosen = np.linspace(0, len(own) - 1, min(settings.repeated, len(own))).round().astype(int)
-    keys = [(int(own[k].extra["slot"]), int(own[k].extra["attempt"])) for k in chosen]
-    return [repeater.repeat(*key, settings.repeats).touches.var(axis=0, ddof=1) for key in keys]
+class _Scores:
+    """Predictions of all objects with one variant."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        own = [row for row in rows if row["touches"]]
+        self.objects = np.repeat([row["object"] for row in own], [len(row["touches"]) for row in own]).astype(np.str_)
+        self.touches = np.concatenate([row["touches"] for row in own])
+        names = ("counts", "half", "readings", "reference")
+        self.counts, self.half, self.readings, self.reference = (np.concatenate([row[k] for row in own]) for k in names)
+        columns = np.split(np.arange(self.counts.shape[1]), np.cumsum(list(rows[0]["modalities"].values()))[:-1])
+        self.columns = dict(zip(rows[0]["modalities"], columns, strict=True))
+        self._channels: Any = SimpleNamespace(  # what `metrics` reads of the channels of a sensor
+            modality_columns=self.columns, modalities=tuple(self.columns), size=self.counts.shape[1]
+        )
+
+    def errors(self, chosen: Bool) -> ObjectErrors:
+        """Squared errors by object."""
+        rows = (values[chosen] for values in (self.objects, self.counts, self.readings, self.reference))
+        return ObjectErrors.of_predictions(*rows, self._channels)
+
+    def coverage(self, modality: str, chosen: Bool) -> Row:
+        """Number of grasps, and of one modality the share within its 90 % intervals and their mean half width."""
+        if modality == MEAN:
+            return {"grasps": int(chosen.sum())}
+        own = np.ix_(chosen, self.columns[modality])
+        inside = np.abs(self.readings - self.counts)[own] <= self.half[own]
+        found = {"coverage": float(inside.mean()), "half_width": float(self.half[own].mean())}
+        return {"grasps": int(chosen.sum()), **found}
 
 
-def _tabulate(settings: WhereSettings, rows: Sequence[Row]) -> list[Row]:
-    return where_rows(rows, settings.bootstrap)
+_COLUMNS: Final = (
+    *("variant", "regime", "object", "modality", "grasps", "skill", "skill_low", "skill_high", "gain", "gain_low"),
+    *("gain_high", "gain_verdict", "coverage", "half_width"),
+)
+
+
+def _tabulate(settings: WhereSettings, cells: Sequence[Row]) -> list[Row]:
+    """A row for each variant, regime and modality, and their mean, of all objects together."""
+    scores = {name: _Scores(rows) for name, rows in grouped(cells, "variant")}
+    rows: list[Row] = []
+    for regime, (low, high) in REGIMES.items():
+        for name, scored in scores.items():
+            chosen = (scored.touches >= low) & (scored.touches <= high)
+            if not chosen.any():
+                continue
+            errors = scored.errors(chosen)
+            found = skills(errors, settings.bootstrap)
+            gains = compare(errors, scores[LEVEL].errors(chosen), settings.bootstrap)
+            for modality in (*scored.columns, MEAN):
+                row: Row = {"variant": name, "regime": regime, "object": ALL_OBJECTS, "modality": modality}
+                row |= interval_columns("skill", found[modality]) | scored.coverage(modality, chosen)
+                if name != LEVEL:
+                    row |= interval_columns("gain", gains[modality]) | {"gain_verdict": gains[modality].verdict}
+                rows.append({column: row.get(column) for column in _COLUMNS})
+    return rows
+
+
+def _summarise(rows: Sequence[Row]) -> list[Table]:
+    tables = []
+    for regime in REGIMES:
+        own = select(rows, regime=regime)
+        body = [[name, *(_cell(row) for row in part)] for name, part in grouped(own, "variant")]
+        if own:
+            columns = ["where", *dict.fromkeys(row["modality"] for row in own)]
+            tables.append(Table(f"{regime}: {own[0]['grasps']} grasps", columns, body))
+    notes = [
+        "skill: 0 is the mean of all readings of the other objects, 1 is perfect; gain: skill minus that of level",
+        "[95 % interval of the gain by bootstrap over objects]; ▲ ▼ =: significantly better, worse or not different from level",
+        "first three: grasps before which the object was touched at most twice; later: all others; ranges: touches before",
+    ]
+    return with_notes(tables, notes)
+
+
+def _cell(row: Mapping[str, Any]) -> str:
+    if row["gain"] is None:
+        return short(row["skill"])
+    ends = "" if row["gain_low"] is None else f" [{row['gain_low']:+.3f}, {row['gain_high']:+.3f}]"
+    return f"{short(row['skill'])} {SIGNS.get(row['gain_verdict'], '')} {row['gain']:+.3f}{ends}"
 
 
 EXPERIMENT = Experiment(
@@ -199,17 +239,12 @@ EXPERIMENT = Experiment(
     question="What does it add to know where on the object its earlier touches were?",
     module=__name__,
     settings=WhereSettings,
-    presets={
-        "full": {},
-        "quick": {"variants": [LEVEL, "where", "shuffled"]},
-        "smoke": {"variants": [LEVEL, "where"], "repeated": 1, "repeats": 2, "bootstrap.draws": 200},
-    },
+    presets={"full": {}, "quick": {}, "smoke": {"variants": [LEVEL, "where"], "bootstrap.draws": 200}},
     load=_load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,
-    summarise=summarise_where,
-    figure=draw_where,
+    summarise=_summarise,
     resumable_settings=("bootstrap",),
     data_folder="vision2tactile",
 )

@@ -37,9 +37,8 @@ def contact_cases() -> Cases:
     needle[12, 12] = 0.0
     for level in ("winkler", "layer"):
         pressed = partial(_pressed, level)
-        for kind, value in (("force_n", 0.0), ("depth_m", 0.0), ("depth_m", -1.0)):
-            yield f"contact: {level}, {kind} {value:g}", partial(pressed, lens, **{kind: value}), nearly(0.0)
-        for value in (5e-324, 1e-300, 1e300, math.inf, math.nan):
+        yield f"contact: {level}, out of reach", partial(pressed, lens, depth_m=-1.0), nearly(0.0)
+        for value in (5e-324, 1e300, math.nan):
             for kind in ("force_n", "depth_m"):
                 yield f"contact: {level}, {kind} {value:g}", partial(pressed, lens, **{kind: value}), kind
         yield f"contact: {level}, 1e-30 N", partial(pressed, lens, force_n=1e-30), nearly(1e-30)
@@ -71,18 +70,11 @@ def mesh_cases() -> Cases:
     corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
     sides = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
     faces = np.array([*sides, (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)], np.int64)
-    damaged = corners.copy()
-    damaged[3, 1] = np.nan
     for name, vertices, triangles, reason in (
         ("flat", corners * [1.0, 1.0, 0.0], faces, "has no extent"),
-        ("one point", corners * 0.0, faces, "has no extent"),
-        ("open", corners, faces[1:], "not shared by two faces"),
         ("inside out", corners, faces[:, ::-1], "encloses"),
-        ("a NaN vertex", damaged, faces, "not finite"),
         ("an infinite vertex", np.where(corners > 0, np.inf, 0.0), faces, "not finite"),
         ("no face", corners, faces[:0], "no face|no triangle"),
-        ("no vertex", corners[:0], faces[:0], "no face|no triangle|no vertex"),
-        ("a face of no vertex", corners, faces + 1, "no vertex"),
         ("a negative index", corners, faces - 1, "no vertex"),
         ("a degenerate face", corners, np.concatenate([faces, [[0, 0, 0]]]), "not shared by two faces"),
         *((f"a size of {size:g} m", size * corners, faces, _in_unit_box) for size in (1e-9, 1e3, 1e-300, 1e150)),

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Neighbours, moments, voxels and orders of points, and GeoGrasp as a whole, against the references."""
+"""Neighbours, moments, voxels and orders of points against the references; plans as a whole are those of `test_parity.py`."""
 
 from collections.abc import Iterator
 
 import numpy as np
-import pytest
 from corpus.clouds import object_cases
 from every_case import every_case
 from kernels.references import points as reference
@@ -12,16 +11,14 @@ from scene_builders import table_scene
 
 from foretouch.cloud.geometry import flying, pcl_filters
 from foretouch.cloud.geometry.pcl_filters import (
-    VoxelGrid,
     count_without_normal,
     mean_neighbour_distance,
     normals_and_curvature,
     voxel_grid,
 )
 from foretouch.errors import CloudError
-from foretouch.grasp import GeoGraspConfig, axis, plan_grasps, preprocessing, ranking
-from foretouch.grasp import geograsp as geograsp_module
-from foretouch.types import Cloud, Float32, Plane
+from foretouch.grasp import preprocessing
+from foretouch.types import Float32
 
 _MOST = 6000  # points of a case; the references take seconds of more
 
@@ -148,38 +145,3 @@ def test_any_numbers_are_read_without_a_fault(rng: np.random.Generator) -> None:
         assert found[0] == -1 or counts[: found[0]].sum() == len(xyz)
 
     every_case([np.nan, np.inf, -np.inf, 3e38, -0.0, 1e-42], check)
-
-
-def test_plans_of_hard_objects() -> None:
-    """To the bit, of both methods; the kernels of `completed` alone have their own test."""
-
-    def voxels(xyz: Float32, leaf_m: float) -> VoxelGrid:
-        return VoxelGrid(*reference.voxels(xyz, leaf_m), leaf_m)
-
-    patches = {
-        geograsp_module: {
-            "count_without_normal": reference.count_without_normal,
-            "mean_neighbour_distance": reference.mean_neighbour_distance,
-        },
-        pcl_filters: {"mean_neighbour_distance": reference.mean_neighbour_distance},
-        axis: {"voxel_grid": voxels},
-        ranking: {"normals_and_curvature": reference.normals_and_curvature, "voxel_grid": voxels},
-        preprocessing: {"_canonical_order": reference.canonical_order},
-    }
-
-    def check(cloud: Cloud, plane: Plane) -> None:
-        for method in ("original", "completed"):
-            config = GeoGraspConfig(count=4, method=method)
-            ours = plan_grasps(cloud, plane, config)
-            with pytest.MonkeyPatch.context() as patch:
-                for module, functions in patches.items():
-                    for name, function in functions.items():
-                        patch.setattr(module, name, function)
-                plain = plan_grasps(cloud, plane, config)
-            assert (ours.status, ours.reason, ours.counts) == (plain.status, plain.reason, plain.counts), method
-            for one, other in zip(ours.grasps, plain.grasps, strict=True):
-                np.testing.assert_allclose([one.g1, one.g2], [other.g1, other.g2], 0.0, 0.0, err_msg=method)
-                np.testing.assert_allclose(one.rotation, other.rotation, rtol=0.0, atol=1e-8)
-                np.testing.assert_allclose(one.score, other.score, rtol=0.0, atol=1e-7)
-
-    every_case({one.name: (one.cloud, one.plane) for one in object_cases() if one.cloud.size <= _MOST // 3}, check)

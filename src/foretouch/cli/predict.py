@@ -142,7 +142,6 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
-    from foretouch.models.prequential import replay_model
 
     model = load_model(arguments.model) if arguments.model else load_model()
     channels = model.sensor.channels

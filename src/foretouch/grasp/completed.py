@@ -237,7 +237,9 @@ class CompletedObject:
             counts[name] = int(np.count_nonzero(left & refused[name]))
             alone, left = left, left & ~refused[name]
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(np.nan_to_num(self._cost(high - low, slope) + _HOLLOW * (1.0 - solid), nan=_MOST_COST), _MOST_COST)
+        every = np.minimum(
+            np.nan_to_num(self._cost(high - low, slope) + _HOLLOW * (1.0 - solid), nan=_MOST_COST), _MOST_COST
+        )
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())

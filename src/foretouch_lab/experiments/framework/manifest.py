@@ -80,7 +80,9 @@ def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = 
     if cells.is_symlink():
         raise FileError(cells, "is a link, and nothing is written through links")
     if not file.exists():
-        if out.exists() and {path.name for path in out.iterdir()} - {_CELLS}:
+        with system_errors(out):
+            others = {path.name for path in out.iterdir()} - {_CELLS} if out.exists() else set()
+        if others:
             raise FileError(out, f"already exists and contains no {MANIFEST_FILE}")
         with system_errors(cells):
             cells.mkdir(parents=True, exist_ok=True)

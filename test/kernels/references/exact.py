@@ -1,77 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every reference needs: the table of kernels, arithmetic of 40 digits, and the measurement of one kernel."""
+"""Arithmetic of 40 digits for references of kernels, and inputs whose condition is chosen."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import mpmath
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.common import read_csv
-
 mpmath.mp.dps = 40
 
 Float64 = npt.NDArray[np.float64]
 Exact = Any  # an array of mpmath numbers, dtype object; operators and products work on it
-Family = Callable[[float, np.random.Generator], tuple[float, float]]
 
 EPS = float(np.finfo(np.float64).eps)
-EPS32 = float(np.finfo(np.float32).eps)
-_EPSILONS = {"double": EPS, "single": EPS32}
-
-TABLE_FILE = Path(__file__).parent / "kernels.csv"
-TABLE = {row["kernel"]: row for row in read_csv(TABLE_FILE)}
-"""Of each kernel what is compared, the formula of κ, C and ε; and what was measured last."""
-
-
-@dataclass(frozen=True)
-class Kernel:
-    """A kernel with its bound: error <= constant * epsilon * κ."""
-
-    name: str
-    constant: float  # C
-    epsilon: float  # of the dtype in which the kernel decides, or the tolerance of an iteration
-    family: Family  # (t, rng) to κ and error; the inputs are benign at t = 0 and hardest at t = 1
-
-
-@dataclass(frozen=True)
-class Case:
-    """One input of a family."""
-
-    condition: float  # κ
-    error: float
-
-
-KERNELS: list[Kernel] = []
-
-
-def kernel(name: str) -> Callable[[Family], Family]:
-    """Add the family of inputs of a kernel of the table."""
-    row = TABLE[name]
-
-    def add(family: Family) -> Family:
-        epsilon = _EPSILONS.get(row["epsilon"]) or float(row["epsilon"])
-        KERNELS.append(Kernel(name, float(row["C"]), epsilon, family))
-        return family
-
-    return add
-
-
-def measure(one: Kernel, levels: int, draws: int, seed: int = 0) -> Iterator[Case]:
-    """Run a kernel on `levels` x `draws` inputs between the benign and the hard end of its family."""
-    for level, t in enumerate(np.linspace(0.0, 1.0, levels)):
-        for draw in range(draws):
-            condition, error = one.family(float(t), np.random.default_rng([seed, level, draw]))
-            yield Case(float(condition), float(error))
-
-
-def ratio(one: Kernel, case: Case) -> float:
-    """Error in units of ε κ; the bound is `Kernel.constant`. Infinite where κ or the error is not a number."""
-    value = case.error / (one.epsilon * case.condition)
-    return value if value >= 0.0 else float("inf")
 
 
 def span(t: float, low: float, high: float) -> float:
@@ -99,11 +41,6 @@ def _apply(function: Callable[[Any], Any], values: npt.ArrayLike) -> Exact:
 def sqrt(values: Exact) -> Exact:
     """Of each number."""
     return _apply(mpmath.sqrt, values)
-
-
-def exp(values: Exact) -> Exact:
-    """Of each number."""
-    return _apply(mpmath.exp, values)
 
 
 def norm(vectors: Exact) -> Exact:
@@ -135,12 +72,6 @@ def eigen(matrix: Exact) -> tuple[Exact, Exact]:
     return np.array([values[k] for k in order], object), np.array(columns, object)[:, order]
 
 
-def solve(matrix: Exact, right: Exact) -> Exact:
-    """Solution of a linear system with one or more right sides."""
-    inverse = mpmath.inverse(mpmath.matrix(exact(matrix).tolist()))  # of 40 digits: exact enough for a double
-    return np.array(inverse.tolist(), object) @ exact(right)
-
-
 def covariance(points: Exact, weight: Exact | None = None) -> tuple[Exact, Exact]:
     """Mean and covariance (divided by the sum of the weights) of points (N, 3)."""
     weight = exact(np.ones(len(points))) if weight is None else weight
@@ -148,12 +79,6 @@ def covariance(points: Exact, weight: Exact | None = None) -> tuple[Exact, Exact
     mean = (weight[:, None] * points).sum(axis=0) / total
     moved = points - mean
     return mean, (moved * weight[:, None]).T @ moved / total
-
-
-def smoothstep(values: Exact, low: Exact, high: Exact) -> Exact:
-    """Reference of `foretouch.grasp.frame.smoothstep`."""
-    t = np.clip((exact(values) - low) / (high - low), mpmath.mpf(0), mpmath.mpf(1))
-    return t * t * (3 - 2 * t)
 
 
 def spread_points(rng: np.random.Generator, n: int, spreads: npt.ArrayLike) -> Float64:
