@@ -23,7 +23,6 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
-from foretouch.models.prequential import Recording, Replayed, replay
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import GraspSample
@@ -33,6 +32,7 @@ from foretouch_lab.experiments.shared.tables import findings, grouped, listed, s
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, ScoreEstimate, compare, skills
 from foretouch_lab.learning.evaluation.prequential import other_objects_mean
+from foretouch_lab.learning.prequential import Recording, Replayed, replay
 from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 from foretouch_lab.simulation.scene import SceneConfig

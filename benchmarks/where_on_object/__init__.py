@@ -27,7 +27,6 @@ from benchmarks.where_on_object.results import draw_where, summarise_where, wher
 from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
 from foretouch.models.contact.features import CONDITIONS, FEATURES, OBJECT_FEATURES
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.types import Float64, GraspSample
@@ -38,6 +37,7 @@ from foretouch_lab.experiments.shared.simulated_data import SimulatedSettings, l
 from foretouch_lab.learning.data import labels_of, load_dataset
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.evaluation.prequential import other_objects_mean
+from foretouch_lab.learning.prequential import Recording, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker

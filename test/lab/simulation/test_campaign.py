@@ -10,10 +10,10 @@ import pytest
 from sim_builders import CAN, SPONGE, made, run, scene
 
 from foretouch.errors import ConfigError, SimulationError
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, tdc_of
 from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.prequential import Recording, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 from foretouch_lab.simulation.campaign import Campaign, object_index

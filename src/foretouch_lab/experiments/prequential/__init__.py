@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.models.prequential import Recording
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.prequential.results import (
@@ -36,6 +35,7 @@ from foretouch_lab.experiments.shared.scores import labelled, load
 from foretouch_lab.experiments.shared.tables import grouped
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.prequential import Recording
 from foretouch_lab.learning.training.calibration import rest_level
 
 _SEED: Final = 0

@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.models.calibration import Calibration
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
@@ -34,6 +33,7 @@ from foretouch_lab.experiments.shared.tables import (
 )
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
 from foretouch_lab.learning.evaluation.prequential import CLOCK_S, other_objects_mean
+from foretouch_lab.learning.prequential import Recording, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 

@@ -8,11 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.models.prequential import Recording, replay, replay_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.learning.evaluation.metrics import score
+from foretouch_lab.learning.prequential import Recording, replay, replay_model
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
     "none": (0, 0),

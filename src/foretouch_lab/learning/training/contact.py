@@ -17,12 +17,12 @@ from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
-from foretouch.models.prequential import Recording, predict_after
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.prequential import Recording, predict_after
 from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch_lab.learning.training.generalisation import DECAY, choose_ridge, training_kernel
 

@@ -22,10 +22,10 @@ from typing import Final
 import numpy as np
 
 from foretouch.models.calibration import CalibrationGroup
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import FAST_TIME_S, NEW, SLOW_TIME_S, TARE_NOISE, StateFilter, TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
 from foretouch.types import Float64
+from foretouch_lab.learning.prequential import Recording, replay
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 _EFFECTIVE_VALUES: Final = 5.0  # of the taxels of a finger

@@ -9,9 +9,9 @@ from calibrated_models import REST, make_calibration
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import DatasetError
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.tracker import SensorTracker
 from foretouch_lab.learning.evaluation.prequential import baselines, other_objects_mean
+from foretouch_lab.learning.prequential import Recording, replay
 
 S = 10**9
 CALIBRATION = make_calibration()

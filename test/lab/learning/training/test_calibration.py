@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.models.prequential import Recording, predict_after
 from foretouch.tactile import BIOTAC, MODALITIES
+from foretouch_lab.learning.prequential import Recording, predict_after
 from foretouch_lab.learning.training.calibration import (
     COVERAGE,
     HeldOutPredictions,

@@ -10,11 +10,11 @@ from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
 from foretouch.models.calibration import Calibration
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.prequential import Recording, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.contact import ContactPredictor
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
