@@ -13,12 +13,12 @@ from benchmarks.common import ROOT, print_rows, scene, write_csv
 from foretouch.config import load_yaml
 from foretouch.models import TouchModel, load_model
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.prequential import ModelReplay, replay_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Float64, GraspSample, TouchPrediction
 from foretouch_lab.experiments.noise_ceiling import CAUSES, NEW_OBJECT, Repeater, ceiling_rows
+from foretouch_lab.learning.prequential import ModelReplay, replay_model
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation

@@ -44,7 +44,6 @@ from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import plan_targets, read_arrays, read_cloud, read_plane, read_table, read_targets
-from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.nodes.monitor import View
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.runtime.processing_node import warm_up_cloud
@@ -59,6 +58,7 @@ from foretouch.tactile.description import sensor_of
 from foretouch.tactile.messages.described import make_reader as make_described_reader
 from foretouch.tactile.messages.table import TactileConfig, make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane
 from foretouch_msgs.srv import LabelGrasp, PredictTouch

@@ -23,7 +23,6 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
-from foretouch.models.prequential import Recording, Replayed, replay
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import GraspSample
@@ -33,6 +32,7 @@ from foretouch_lab.experiments.shared.tables import grouped, listed, with_notes
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, ScoreEstimate, compare, skills
 from foretouch_lab.learning.evaluation.prequential import other_objects_mean
+from foretouch_lab.learning.prequential import Replayed, TimedReadings, replay
 from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 from foretouch_lab.simulation.scene import SceneConfig
@@ -138,14 +138,16 @@ def _run(cell: Cell, settings: RecordingPlanSettings, data: _Scene) -> list[Row]
         }
         played = {}
         for name, (expected, level) in sources.items():
-            recording = Recording.of_samples(kept, labels_of(kept), expected, level)
+            recording = TimedReadings.of_samples(kept, labels_of(kept), expected, level)
             played[name] = replay(SensorTracker(calibration.tracker_parameters), recording)
         head = asdict(design) | {"sessions": len({sample.extra["session"] for sample in kept})}
         rows += [head | row for row in _scores(recording, played, every, settings.bootstrap)]
     return rows
 
 
-def _scores(recording: Recording, played: Mapping[str, Replayed], every: int, config: BootstrapConfig) -> Iterator[Row]:
+def _scores(
+    recording: TimedReadings, played: Mapping[str, Replayed], every: int, config: BootstrapConfig
+) -> Iterator[Row]:
     """In each regime, what each source gains; and the skill that a repeated grasp leaves room for."""
     objects, readings, touches = recording.objects, recording.readings, recording.touches()
     reference, again = other_objects_mean(recording), np.flatnonzero(touches % every == every - 1)

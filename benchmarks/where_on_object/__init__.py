@@ -22,7 +22,6 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.models.contact.features import CONDITIONS
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.types import Bool, Float64, GraspSample
@@ -32,6 +31,7 @@ from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, SIGNS, grouped,
 from foretouch_lab.learning.data import labels_of, load_dataset
 from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
 from foretouch_lab.learning.evaluation.prequential import other_objects_mean
+from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
@@ -82,14 +82,14 @@ def features_of(samples: Sequence[GraspSample]) -> Float64:
     return describe_samples(samples)[:, len(CONDITIONS) :]
 
 
-def recorded(samples: Sequence[GraspSample]) -> Recording:
+def recorded(samples: Sequence[GraspSample]) -> TimedReadings:
     """Readings in order of time, without tares; what is expected of each is the mean of all other objects."""
     labels = labels_of(samples)
-    recording = Recording.of_samples(samples, labels, labels, rest_level(samples)[0])
+    recording = TimedReadings.of_samples(samples, labels, labels, rest_level(samples)[0])
     return replace(recording, expected=other_objects_mean(recording), tares=None, tare_tdc=None)
 
 
-def variant(name: str, recording: Recording, features: Float64, seed: int) -> Float64 | None:
+def variant(name: str, recording: TimedReadings, features: Float64, seed: int) -> Float64 | None:
     """(S, P) what stands for where on the object; None for nothing."""
     rng, runs = np.random.default_rng(seed), recording.runs()
     order = np.arange(len(runs))
@@ -100,7 +100,7 @@ def variant(name: str, recording: Recording, features: Float64, seed: int) -> Fl
 
 
 def predicted(
-    recording: Recording, where: Float64 | None, target: str, parameters: TrackerParameters
+    recording: TimedReadings, where: Float64 | None, target: str, parameters: TrackerParameters
 ) -> tuple[Float64, Float64]:
     """(S, D) predictions of the grasps on one object and half widths, each from earlier readings alone; NaN for the others.
 

@@ -9,8 +9,8 @@ import pytest
 
 from foretouch.camera import realsense
 from foretouch.camera.config import RealSenseConfig, TimeoutConfig
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch_lab.simulation import DepthImage, random_scene
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 WIDTH, HEIGHT = 424, 240
 

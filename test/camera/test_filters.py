@@ -9,8 +9,8 @@ from every_case import every_case
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.realsense import RealSenseCamera
 from foretouch.camera.stream import filter_blocks
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.types import Cloud
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 
 def _clouds(frames: list[Any], config: RealSenseConfig, *filters: str) -> list[Cloud]:

@@ -8,7 +8,7 @@ import pytest
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import list_devices
 from foretouch.camera.realsense import RealSenseCamera
-from foretouch.camera.synthetic import SyntheticCamera
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 
 def test_received_is_delivered_plus_missed(source: SyntheticCamera, config: RealSenseConfig) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.realsense import RealSenseCamera
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import FileError
 from foretouch.types import Cloud
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 
 def _record(path: Path, source: SyntheticCamera, config: RealSenseConfig, count: int) -> list[Cloud]:

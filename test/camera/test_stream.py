@@ -11,9 +11,9 @@ import pytest
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.realsense import RealSenseCamera
 from foretouch.camera.stream import FrameStream
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import CameraError
 from foretouch.types import Cloud
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 
 def _next(source: SyntheticCamera, stream: FrameStream) -> Any:

@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import CameraError
 from foretouch_lab.simulation import DepthImage, random_scene
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 
 def test_no_frames_and_a_frame_of_another_size_are_refused(images: list[DepthImage]) -> None:

@@ -20,11 +20,11 @@ from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory, HistoryFile
-from foretouch.models.prequential import replay_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import GraspSample, TouchPrediction
+from foretouch_lab.learning.prequential import replay_model
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,7 @@ from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
+from foretouch.laboratory import laboratory
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import FoundObject, Pipeline
@@ -137,8 +138,7 @@ def _predict(
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
-    from foretouch.models.prequential import replay_model
-
+    replay_model = laboratory("learning.prequential", "--prequential").replay_model
     for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")

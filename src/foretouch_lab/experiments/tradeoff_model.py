@@ -24,7 +24,6 @@ from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.files import packed
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
@@ -38,6 +37,7 @@ from foretouch_lab.experiments.shared.scores import equal_columns, error_rows, l
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch_lab.learning.training.contact import (
     ContactTrainingConfig,
@@ -235,7 +235,7 @@ def _with_readings(
     train = order[np.isin(order, fold.train)]
     level, _ = rest_level([data.samples[k] for k in train])
     for name, expected in ((_MEAN, plain), (SHIPPED, seen)):
-        recording = Recording.of_samples(data.samples, data.labels, expected, level)
+        recording = TimedReadings.of_samples(data.samples, data.labels, expected, level)
         held_out = HeldOutPredictions(expected[train], data.labels[train], names[train], sessions[train], BIOTAC)
         group = fit_group(held_out, new=not known_objects)
         tracker = SensorTracker(fit_tracker(recording.take(train), group, group))

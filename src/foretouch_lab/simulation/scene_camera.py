@@ -13,7 +13,6 @@ import numpy as np
 
 from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.schedule import ScheduleConfig
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
 from foretouch_lab.simulation.campaign import object_index
@@ -29,6 +28,7 @@ from foretouch_lab.simulation.effects import place, view
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scheduled import scheduled_scene
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 from foretouch_lab.simulation.world import SampleKey
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides

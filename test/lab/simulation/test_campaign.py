@@ -10,10 +10,10 @@ import pytest
 from sim_builders import CAN, SPONGE, made, run, scene
 
 from foretouch.errors import ConfigError, SimulationError
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, tdc_of
 from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 from foretouch_lab.simulation.campaign import Campaign, object_index
@@ -228,12 +228,12 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     days = {"days": list(range(40)), "objects": 1, "grasps": 2, "tares": "none"}
     warm_up = {"warm_up": {"tdc": {"session_kelvin": 2.0}}}
 
-    def recorded(seed: int, settings: dict[str, Any], mean: np.ndarray | None = None) -> Recording:
+    def recorded(seed: int, settings: dict[str, Any], mean: np.ndarray | None = None) -> TimedReadings:
         items = [CAN | {"name": f"can{k}", "size_m": [0.06 + 0.002 * k] * 2 + [0.1]} for k in range(8)]
         samples = made(scene(*items, seed=seed, campaign=days | settings, **HELD), 80)
         labels = labels_of(samples)
         expected = np.tile(labels.mean(axis=0) if mean is None else mean, (len(labels), 1))
-        return Recording.of_samples(samples, labels, expected, labels[0]).ordered()
+        return TimedReadings.of_samples(samples, labels, expected, labels[0]).ordered()
 
     first = recorded(0, warm_up)
     group = fit_group(

@@ -6,8 +6,7 @@ import torch
 
 from foretouch.models.network.config import ModelConfig
 from foretouch_lab.learning.network import pointnet
-from foretouch_lab.learning.network.batch_norm import freeze
-from foretouch_lab.learning.network.pointnet import PointNetFeatures, batch_affine, make_layers, pool, winners
+from foretouch_lab.learning.network.pointnet import PointNetFeatures, batch_affine, freeze, make_layers, pool, winners
 
 F64 = torch.float64
 

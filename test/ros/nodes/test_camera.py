@@ -14,11 +14,11 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.realsense import RealSenseCamera
-from foretouch.camera.synthetic import SyntheticCamera
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.simulation import random_scene
+from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 pytestmark = [
     pytest.mark.ros,

@@ -8,7 +8,7 @@ executor's callbacks only read its status.
 import threading
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
@@ -21,9 +21,6 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.laboratory import laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-
-if TYPE_CHECKING:  # the laboratory makes it
-    from foretouch.camera.synthetic import SyntheticCamera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +56,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
     exclusive_topics = ("points",)
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
-        self.synthetic: SyntheticCamera | None = None  # the software device where `source` is `synthetic` or `scene`
+        self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `synthetic` or `scene`
         self._camera: RealSenseCamera | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
@@ -77,10 +74,8 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             )
         elif config.source == "scene":
             self._faults = MessageFaults(config.faults)
-            found: SyntheticCamera = _simulation(config.source).scheduled_camera(
-                config.scene, config.camera.fps, self._faults
-            )
-            self.synthetic, self._size = found, dict(zip(("height", "width"), found.shape, strict=True))
+            self.synthetic = _simulation(config.source).scheduled_camera(config.scene, config.camera.fps, self._faults)
+            self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
         self._points = self.advertise(PointCloud2, "points")
 
     def _start(self) -> None:

@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.models.prequential import Recording
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.prequential.results import (
@@ -36,6 +35,7 @@ from foretouch_lab.experiments.shared.scores import labelled, load
 from foretouch_lab.experiments.shared.tables import grouped
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.prequential import TimedReadings
 from foretouch_lab.learning.training.calibration import rest_level
 
 _SEED: Final = 0
@@ -56,10 +56,10 @@ class PrequentialSettings(Settings):
 
 
 def _ordered(data: Dataset) -> tuple[list[GraspSample], npt.NDArray[np.int_]]:
-    """Labelled samples in order of time, and the run of each (see `Recording.runs`)."""
+    """Labelled samples in order of time, and the run of each (see `TimedReadings.runs`)."""
     samples = sorted(labelled(data), key=lambda sample: sample.stamp_ns)
     labels = labels_of(samples)
-    return samples, Recording.of_samples(samples, labels, labels, labels[0]).ordered().runs()
+    return samples, TimedReadings.of_samples(samples, labels, labels, labels[0]).ordered().runs()
 
 
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
@@ -90,7 +90,7 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     ]
     if len(without) == 1:
         rest, _ = rest_level(train)
-        known = Recording.of_samples(own[0], labels_of(own[0]), labels_of(own[0]), rest)
+        known = TimedReadings.of_samples(own[0], labels_of(own[0]), labels_of(own[0]), rest)
         fields = ("stamps_ns", "readings", "tares", "tdc", "tare_tdc")
         rows[0] |= {name: None if (values := getattr(known, name)) is None else values.tolist() for name in fields}
     return rows
@@ -118,7 +118,7 @@ def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:
     return prequential_rows(fits, settings.bootstrap)
 
 
-def _recordings(rows: Sequence[Row]) -> dict[str, Recording]:
+def _recordings(rows: Sequence[Row]) -> dict[str, TimedReadings]:
     """For each object, all readings with predictions that know neither the object of the reading nor this one.
 
     Nothing if a cell is missing.
@@ -138,7 +138,7 @@ def _recordings(rows: Sequence[Row]) -> dict[str, Recording]:
     return recordings
 
 
-def _joined(parts: Sequence[dict[str, Any]]) -> Recording:
+def _joined(parts: Sequence[dict[str, Any]]) -> TimedReadings:
     lengths = [len(part["stamps_ns"]) for part in parts]
     names = np.repeat([part["name"] for part in parts], lengths).astype(np.str_)
     stamps, readings, expected = (
@@ -152,7 +152,7 @@ def _joined(parts: Sequence[dict[str, Any]]) -> Recording:
         ]
         joined = np.concatenate(rows)
         optional[key] = None if np.isnan(joined).all() else joined
-    return replace(Recording(stamps, names, readings, expected), **optional).ordered()
+    return replace(TimedReadings(stamps, names, readings, expected), **optional).ordered()
 
 
 EXPERIMENT = Experiment(

@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.models.calibration import Calibration
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
@@ -34,6 +33,7 @@ from foretouch_lab.experiments.shared.tables import (
 )
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
 from foretouch_lab.learning.evaluation.prequential import CLOCK_S, other_objects_mean
+from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 
@@ -74,7 +74,7 @@ _COLUMNS: Final = (
 class _Scored:
     """Predictions of the grasps of all runs but the first."""
 
-    recording: Recording
+    recording: TimedReadings
     counts: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50); NaN where nothing is predicted
     half: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50), of those with intervals
 
@@ -85,7 +85,7 @@ class _Scored:
 
 
 def prequential_rows(
-    fits: Mapping[str, tuple[Mapping[str, Recording], Mapping[int, Float64]]], config: BootstrapConfig
+    fits: Mapping[str, tuple[Mapping[str, TimedReadings], Mapping[int, Float64]]], config: BootstrapConfig
 ) -> list[Row]:
     """Rows of `results.csv`.
 
@@ -109,7 +109,7 @@ def prequential_rows(
     return [{name: row.get(name) for name in _COLUMNS} for row in rows]
 
 
-def _parameters(name: str, recording: Recording) -> tuple[TrackerParameters, TrackerParameters]:
+def _parameters(name: str, recording: TimedReadings) -> tuple[TrackerParameters, TrackerParameters]:
     """Of a tracker, and of one that ends with the object; fitted to the other objects."""
     others = recording.take(recording.objects != name)
     held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects, BIOTAC)
@@ -119,7 +119,7 @@ def _parameters(name: str, recording: Recording) -> tuple[TrackerParameters, Tra
 
 
 def _score_run(
-    scored: _Scored, shown: Recording, where: Bool, tracker: TrackerParameters, ending: TrackerParameters
+    scored: _Scored, shown: TimedReadings, where: Bool, tracker: TrackerParameters, ending: TrackerParameters
 ) -> None:
     """Add the predictions of the last run of a recording from each of the sources."""
     last = shown.runs() == shown.runs()[-1]
@@ -152,7 +152,7 @@ def _score_run(
         scored.add(sources, where, found.counts[last], found.half[last])
 
 
-def _clock(shown: Recording, last: Bool) -> Float64:
+def _clock(shown: TimedReadings, last: Bool) -> Float64:
     """Readings of earlier runs with weights that fall by e in a day, and vision as far as it differs from its own."""
     past = shown.take(~last)
     seconds = shown.stamps_ns / 1e9
@@ -161,7 +161,7 @@ def _clock(shown: Recording, last: Bool) -> Float64:
     return np.asarray(shown.expected[last] + weights @ (past.readings - past.expected), np.float64)
 
 
-def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -> list[Row]:
+def _jump_rows(name: str, recording: TimedReadings, parameters: TrackerParameters) -> list[Row]:
     """Coverage of the grasps after all values jump while an object is touched."""
     own = np.flatnonzero(recording.objects == name)
     first = own[min(_JUMP_AFTER, len(own) - 1)]

@@ -14,7 +14,6 @@ from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
-from foretouch.models.prequential import with_readings
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor
@@ -22,6 +21,7 @@ from foretouch.types import Float64, GraspSample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
+from foretouch_lab.learning.prequential import with_readings
 
 _VISION2TACTILE: Final = {
     "source": "github.com/yayaneath/vision2tactile, recorded for P1",

@@ -8,11 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.models.prequential import Recording, replay, replay_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.learning.evaluation.metrics import score
+from foretouch_lab.learning.prequential import TimedReadings, replay, replay_model
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
     "none": (0, 0),
@@ -29,7 +29,7 @@ CLOCK_S: Final = 86400.0
 """Time constant of the weights of the baselines that know the time only [s]."""
 
 
-def baselines(recording: Recording, reference: Float64) -> dict[str, Float64]:
+def baselines(recording: TimedReadings, reference: Float64) -> dict[str, Float64]:
     """(S, D) predictions by name that know labels and times only [counts].
 
     Args:
@@ -59,7 +59,7 @@ def baselines(recording: Recording, reference: Float64) -> dict[str, Float64]:
     return found
 
 
-def other_objects_mean(recording: Recording) -> Float64:
+def other_objects_mean(recording: TimedReadings) -> Float64:
     """(S, D) mean of all readings of other objects, earlier and later: the reference of the skill [counts].
 
     Raises:

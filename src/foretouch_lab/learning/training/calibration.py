@@ -21,11 +21,11 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError
 from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
-from foretouch.models.prequential import Recording
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
 from foretouch_lab.learning.data.folds import Fold, HoldOut, fold_workers, make_folds, object_folds, predict_folds
+from foretouch_lab.learning.prequential import TimedReadings
 from foretouch_lab.learning.training.tracker import fit_tracker
 
 COVERAGE: Final = 0.9
@@ -153,7 +153,7 @@ def calibrate_on_folds(
     }
     calibration, facts = make_calibration(rest, found)
     if all(sample.stamp_ns > 0 for sample in samples):
-        recording = replace(Recording.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
+        recording = replace(TimedReadings.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
         calibration = replace(calibration, tracker=tracker)
     return calibration, {**facts, "rest": _origin(channels, recorded=recorded)}

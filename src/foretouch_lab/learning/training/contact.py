@@ -17,12 +17,12 @@ from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.models.object_shape import object_sizes
-from foretouch.models.prequential import Recording, predict_after
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.prequential import TimedReadings, predict_after
 from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest_level, resting_labels
 from foretouch_lab.learning.training.generalisation import DECAY, choose_ridge, training_kernel
 
@@ -230,11 +230,11 @@ class ContactPredictor:
         earlier = sorted(touched, key=lambda sample: sample.stamp_ns)
         return predict_after(self.calibration[0], *(self._recording(part) for part in (earlier, samples)))
 
-    def _recording(self, samples: Sequence[GraspSample]) -> Recording:
+    def _recording(self, samples: Sequence[GraspSample]) -> TimedReadings:
         """Samples with their predictions by vision, without their tares."""
         expected, familiar = self._estimate(samples)
         labels = labels_of(samples) if samples else expected
-        return replace(Recording.of_samples(samples, labels, expected, self.rest, familiar), tares=None)
+        return replace(TimedReadings.of_samples(samples, labels, expected, self.rest, familiar), tares=None)
 
     @cached_property
     def calibration(self) -> tuple[Calibration, dict[str, Any]]:

@@ -33,8 +33,8 @@ from torch import Tensor, nn
 from foretouch.config import setting
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
-from foretouch_lab.learning.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch_lab.learning.network.networks import CloudGenerator, GeneratorConfig, draw_noise
+from foretouch_lab.learning.network.pointnet import Inputs, calibrate, freeze, statistics_kept
 from foretouch_lab.learning.training import losses as loss_terms
 from foretouch_lab.learning.training.trainer import EpochsConfig, Trainer, other_default, shuffled_batches
 

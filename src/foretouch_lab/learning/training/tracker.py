@@ -22,10 +22,10 @@ from typing import Final
 import numpy as np
 
 from foretouch.models.calibration import CalibrationGroup
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import FAST_TIME_S, NEW, SLOW_TIME_S, TARE_NOISE, StateFilter, TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
 from foretouch.types import Float64
+from foretouch_lab.learning.prequential import TimedReadings, replay
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 _EFFECTIVE_VALUES: Final = 5.0  # of the taxels of a finger
@@ -51,7 +51,7 @@ _LIMITS: Final = np.log(
 )
 
 
-def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationGroup) -> TrackerParameters:
+def fit_tracker(recording: TimedReadings, new: CalibrationGroup, known: CalibrationGroup) -> TrackerParameters:
     """Parameters of a tracker, from predictions of objects that were left out.
 
     B is used within modalities only, since its correlations across them gained nothing on the recorded objects.
@@ -92,7 +92,7 @@ class _Replay:
         lasting: (D,) variance of the lasting part that multiples are of.
     """
 
-    def __init__(self, recording: Recording, parameters: TrackerParameters) -> None:
+    def __init__(self, recording: TimedReadings, parameters: TrackerParameters) -> None:
         self._channels = parameters.channels
         fingers, modalities = len(self._channels.fingers), len(self._channels.modalities)
         inverse = np.linalg.inv(parameters.basis)
@@ -200,7 +200,7 @@ def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int,
     return np.asarray(0.5 * ((value - mean) ** 2 / variance + np.log(variance)), np.float64)
 
 
-def _with_intervals(parameters: TrackerParameters, recording: Recording) -> TrackerParameters:
+def _with_intervals(parameters: TrackerParameters, recording: TimedReadings) -> TrackerParameters:
     """The factor of the intervals and the limits of the innovation test, from the recording replayed once."""
     patient = replace(parameters, alarm=np.full_like(parameters.alarm, 1e6))
     played = replay(SensorTracker(patient), recording)
@@ -219,7 +219,7 @@ def _with_intervals(parameters: TrackerParameters, recording: Recording) -> Trac
     return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)
 
 
-def fit_places(parameters: TrackerParameters, recording: Recording) -> TrackerParameters:
+def fit_places(parameters: TrackerParameters, recording: TimedReadings) -> TrackerParameters:
     """The same parameters with the most likely length and ratios of the features of grasps."""
     where, runs = np.asarray(recording.where), recording.runs()
     deviation = np.sqrt(np.mean([where[runs == run].var(axis=0) for run in np.unique(runs)], axis=0))
@@ -239,7 +239,7 @@ def fit_places(parameters: TrackerParameters, recording: Recording) -> TrackerPa
     return best
 
 
-def _likelihood(parameters: TrackerParameters, recording: Recording) -> Float64:
+def _likelihood(parameters: TrackerParameters, recording: TimedReadings) -> Float64:
     """(M,) log likelihood of a mean value of each modality, as the tracker predicts the readings one after the other."""
     played = replay(SensorTracker(parameters), recording)
     surprise = 0.5 * ((recording.readings - played.counts) / played.deviation) ** 2 + np.log(played.deviation)

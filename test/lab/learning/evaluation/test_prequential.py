@@ -9,21 +9,23 @@ from calibrated_models import REST, make_calibration
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import DatasetError
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.tracker import SensorTracker
 from foretouch_lab.learning.evaluation.prequential import baselines, other_objects_mean
+from foretouch_lab.learning.prequential import TimedReadings, replay
 
 S = 10**9
 CALIBRATION = make_calibration()
 
 
-def recording(rng: np.random.Generator, names: str = "aabbba", tares: bool = False) -> Recording:
+def recording(rng: np.random.Generator, names: str = "aabbba", tares: bool = False) -> TimedReadings:
     count = len(names)
     readings, expected = REST + rng.normal(0.0, 30.0, (2, count, 50))
     offsets = rng.normal(0.0, 10.0, (count, 50)) if tares else None
     stamps = 1_700_000_000 * S + np.arange(count) * 3600 * S
     order = rng.permutation(count)
-    made = Recording(stamps[order], np.array(list(names))[order], readings[order], expected[order], offsets).ordered()
+    made = TimedReadings(
+        stamps[order], np.array(list(names))[order], readings[order], expected[order], offsets
+    ).ordered()
     assert "".join(made.objects) == names
     assert_array_equal(made.readings, readings)
     return made
@@ -100,6 +102,6 @@ def test_baselines_know_times_and_readings_only(rng) -> None:
 
 def test_recordings_without_stamps_or_with_one_object_are_refused(rng) -> None:
     with pytest.raises(DatasetError, match="has no stamp"):
-        Recording(np.array([0, 5]), np.array(["a", "b"]), *np.zeros((2, 2, 50))).ordered()
+        TimedReadings(np.array([0, 5]), np.array(["a", "b"]), *np.zeros((2, 2, 50))).ordered()
     with pytest.raises(DatasetError, match="all readings are of a"):
         other_objects_mean(recording(rng, "aaa"))

@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.models.prequential import Recording, predict_after
 from foretouch.tactile import BIOTAC, MODALITIES
+from foretouch_lab.learning.prequential import TimedReadings, predict_after
 from foretouch_lab.learning.training.calibration import (
     COVERAGE,
     HeldOutPredictions,
@@ -52,7 +52,7 @@ def after_touches(group: CalibrationGroup, one: HeldOutPredictions, touches: int
     calibration = Calibration(BIOTAC, np.zeros(SIZE), {"known": group, "new": group})
     # Residuals alone matter; readings must be those of a sensor.
     shift = 2000.0 * np.ones(SIZE)
-    made = Recording(np.ones(len(one.labels), np.int64), one.objects, one.labels + shift, one.predicted + shift)
+    made = TimedReadings(np.ones(len(one.labels), np.int64), one.objects, one.labels + shift, one.predicted + shift)
     first = np.arange(len(one.labels)) < touches
     counts, half = predict_after(calibration, made.take(first), made.take(~first))
     return counts - shift, half

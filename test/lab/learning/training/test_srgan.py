@@ -10,8 +10,8 @@ import torch
 
 from foretouch.errors import DatasetError
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
-from foretouch_lab.learning.network.batch_norm import freeze
 from foretouch_lab.learning.network.networks import GeneratorConfig
+from foretouch_lab.learning.network.pointnet import freeze
 from foretouch_lab.learning.training.losses import SrganLossConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig

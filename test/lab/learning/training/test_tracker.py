@@ -10,11 +10,11 @@ from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
 from foretouch.models.calibration import Calibration
-from foretouch.models.prequential import Recording, replay
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.contact import ContactPredictor
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
@@ -24,7 +24,7 @@ DAY = 86400.0
 
 def campaign(
     rng: np.random.Generator, drift: float, *, tares: bool = False, objects: int = 24, each: int = 8
-) -> Recording:
+) -> TimedReadings:
     """Objects on successive days; a level of all values that drifts over 10 days, objects of 20 counts, grasps of 20."""
     seconds = np.concatenate([DAY * k + 90.0 * np.arange(each) for k in range(objects)])
     level, levels = drift * rng.normal(size=50), []
@@ -37,10 +37,10 @@ def campaign(
     names = np.repeat([f"o{k:02}" for k in range(objects)], each)
     offsets = np.array(levels) + rng.normal(0.0, 4.0, lasting.shape) if tares else None
     stamps = (1_700_000_000 + seconds) * 1e9
-    return Recording(stamps.astype(np.int64), names, readings, np.tile(REST, (len(names), 1)), offsets).ordered()
+    return TimedReadings(stamps.astype(np.int64), names, readings, np.tile(REST, (len(names), 1)), offsets).ordered()
 
 
-def fitted(recording: Recording) -> TrackerParameters:
+def fitted(recording: TimedReadings) -> TrackerParameters:
     held_out = HeldOutPredictions(recording.expected, recording.readings, recording.objects, recording.objects, BIOTAC)
     group = fit_group(held_out, new=True)
     return fit_tracker(recording, group, group)
@@ -112,7 +112,7 @@ def test_a_calibration_of_samples_with_stamps_has_a_tracker() -> None:
     assert other.tracker is None
 
 
-def placed(rng: np.random.Generator, recording: Recording) -> Recording:
+def placed(rng: np.random.Generator, recording: TimedReadings) -> TimedReadings:
     """The same readings, and a part that depends smoothly on the first of three features, otherwise on each object."""
     where, runs = rng.normal(size=(len(recording.stamps_ns), 3)), recording.runs()
     phase = rng.uniform(0.0, 2.0 * np.pi, (runs[-1] + 1, 50))[runs]

@@ -7,29 +7,17 @@ Everything behind it, from the library's filters and recorder to the cloud, is t
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.camera.device import DeviceSource, realsense
 from foretouch.errors import CameraError
-from foretouch.types import Float64
+from foretouch_lab.simulation.depth_scene import DepthImage
 
 _DEPTH_UNIT_M = 0.001
 _PIXEL_BYTES = 2
-
-
-class SyntheticFrame(Protocol):
-    """A frame to feed, such as a `foretouch_lab.simulation.DepthImage`."""
-
-    @property
-    def depth_mm(self) -> npt.NDArray[np.uint16]:
-        """(H, W) uint16 depth [mm], 0 where there is none."""
-
-    @property
-    def K(self) -> Float64:  # noqa: N802
-        """(3, 3) float64, intrinsics [px]."""
 
 
 class SyntheticCamera(DeviceSource):
@@ -45,7 +33,7 @@ class SyntheticCamera(DeviceSource):
 
     def __init__(
         self,
-        frames: Callable[[int], SyntheticFrame] | Sequence[SyntheticFrame],
+        frames: Callable[[int], DepthImage] | Sequence[DepthImage],
         fps: int = 30,
         serial: str = "synthetic",
         stamp_ns: Callable[[int], int | None] | None = None,
@@ -125,7 +113,7 @@ class SyntheticCamera(DeviceSource):
             self._stopping.wait(due - time.monotonic())
 
 
-def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any, Any, Any]:
+def _software_device(frame: DepthImage, fps: int, serial: str) -> tuple[Any, Any, Any]:
     """Make a device with a depth sensor; it, the sensor and the profile of its stream."""
     rs = realsense()
     device = rs.software_device()
@@ -144,7 +132,7 @@ def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any,
     return device, sensor, profile
 
 
-def _intrinsics(frame: SyntheticFrame) -> Any:
+def _intrinsics(frame: DepthImage) -> Any:
     rs = realsense()
     height, width = frame.depth_mm.shape
     intrinsics = rs.intrinsics()

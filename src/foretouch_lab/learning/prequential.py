@@ -22,7 +22,7 @@ from foretouch.types import Bool, Float64, GraspSample, Index, Int64, Touch
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class TimedReadings:
     """Readings of one hand in order of time, and predictions by vision that do not know them."""
 
     stamps_ns: Int64  # (S,) [ns], not decreasing
@@ -120,7 +120,7 @@ class Replayed:
         return type(self)(self.counts[index], self.half[index], self.deviation[index], levels, restarted)
 
 
-def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool = True) -> Replayed:
+def replay(tracker: SensorTracker, recording: TimedReadings, *, keep_sensors: bool = True) -> Replayed:
     """Predict each grasp, then add its reading to the tracker; one that is NaN is only predicted.
 
     Args:
@@ -154,7 +154,7 @@ def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool =
     return Replayed(counts, half, deviation, levels, restarted)
 
 
-def predict_after(calibration: Calibration, touched: Recording, asked: Recording) -> tuple[Float64, Float64]:
+def predict_after(calibration: Calibration, touched: TimedReadings, asked: TimedReadings) -> tuple[Float64, Float64]:
     """Predictions of grasps on one object after touches of it, as `TouchModel.predict` makes them.
 
     Args:
@@ -182,7 +182,7 @@ class ModelReplay:
     """Replay of samples by a model, in order of time."""
 
     samples: list[GraspSample]  # S of them
-    recording: Recording  # readings of unlabelled samples are NaN
+    recording: TimedReadings  # readings of unlabelled samples are NaN
     played: Replayed
     scored: Bool  # (S,) False for those of the history
 
@@ -221,7 +221,7 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
             raise ModelError(f"{sample.id}: {err}") from err
         expected[k], known[k] = one.counts[0], one.in_distribution[0]
         where.append(one.where)
-    recording = Recording.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
+    recording = TimedReadings.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
     described = [one for one in where if one is not None]
     recording = replace(recording, where=np.concatenate(described)) if len(described) == len(where) else recording
     played = replay(SensorTracker(model.calibration.tracker_parameters), recording)
