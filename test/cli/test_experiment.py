@@ -77,12 +77,3 @@ def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_p
     call("experiment", OWN, *words).check_refused("contains no row")
     results.unlink()
     call("experiment", OWN, *words).check_refused("results.csv: No such file or directory\n")
-
-
-def test_list_names_all(call) -> None:
-    names = [record["name"] for record in call("experiment", "list", "--json").records]
-    first = ["prequential", "cross_validation", "time_blocked", "cross_type", "p1_as_published", "unseen_object"]
-    assert names[:6] == first
-    later = {"noise_ceiling", "lookalikes", "sim_to_real", "learning_curve", "label_ratio"}
-    areas = {f"tradeoff_{area}" for area in ("model", "perception", "simulation", "training")}
-    assert set(names[6:]) == {*later, "label_ratio_tuning", *areas}

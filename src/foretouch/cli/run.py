@@ -124,6 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
     sensor = _sensor(arguments, nodes)
+    arguments.failures = []  # why an answer could not be printed, such as that the reader (`| head`) has exited
     monitor: dict[str, Any] = {
         "sensor": sensor,
         "with_clouds": arguments.picture is not None,
@@ -131,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
         "count": arguments.count,
     }
     if arguments.json:
-        monitor["on_touch"] = arguments.printer = _Printer(sensor)
+        monitor["on_touch"] = partial(_print, sensor, arguments.failures)
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
     announce("starting the nodes")
     with graph:
@@ -281,8 +282,8 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 
 
 def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:
-    if arguments.json and arguments.printer.error is not None:
-        raise arguments.printer.error
+    if arguments.failures:
+        raise arguments.failures[0]
     played = graph.replay is not None and graph.replay.ended.is_set()
     return played or (arguments.count is not None and graph.answered() >= arguments.count)
 
@@ -375,16 +376,9 @@ def at_rest(readings: TouchCut | None) -> bool:
     )
 
 
-class _Printer:
-    """Prints each answer in the executor's thread."""
-
-    error: OSError | None = None  # why it could not, such as that the reader (`| head`) has exited
-
-    def __init__(self, sensor: Sensor) -> None:
-        self._sensor = sensor
-
-    def __call__(self, message: TouchPredictionArray) -> None:
-        try:
-            print_json(answer_record(message, self._sensor))
-        except OSError as err:
-            self.error = err
+def _print(sensor: Sensor, failures: list[OSError], message: TouchPredictionArray) -> None:
+    """Print an answer in the executor's thread, where a failure cannot end the command."""
+    try:
+        print_json(answer_record(message, sensor))
+    except OSError as err:
+        failures.append(err)
