@@ -8,10 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from command_answer import run_python
 from every_case import every_case
 
 from benchmarks.ros import end
+from foretouch.cli import main
 
 ROOT = Path(__file__).parents[1]
 CODE = """
@@ -63,6 +65,14 @@ def test_a_signal_is_an_exception_that_waits_for_imports_and_clean_ups(tmp_path:
         "what the parent ignores stays ignored": (IGNORED, "SIGINT\n", 0),
     }
     every_case(cases, check)
+
+
+def test_a_signal_at_the_very_end_of_a_command_gives_its_exit_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    def struck() -> None:
+        raise KeyboardInterrupt(int(signal.SIGTERM))
+
+    monkeypatch.setattr(main, "end_at_once", struck)
+    assert main.main(["sensor", "list"]) == 128 + signal.SIGTERM
 
 
 EARLY = """

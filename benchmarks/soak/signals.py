@@ -152,6 +152,11 @@ def main() -> int:
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     rng, cases = np.random.default_rng(arguments.seed), []
+    for number in SIGNALS:
+        if (
+            signal.getsignal(number) is signal.SIG_IGN
+        ):  # as of what a shell starts in the background: the commands would inherit it
+            signal.signal(number, signal.SIG_DFL)
     with tempfile.TemporaryDirectory() as folder:
         scenes = write_clouds(Path(folder))
         for k in range(arguments.cases):

@@ -48,7 +48,7 @@ def sent(graph, message, rate_hz):
 def test_all_clouds_of_a_camera_are_answered_within_two_periods(graph, scene_cloud, model_card, busy_core):
     nodes = graph.add(*PERCEPTION, model=model_card)
     stamps, arrived = sent(graph, cloud_to_msg(scene_cloud(width=848)), 30.0)
-    graph.until(lambda: len(arrived) == len(stamps))
+    graph.until(lambda: len(arrived) == len(stamps), timeout_s=10.0)
     assert [node.statistics.summary().used for node in nodes] == [len(stamps)] * 3
     ages = np.array([arrived[stamp] - stamp for stamp in stamps]) / 1e9
     assert np.percentile(ages, 95) <= 2.0 / 30.0, np.percentile(ages, (50, 95, 99))
