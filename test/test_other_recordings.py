@@ -10,11 +10,11 @@ from benchmarks.other_recordings import (
     Records,
     contact_readings,
     folds_of,
-    hold_method,
+    hold_chance,
     level,
     next_reading,
 )
-from benchmarks.other_recordings.results import _pairs, auc, calibration_error, tabulate
+from benchmarks.other_recordings.results import _pairs, auc, calibration_error, slip_first, tabulate
 from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import GraspSample
@@ -92,9 +92,18 @@ def test_what_holds_is_learnt_from_other_objects_and_tabulated_with_an_interval(
         record(k, walk(0.0, 1.0) + 40.0 * (k % 3 == 0), "success" if k % 3 == 0 else "failure") for k in range(40)
     ]
     data, held = Records(grasps, ""), np.arange(40) % 3 == 0
-    chance = hold_method("electrode mean", OtherSettings(), data)(np.arange(40) < 20, held)
+    chance = hold_chance("electrode mean", OtherSettings(), data, np.arange(40) < 20, held)
+    assert chance is not None
+    assert hold_chance("patterns", OtherSettings(), data, np.arange(40) < 20, held) is None  # two fingers
     assert auc(chance[20:], held[20:]) == 1.0
-    cells = {"what": "hold", "left_out": "objects", "objects": data.objects.tolist(), "held": held.tolist()}
+    sessions = data.sessions.tolist()
+    cells = {
+        "what": "hold",
+        "left_out": "objects",
+        "objects": data.objects.tolist(),
+        "held": held.tolist(),
+        "sessions": sessions,
+    }
     rows = [
         {**cells, "method": "a", "chance": chance.tolist()},
         {**cells, "method": "b", "chance": RNG.random(40).tolist()},
@@ -106,6 +115,21 @@ def test_what_holds_is_learnt_from_other_objects_and_tabulated_with_an_interval(
     drawn = np.concatenate([np.flatnonzero(data.objects == f"object_{k}") for k in (0, 0, 1, 3)])
     weights = np.array([2.0, 1.0, 0.0, 1.0])
     assert_allclose(weights @ wins @ weights / (weights @ pairs @ weights), auc(chance[drawn], held[drawn]))
+
+
+def test_what_drifts_in_a_session_does_not_win_where_the_slip_came_first() -> None:
+    """By hand: of a session of slip, held, held, slip, two pairs have the slip first; of held, slip none has."""
+    held, sessions = np.array([False, True, True, False, True, False]), np.array([0, 0, 0, 0, 1, 1])
+    won, pairs = slip_first(np.array([0.5, 0.5, 0.9, 0.1, 0.9, 0.1]), held, sessions)
+    assert (won.tolist(), pairs.tolist()) == ([1.5, 0.0], [2.0, 0.0])
+    grasps = [record(k, walk(0.0, 1.0), "success" if k % 8 < 4 or k > 28 else "failure") for k in range(40)]
+    data, held = Records(grasps, ""), np.array([one.outcome == "success" for one in grasps])
+    assert data.places.tolist() == [k // 4 for k in range(40)]  # four objects in turn, of one file
+    chance = hold_chance("place in session", OtherSettings(), data, np.ones(40, bool), held)
+    assert chance is not None
+    won, pairs = slip_first(chance if chance[0] > chance[-1] else 1.0 - chance, held, data.sessions)
+    assert pairs.sum() > 0
+    assert won.sum() == 0.0
 
 
 def test_the_experiment_is_found_by_its_name() -> None:

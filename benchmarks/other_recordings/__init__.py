@@ -1,22 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can be learnt from recordings of taxels without a camera? On datasets that `foretouch dataset import --map` wrote.
 
-    hold      will it hold, from the touch alone: stable or slip, with objects left out; and with the files of one posture left out
+    hold      will it hold, from the touch alone: stable or slip, with objects left out; and with objects and a posture of the hand left out
     next      the next reading of each taxel during contact, from those before it in the same grasp
     level     the touch of the next grasp, from the grasps before it and its own tare
 
 A dataset is asked what it can answer: `hold` needs outcomes of both kinds, `next` series, `level` stamps. Everything is fitted without
-the object (or the posture) that is predicted; of several readings that are equal, the first counts.
+the object that is predicted; of several readings that are equal, the first counts. Where one kind of outcome was recorded before the other, whatever
+drifts looks like the outcome. So the place of a grasp in its session (those on its object in its file) is a baseline of `hold`, and grasps
+are also compared in the other order alone: a grasp that held with those before it in its session that did not.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.other_recordings.results import draw_hold, summarise, tabulate
+from benchmarks.other_recordings.results import summarise, tabulate
+from benchmarks.other_recordings.touch_hold import electrodes, fit
 from benchmarks.where_on_object import predicted, recorded
 from foretouch.config import Settings, setting
 from foretouch.dataset.record import HOLD, SampleRecord
@@ -32,7 +35,8 @@ from foretouch_lab.learning.training.tracker import fit_tracker
 
 _RIDGE: Final = 1e-3  # of the squared deviation of a predictor
 _LAGS: Final = 3
-HOLD_METHODS: Final = ("electrode mean", "logistic", "trees", "boosted", "boosted, two fingers")
+_POSTURE_FOLDS: Final = 3
+HOLD_METHODS: Final = ("place in session", "electrode mean", "logistic", "boosted trees", "patterns")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +72,19 @@ class Records:
         """(S,) file of each grasp, without the suffix that tells the test set of its authors."""
         return np.array([one.note.partition(".")[0].removesuffix("_test") for one in self.records])
 
+    @property
+    def sessions(self) -> Any:
+        """(S,) number of the session of each grasp: those on its object in its file, in the order in which they were recorded."""
+        return np.unique(
+            [f"{one.sample.object} {one.note.partition(',')[0]}" for one in self.records], return_inverse=True
+        )[1]
+
+    @property
+    def places(self) -> Float64:
+        """(S,) number of grasps before each in its session."""
+        sessions = self.sessions
+        return np.array([np.count_nonzero(sessions[:k] == one) for k, one in enumerate(sessions)], np.float64)
+
 
 def _load(_settings: OtherSettings, path: Path) -> Records:
     records = [one for one in open_samples(path).records() if one.sample.touch is not None]
@@ -79,8 +96,11 @@ def _cells(settings: OtherSettings, data: Records) -> list[Cell]:
     if {"success", "failure"} <= {one.outcome for one in data.records}:
         cells += [Cell(f"hold+{k}", {"what": "hold", "left_out": "objects", "fold": k}) for k in range(settings.folds)]
         names = sorted(set(data.postures))
-        if 1 < len(names) < 10:
-            cells += [Cell(f"hold+{name}", {"what": "hold", "left_out": name, "fold": -1}) for name in names]
+        cells += [
+            Cell(f"hold+{name}+{k}", {"what": "hold", "left_out": name, "fold": k})
+            for name in (names if 1 < len(names) < 10 else ())
+            for k in range(_POSTURE_FOLDS)
+        ]
     if all(one.series is not None for one in data.records):
         cells += [Cell(f"next+{name}", {"what": "next", "left_out": name, "fold": -1}) for name in objects]
         if any(one.sample.stamp_ns for one in data.records):
@@ -109,41 +129,45 @@ def folds_of(objects: Any, count: int, seed: int) -> Any:
 def _hold(cell: Cell, settings: OtherSettings, data: Records) -> list[Row]:
     known = np.array([one.outcome != "unknown" for one in data.records])
     held = np.array([one.outcome == "success" for one in data.records])
-    left_out = cell.values["left_out"]
-    folds = folds_of(data.objects, settings.folds, settings.seed) if left_out == "objects" else data.postures
-    test = known & (folds == (cell.values["fold"] if left_out == "objects" else left_out))
-    rows = []
+    left_out, fold = cell.values["left_out"], cell.values["fold"]
+    if left_out == "objects":
+        test = folds_of(data.objects, settings.folds, settings.seed) == fold
+        learnt = ~test
+    else:
+        own, posed = folds_of(data.objects, _POSTURE_FOLDS, settings.seed) == fold, data.postures == left_out
+        test, learnt = own & posed, ~own & ~posed
+    test, learnt = test & known, learnt & known
+    rows: list[Row] = []
     for method in settings.methods if test.any() else ():
-        chance = hold_method(method, settings, data)(known & ~test, held)[test]
-        shared = {"objects": data.objects[test].tolist(), "held": held[test].tolist()}
-        rows.append({"method": method, **shared, "chance": np.round(chance, 6).tolist()})
+        if (found := hold_chance(method, settings, data, learnt, held)) is not None:
+            facts = {"objects": data.objects, "sessions": data.sessions, "held": held, "chance": np.round(found, 6)}
+            rows.append({"method": method, **{name: values[test].tolist() for name, values in facts.items()}})
     return rows
 
 
-def hold_method(method: str, settings: OtherSettings, data: Records) -> Callable[[Bool, Bool], Float64]:
-    """A function of (S,) grasps to learn from and (S,) which held, to the (S,) probability that each grasp holds."""
-    from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier
+def hold_chance(method: str, settings: OtherSettings, data: Records, learnt: Bool, held: Bool) -> Float64 | None:
+    """(S,) probability that each grasp holds, by a method fitted to some grasps and whether they held; None where it does not apply."""
+    from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.linear_model import LogisticRegression
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
     channels = data.records[0].sample.touch.channels  # type: ignore[union-attr]  # they are labelled
+    if method == "patterns":
+        readings = electrodes(data.touches, channels)
+        return None if readings is None else fit(readings[learnt], held[learnt], settings.seed).chance(readings)
     features = data.touches
+    if method == "place in session":
+        features = data.places[:, None]
+        if not features.any():  # a session for each grasp
+            return None
     if method == "electrode mean":
         features = features @ channels.finger_means.mean(axis=0)[:, None]
-    if method.endswith("two fingers"):
-        features = features[:, channels.finger_of_value < 2]
     model: Any = make_pipeline(StandardScaler(), LogisticRegression(C=0.1, max_iter=1000))
-    if method == "trees":
-        model = ExtraTreesClassifier(settings.trees, min_samples_leaf=3, random_state=settings.seed)
-    if method.startswith("boosted"):
+    if method == "boosted trees":
         model = HistGradientBoostingClassifier(max_iter=settings.trees, learning_rate=0.08, random_state=settings.seed)
-
-    def _chance(learnt: Bool, held: Bool) -> Float64:
-        found: Float64 = model.fit(features[learnt], held[learnt]).predict_proba(features)[:, 1]
-        return found
-
-    return _chance
+    found: Float64 = model.fit(features[learnt], held[learnt]).predict_proba(features)[:, 1]
+    return found
 
 
 def contact_readings(record: SampleRecord) -> tuple[Float64, Float64]:
@@ -257,6 +281,5 @@ EXPERIMENT = Experiment(
     run=_run,
     tabulate=_tabulate,
     summarise=summarise,
-    figure=draw_hold,
     resumable_settings=("bootstrap",),
 )

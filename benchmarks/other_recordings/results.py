@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of what is learnt without a camera, as rows, tables and a figure."""
+"""Scores of what is learnt without a camera, as rows and tables."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -24,6 +23,10 @@ _COLUMNS: Final = (
     "score",
     "score_low",
     "score_high",
+    "slip_first",
+    "slip_first_low",
+    "slip_first_high",
+    "slip_first_pairs",
     "rmse",
     "calibration_error",
 )
@@ -44,6 +47,17 @@ def _pairs(chance: Float64, held: Bool, objects: Any) -> tuple[Float64, Float64]
     return np.array(wins), np.outer([len(a) for a in yes], [len(b) for b in no]).astype(np.float64)
 
 
+def slip_first(chance: Float64, held: Bool, sessions: Any) -> tuple[Float64, Float64]:
+    """(N,) won and all comparisons of each session of a grasp that held with one that did not and came before it, in the order of the rows."""
+    won, pairs = [], []
+    for name in np.unique(sessions):
+        own, yes = chance[sessions == name], held[sessions == name]
+        later = np.tri(len(own), k=-1, dtype=bool) & yes[:, None] & ~yes
+        won.append(((own[:, None] > own) + 0.5 * (own[:, None] == own))[later].sum())
+        pairs.append(later.sum())
+    return np.array(won, np.float64), np.array(pairs, np.float64)
+
+
 def calibration_error(chance: Float64, held: Bool, bins: int = BINS) -> float:
     """Mean difference of predicted and observed share over bins of equal width, weighted by their grasps."""
     place = np.minimum((chance * bins).astype(int), bins - 1)
@@ -60,9 +74,9 @@ def _draws(objects: int, config: BootstrapConfig) -> Float64:
     )
 
 
-def _interval(scores: Float64) -> dict[str, float]:
+def _interval(scores: Float64, name: str = "score") -> dict[str, float]:
     low, high = np.nanpercentile(scores, [2.5, 97.5])
-    return {"score_low": float(low), "score_high": float(high)}
+    return {f"{name}_low": float(low), f"{name}_high": float(high)}
 
 
 def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
@@ -70,8 +84,8 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
     found: list[Row] = []
     hold = select(rows, what="hold")
     for (left_out, method), parts in grouped(hold, "left_out", "method"):
-        chance, held, objects = (
-            np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects")
+        chance, held, objects, sessions = (
+            np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects", "sessions")
         )
         wins, pairs = _pairs(chance, held, objects)
         drawn = _draws(len(wins), config)
@@ -80,10 +94,16 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
             / np.einsum("no,op,np->n", drawn, pairs, drawn, optimize=True)
         )
         facts = {"grasps": len(held), "objects": len(np.unique(objects)), "score": auc(chance, held)}
-        error = calibration_error(chance, held)
-        found.append(
-            {"what": "hold", "left_out": left_out, "method": method, **facts, **interval, "calibration_error": error}
-        )
+        facts["calibration_error"] = calibration_error(chance, held)
+        won, against = slip_first(chance, held, sessions)
+        if against.any():
+            drawn = _draws(len(won), config)
+            first = {
+                "slip_first": won.sum() / against.sum(),
+                **_interval(drawn @ won / (drawn @ against), "slip_first"),
+            }
+            facts |= {**first, "slip_first_pairs": int(against.sum())}
+        found.append({"what": "hold", "left_out": left_out, "method": method, **facts, **interval})
     for what, baseline in _BASELINE.items():
         for modality, parts in grouped(select(rows, what=what), "modality"):
             objects = np.array(sorted({part["left_out"] for part in parts}))
@@ -108,9 +128,19 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
     """A table for each question."""
     tables = []
     for left_out, parts in grouped(select(rows, what="hold"), "left_out"):
-        lines = [[str(row["method"]), _between(row), f"{float(row['calibration_error']):.3f}"] for row in parts]
+        lines = [
+            [
+                str(row["method"]),
+                _between(row),
+                "" if row["slip_first"] in (None, "") else _between(row, "slip_first"),
+                f"{float(row['calibration_error']):.3f}",
+            ]
+            for row in parts
+        ]
         head = f"will it hold, {left_out} left out: {parts[0]['grasps']} grasps, {parts[0]['objects']} objects"
-        tables.append(Table(head, ("method", "AUC", f"calibration error, {BINS} bins"), lines, [_NOTE]))
+        columns = ("method", "AUC", "AUC, slip before stable", f"calibration error, {BINS} bins")
+        pairs = f"; of {parts[0]['slip_first_pairs']} pairs of a session with the slip before the stable grasp, over sessions"
+        tables.append(Table(head, columns, lines, [_NOTE + pairs * bool(parts[0]["slip_first_pairs"])]))
     for what, baseline in _BASELINE.items():
         for modality, parts in grouped(select(rows, what=what), "modality"):
             lines = [[str(row["method"]), f"{float(row['rmse']):.3g}", _between(row)] for row in parts]
@@ -123,31 +153,5 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
 _NOTE: Final = "[95 % interval by bootstrap over objects]"
 
 
-def _between(row: Row) -> str:
-    return f"{float(row['score']):.3f} [{float(row['score_low']):.3f}, {float(row['score_high']):.3f}]"
-
-
-def draw_hold(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """AUC of each method with its interval, by what was left out; none without outcomes."""
-    if not (hold := select(rows, what="hold")):
-        return []
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
-    axes = figure.subplots()
-    methods = list(dict.fromkeys(str(row["method"]) for row in hold))
-    for k, (left_out, parts) in enumerate(grouped(hold, "left_out")):
-        score, low, high = (
-            np.array([float(row[key]) for row in parts]) for key in ("score", "score_low", "score_high")
-        )
-        places = np.arange(len(parts)) + 0.15 * (k - 1.5)
-        axes.errorbar(
-            places, score, [score - low, high - score], fmt="o", markersize=4, capsize=2, label=f"{left_out} left out"
-        )
-    axes.axhline(0.85, color="grey", linewidth=0.8, linestyle=":")
-    axes.set_xticks(range(len(methods)), methods, fontsize=8)
-    axes.set(ylabel="AUC", ylim=(0.45, 1.0))
-    axes.legend(fontsize=7, loc="lower right")
-    path = folder / "hold.png"
-    figure.savefig(path, dpi=120)
-    return [path]
+def _between(row: Row, name: str = "score") -> str:
+    return f"{float(row[name]):.3f} [{float(row[f'{name}_low']):.3f}, {float(row[f'{name}_high']):.3f}]"

@@ -344,27 +344,19 @@ print(json.dumps([data.num_frames, data.num_episodes, [one["task"] for one in fr
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_the_newest_lerobot_reads_equal_frames(exported: Path, tmp_path: Path) -> None:
-    python = lerobot_python()
-    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache"), "PYTHONPATH": ""}
-    command = [python, "-c", _READ, str(exported), str(tmp_path / "frames.npz")]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300.0, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    frames, episodes, tasks = json.loads(done.stdout.splitlines()[-1])
-    assert (frames, episodes) == (24, 4)
-    assert tasks == ["grasp the ball"] * 12 + ["grasp the cup"] * 6 + ["grasp the ball"] * 6
-    with np.load(tmp_path / "frames.npz") as found:
-        assert set(found) == set(expected_frames())
+    facts, found = read_by_lerobot(exported, tmp_path)
+    assert facts == [24, 4, ["grasp the ball"] * 12 + ["grasp the cup"] * 6 + ["grasp the ball"] * 6]
+    assert set(found) == set(expected_frames())
 
-        def check(name: str, expected: np.ndarray) -> None:
-            np.testing.assert_array_equal(found[name], expected)
+    def check(name: str, expected: np.ndarray) -> None:
+        np.testing.assert_array_equal(found[name], expected)
 
-        every_case(expected_frames().items(), check)
+    every_case(expected_frames().items(), check)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_the_newest_lerobot_reads_windows_and_depth(tmp_path: Path) -> None:
-    python = lerobot_python()
     with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
         for number in range(2):
             made = record(number)
@@ -373,19 +365,23 @@ def test_the_newest_lerobot_reads_windows_and_depth(tmp_path: Path) -> None:
             xyz = np.dstack([(column - 4.5) * depth / 600.0, (row - 3.5) * depth / 600.0, depth]).astype(np.float32)
             writer.append(replace(made, sample=replace(made.sample, cloud=Cloud(xyz))))
     export_samples(tmp_path / "ds", tmp_path / "out", "lerobot", fps=40_000_000)
+    _, found = read_by_lerobot(tmp_path / "out", tmp_path)
+    stored = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    for name in ("observation.tactile.thumb.electrode", "observation.tactile.stamps_ns"):
+        np.testing.assert_array_equal(found[name], np.array([one[name] for one in stored]).astype(found[name].dtype))
+    assert found["observation.tactile.thumb.electrode"].shape[1:] == (3, 24, 1)
+    expected = np.where(np.arange(len(stored)) < len(stored) // 2, 1000.0, 1100.0)
+    np.testing.assert_array_equal(found["observation.images.depth"][:, 0, 4, 5], expected)  # [mm]
+
+
+def read_by_lerobot(root: Path, tmp_path: Path) -> tuple[list[Any], dict[str, np.ndarray]]:
+    """Numbers of frames and episodes with the task of each frame, and all frames by feature."""
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache"), "PYTHONPATH": ""}
-    command = [python, "-c", _READ, str(tmp_path / "out"), str(tmp_path / "frames.npz")]
+    command = [lerobot_python(), "-c", _READ, str(root), str(tmp_path / "frames.npz")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300.0, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    stored = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
     with np.load(tmp_path / "frames.npz") as found:
-        for name in ("observation.tactile.thumb.electrode", "observation.tactile.stamps_ns"):
-            np.testing.assert_array_equal(
-                found[name], np.array([one[name] for one in stored]).astype(found[name].dtype)
-            )
-        assert found["observation.tactile.thumb.electrode"].shape[1:] == (3, 24, 1)
-        expected = np.where(np.arange(len(stored)) < len(stored) // 2, 1000.0, 1100.0)
-        np.testing.assert_array_equal(found["observation.images.depth"][:, 0, 4, 5], expected)  # [mm]
+        return json.loads(done.stdout.splitlines()[-1]), dict(found)
 
 
 def lerobot_python() -> str:

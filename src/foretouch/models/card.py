@@ -40,6 +40,7 @@ _TRAINED: Final[_Fields] = {
 KINDS: Final[Mapping[str, _Fields]] = {
     "network": {**_TRAINED, "familiar": (dict, type(None))},
     "contact": {**_TRAINED, "ranges": dict},
+    "hold": _TRAINED,
 }
 """Fields that the cards of each kind hold besides `_COMMON`, with their types."""
 

@@ -32,6 +32,8 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
     """
     path = find_card(name_or_path)
     card = read_card(path)
+    if card["kind"] == "hold":
+        raise ModelError(f"{shown(path)}: kind: predicts whether a grasp holds, and no touch")
     if card["kind"] == "network":
         from foretouch.models.network.checkpoint import load_model as load
     else:

@@ -99,6 +99,11 @@ class SampleAssembler:
         """State by finger, and of the camera: `alive`, `no data`, or the fault."""
         return {**self._health.states, "camera": ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA}
 
+    @property
+    def held_ns(self) -> int | None:
+        """For how long both fingers have touched (see `ContactEpisodes.held_ns`), where `watch_sensors` is set."""
+        return self._episodes.held_ns
+
     def expects_grasp(self, now_s: float) -> bool:
         """Whether a grasp is being executed, as far as the fingers show, or is not complete yet."""
         return len(self._episodes.touching) > 1 or self.matcher.expects_grasp(now_s)

@@ -22,18 +22,26 @@ class ContactEpisodes:
         self._detector = ContactDetector(channels)
         self._onset: dict[str, int] = {}
         self._holding = False
+        self._last_ns = 0
 
     @property
     def touching(self) -> tuple[str, ...]:
         """The fingers that are in contact."""
         return tuple(name for name, finger in self._detector.fingers.items() if finger.touching)
 
+    @property
+    def held_ns(self) -> int | None:
+        """Time from the touch of the other finger to the last reading [ns]; -1 if one finger touches, None if none does."""
+        if self._holding:
+            return self._last_ns - max(self._onset.values())
+        return -1 if self.touching else None
+
     def update(self, stamp_ns: int, counts: Float32) -> Interval | None:
         """Add a reading of both fingers; gives the episode that ends with it, from the first touch to the first release.
 
         Its contact is when the other finger touched; stamps are the sensor's.
         """
-        changes = self._detector.update(stamp_ns, counts)
+        changes, self._last_ns = self._detector.update(stamp_ns, counts), stamp_ns
         for change in changes:
             if change.kind == "onset":
                 self._onset[change.finger] = change.stamp_ns

@@ -38,7 +38,7 @@ from foretouch.ros.recorder.subscriptions import (
 )
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
-from foretouch_msgs.msg import RecorderStatus
+from foretouch_msgs.msg import RecorderStatus, TouchHold
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
 _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
@@ -138,6 +138,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def _setup(self) -> None:
         self.reader: TactileReader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
+        self._hold = self.advertise(TouchHold, "touch_hold")
         # The middleware keeps so many messages while this process does not get to run.
         topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
         others, missing = viewer_topics(self.config.viewer_topics, depth=1000)
@@ -284,6 +285,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             inputs,
             topics.lost,
             lambda text: self.get_logger().warning(text),
+            self._hold.publish,
             views=config.sample_views,
         )
         self.path, self.reason = str(target), ""

@@ -35,8 +35,10 @@ from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
+from foretouch.ros.recorder.touch_hold import HoldJudge
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import GraspSample
-from foretouch_msgs.msg import RecorderStatus, Status, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
 MARKERS_TOPIC: Final = "/foretouch/sample_markers"
@@ -62,6 +64,7 @@ class SessionStatus:
     free_bytes: int = 0  # space left until the session ends by itself
     operator: OperatorState = OperatorState()
     last: tuple[TouchPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
+    hold: TouchHold | None = None  # whether the latest grasp will hold
     error: str = ""  # why it ended by itself, else ""
 
 
@@ -70,7 +73,7 @@ class RecordingSession:
 
     The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
     assembled from, and the predictions as `touch`, of either type; `losses` gives the messages that the middleware has lost since the
-    session began, by topic.
+    session began, by topic; `tell` gets for each grasp whether it will hold.
 
     Attributes:
         status: The state; replaced as a whole.
@@ -86,6 +89,7 @@ class RecordingSession:
         inputs: Mapping[str, tuple[Role | Literal["touch"], type]],
         losses: Callable[[], Mapping[str, int]],
         warn: Callable[[str], object],
+        tell: Callable[[TouchHold], object],
         *,
         views: bool = True,
     ) -> None:
@@ -104,6 +108,7 @@ class RecordingSession:
         self._inputs = inputs
         self._losses = losses
         self._warn = warn
+        self._judge, self._tell = HoldJudge(writer.sensor), tell
         self._unreadable: Counter[str] = Counter()
         self._last_sample = ""
         self._errors_ns: deque[int] = deque(maxlen=1000)
@@ -211,13 +216,12 @@ class RecordingSession:
         markers = serialize_message(sample_markers(sample, self.writer.sensor))
         views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
         views += [
-            (topic, POINT_CLOUD_TYPE, stamp_ns, data)
-            for topic, stamp_ns, data in taxel_clouds(record, self.writer.sensor)
+            (one.topic, POINT_CLOUD_TYPE, one.stamp_ns, one.data) for one in taxel_clouds(record, self.writer.sensor)
         ]
-        for topic, type_name, stamp_ns, data in views:
+        for topic, type_name, at_ns, data in views:
             self.writer.add_topic(topic, type_name)
             self.writer.receive(topic)
-            self.writer.write(topic, data, stamp_ns)
+            self.writer.write(topic, data, at_ns)
 
     def _without_pause(self, messages: list[SerializedMessage]) -> list[SerializedMessage]:
         """The messages to record: none in a pause, which begins once the grasp that is being executed is complete."""
@@ -255,6 +259,11 @@ class RecordingSession:
             message = SerializedCloud(one.data, decode) if role == "cloud" else decode()
             with self._assembler_lock:
                 self._assembler.add(role, message, received_ns=one.received_ns, now_s=time.monotonic())
+            if role == "tactile":
+                held_ns, now_s = self._assembler.held_ns, time.monotonic()
+                stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else one.received_ns
+                if (judged := self._judge.update(message, stamp, held_ns, now_s)) is not None:
+                    self._tell(judged)
         except FileError:
             raise
         except ForetouchError as err:
@@ -289,6 +298,7 @@ class RecordingSession:
                 error=self._error,
                 operator=self._operator.state(),
                 last=self._last,
+                hold=self._judge.last,
             )
 
 
@@ -335,6 +345,7 @@ def status_to_msg(
         pairing_error_max=max(errors) if errors else math.nan,
         sensors=list(session.sensors),
         sensor_states=list(session.sensors.values()),
+        touch_hold=session.hold or TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet"),
         disk_left=session.free_bytes / session.bytes_per_s if flowing else math.inf,
     )
 

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a grasp will hold when it is lifted, from one reading of the three BioTac SP that touch the object.
+
+The model sees the pattern of each finger alone: how its electrodes differ from their mean, in units of their spread. So neither the level
+of a finger nor how hard it presses decides, and no tare is needed. It is a mean of small networks with one hidden layer, fitted by
+`python -m benchmarks.other_recordings.touch_hold`; what it was fitted to and where it fails is in its card.
+"""
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.errors import ModelError
+from foretouch.models.card import read_card
+from foretouch.models.files import TensorRecord, file_beside, read_tensors
+from foretouch.types import Float64
+
+FINGERS: Final = ("TH", "MF", "FF")
+"""The fingers that the model reads, in this order."""
+
+ELECTRODES: Final = 24
+OUTSIDE: Final = 0.05
+"""Share of the pattern that may be out of the range of training."""
+
+_SIZE: Final = len(FINGERS) * ELECTRODES
+
+
+def patterns(readings: Float64) -> Float64:
+    """(S, 72) patterns of (S, 3, 24) electrodes of the fingers in the order of `FINGERS` [counts]."""
+    apart = readings - readings.mean(axis=-1, keepdims=True)
+    found: Float64 = (apart / np.maximum(apart.std(axis=-1, keepdims=True), 1.0)).reshape(len(readings), _SIZE)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class TouchHold(TensorRecord):
+    """K networks with H hidden units."""
+
+    low: Float64  # (72,) lowest and
+    high: Float64  # (72,) highest of a pattern in training
+    hidden: Float64  # (K, 72, H)
+    hidden_bias: Float64  # (K, H)
+    out: Float64  # (K, H), logits by
+    out_bias: Float64  # (K,)
+    calibration: Float64  # (2,) slope and offset of their mean
+
+    def chance(self, readings: Float64) -> Float64:
+        """(S,) probabilities that grasps hold, of (S, 3, 24) electrodes [counts]."""
+        slope, offset = self.calibration
+        found: Float64 = 1.0 / (1.0 + np.exp(-slope * self.logits(readings) - offset))
+        return found
+
+    def logits(self, readings: Float64) -> Float64:
+        """(S,) means of the networks, not calibrated."""
+        units = np.tanh(np.einsum("sd,kdh->skh", patterns(readings), self.hidden) + self.hidden_bias)
+        found: Float64 = (np.einsum("skh,kh->sk", units, self.out) + self.out_bias).mean(axis=1)
+        return found
+
+    def outside(self, readings: Float64) -> Float64:
+        """(S,) share of each pattern that is out of the range of training; see `OUTSIDE`."""
+        found = patterns(readings)
+        share: Float64 = ((found < self.low) | (found > self.high)).mean(axis=1)
+        return share
+
+    def _check(self) -> None:
+        networks, units = len(self.out_bias), self.out.shape[-1]
+        self._require({
+            "low": (_SIZE,), "high": (_SIZE,), "hidden": (networks, _SIZE, units), "hidden_bias": (networks, units),
+            "out": (networks, units), "out_bias": (networks,), "calibration": (2,),
+        })  # fmt: skip
+
+
+def load_touch_hold(card_path: Path | None = None) -> tuple[TouchHold, dict[str, Any]]:
+    """The model and its card; by default that of the package. A `ModelError` names the file and what is wrong with it."""
+    path = card_path or Path(str(resources.files("foretouch.models"))) / "weights" / "hold" / "touch-hold.json"
+    card = read_card(path)
+    if card["kind"] != "hold":
+        raise ModelError(f"{path}: kind: {card['kind']} is not hold")
+    tensors = read_tensors(file_beside(path, card["weights"], "weights"), card["sha256"], path.name)
+    return TouchHold.from_tensors(tensors), card

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Judges once for each grasp whether it will hold, from a reading of three BioTac SP, and says why where it cannot."""
+
+import math
+from collections import deque
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.dataset.pairing.matcher import SETTLE_NS
+from foretouch.errors import TactileError
+from foretouch.models.touch_hold import FINGERS, OUTSIDE, load_touch_hold
+from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.tactile.contact_detector import contact_scores
+from foretouch.tactile.description import Sensor
+from foretouch.tactile.messages.described import SensorReader, SensorReading
+from foretouch.types import Float64
+from foretouch_msgs.msg import Status, TouchHold
+
+_REST_S: Final = 1.0  # between two readings without contact that are kept
+
+
+class HoldJudge:
+    """Judges the grasps of a session, whose messages are of the `sensor`; `last` is the message of the latest one."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._model, self._card = load_touch_hold()
+        self.last = self._message(0, reason="no grasp has been held yet")
+        self._judged = False
+        self._rest = deque[Float64](maxlen=2)  # the older is surely from before the contact that is found
+        self._rest_s = -math.inf
+        self._reader: SensorReader | None = None
+        if sensor.is_biotac and {one.name for one in sensor.config.fingers} >= set(FINGERS):
+            self._sensor = Sensor(sensor.config.replace(grasp=FINGERS), sensor.layout)
+            self._reader = SensorReader(self._sensor)
+
+    def update(self, message: Any, stamp_ns: int, held_ns: int | None, now_s: float) -> TouchHold | None:
+        """Add a tactile message; gives the judgement if the grasp has now been held for `SETTLE_NS`.
+
+        Args:
+            message: Of the type that the sensor's description names.
+            stamp_ns: Its stamp [ns].
+            held_ns: For how long both fingers that the recorder follows have touched [ns], -1 if one of them does, None at rest.
+            now_s: Time of a clock that never goes back [s].
+        """
+        if held_ns is None:
+            self._judged = False
+            if now_s - self._rest_s >= _REST_S and self._reader is not None:
+                self._rest_s = now_s
+                try:
+                    self._rest.append(_counts(self._reader.read(message)))
+                except TactileError:
+                    self._rest.clear()
+        if self._judged or held_ns is None or held_ns < SETTLE_NS:
+            return None
+        self._judged = True
+        try:
+            self.last = self._message(stamp_ns, chance=self._chance(message))
+        except TactileError as err:
+            self.last = self._message(stamp_ns, reason=str(err))
+        return self.last
+
+    def _chance(self, message: Any) -> float:
+        """The chance that the grasp holds; a `TactileError` says why there is none."""
+        if self._reader is None:
+            raise TactileError(f"the sensor is no BioTac SP on {', '.join(FINGERS)}")
+        found = self._reader.read(message)
+        if unread := [finger for finger, valid in zip(FINGERS, found.valid, strict=True) if not valid.all()]:
+            raise TactileError(f"electrodes of {', '.join(unread)} cannot be used")
+        if not self._rest or not np.isfinite(self._rest[0]).all():
+            raise TactileError("there is no reading without contact to tell which fingers touch")
+        scores = contact_scores([_counts(found)], [self._rest[0]], self._sensor.channels)[0]
+        if apart := [finger for finger, score in zip(FINGERS, scores, strict=True) if score <= 1.0]:
+            raise TactileError(
+                f"{', '.join(apart)} does not touch, and the model is of grasps with {', '.join(FINGERS)}"
+            )
+        readings = found.values[None, ..., 0].astype(np.float64)
+        if (share := self._model.outside(readings)[0]) > OUTSIDE:
+            raise TactileError(f"{share:.0%} of the pattern is out of the range of training")
+        return float(self._model.chance(readings)[0])
+
+    def _message(self, stamp_ns: int, *, chance: float = math.nan, reason: str = "") -> TouchHold:
+        return TouchHold(
+            header=header_to_msg("", stamp_ns),
+            fingers=list(FINGERS),
+            chance=chance,
+            status=Status.REFUSED if reason else Status.OK,
+            reason=reason,
+            model=self._card["name"],
+            model_sha256=self._card["sha256"],
+        )
+
+
+def _counts(reading: SensorReading) -> Float64:
+    """(75,) values of a touch of the three fingers: their PDC, then their electrodes [counts]."""
+    return np.concatenate([reading.scalars[:, 0], reading.values.ravel()]).astype(np.float64)
