@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.models.touch_hold import FINGERS, load_touch_hold
 from foretouch.ros.messages.tactile import biotac_all_to_msg
-from foretouch.ros.recorder.touch_hold import HoldJudge
+from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import packaged_sensor
 from foretouch_msgs.msg import Status, TouchHold
@@ -44,21 +44,21 @@ def message(fingers: dict[str, Any]) -> Any:
     return biotac_all_to_msg(fingers, "rh", 5)
 
 
-def judged(rest: dict[str, Any] | None, pressed: dict[str, Any], sensor: Any = BIOTAC_SP) -> TouchHold:
-    judge = HoldJudge(sensor)
+def evaluated(rest: dict[str, Any] | None, pressed: dict[str, Any], sensor: Any = BIOTAC_SP) -> TouchHold:
+    evaluator = HoldEvaluator(sensor)
     if rest is not None:
-        judge.update(message(rest), 0, None, 0.0)
-    found = judge.update(message(pressed), 5, SETTLE_NS, 9.0)
-    assert found is judge.last
+        evaluator.update(message(rest), 0, None, 0.0)
+    found = evaluator.update(message(pressed), 5, SETTLE_NS, 9.0)
+    assert found is evaluator.last
     return found
 
 
-def test_a_grasp_is_judged_once_when_it_has_settled() -> None:
-    judge = HoldJudge(BIOTAC_SP)
-    assert (judge.last.status, judge.last.reason) == (Status.REFUSED, "no grasp has been held yet")
-    assert np.isnan(judge.last.chance)
+def test_a_grasp_is_evaluated_once_when_it_has_settled() -> None:
+    evaluator = HoldEvaluator(BIOTAC_SP)
+    assert (evaluator.last.status, evaluator.last.reason) == (Status.REFUSED, "no grasp has been held yet")
+    assert np.isnan(evaluator.last.chance)
     answers = [
-        judge.update(message(fingers), number, held_ns, 0.01 * number)
+        evaluator.update(message(fingers), number, held_ns, 0.01 * number)
         for number, (fingers, held_ns) in enumerate(
             [
                 (REST, None),
@@ -88,7 +88,7 @@ REFUSED: dict[str, tuple[Any, ...]] = {
     "no third BioTac": (REST, {finger: PRESSED[finger] for finger in ("TH", "MF")}, "electrodes of FF cannot be used"),
     "an electrode out of range": (REST, BROKEN, "electrodes of MF cannot be used"),
     "two fingers grasp": (REST, {**PRESSED, "FF": REST["FF"]}, "FF does not touch, and the model is of grasps with TH, MF, FF"),
-    "no rest": (None, PRESSED, "there is no reading without contact to tell which fingers touch"),
+    "no rest": (None, PRESSED, "there is no reading without contact that shows which fingers touch"),
     "not as in training": (REST, ODD, "of the pattern is out of the range of training"),
     "another sensor": (REST, PRESSED, "the sensor is no BioTac SP on TH, MF, FF", packaged_sensor("xela_uskin_4x4")),
 }  # fmt: skip
@@ -97,7 +97,7 @@ REFUSED: dict[str, tuple[Any, ...]] = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_the_model_does_not_know_is_refused_with_a_reason(name: str) -> None:
     rest, pressed, reason, *sensor = REFUSED[name]
-    found = judged(rest, pressed, *sensor)
+    found = evaluated(rest, pressed, *sensor)
     assert found.status == Status.REFUSED
     assert found.reason.endswith(reason)
     assert np.isnan(found.chance)

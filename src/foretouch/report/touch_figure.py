@@ -23,7 +23,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
-_FINGER_COLOURS = ("#d1495b", "#00798c")  # at g1, at g2
+_FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _SHEET_COLUMNS = 2  # samples side by side
 _ROW_INCH = 2.2  # height of a grasp
 _SCALE_INCH = 0.85  # height of the scale of colours
@@ -197,7 +197,9 @@ class TaxelScale:
         few = sensor.size <= _FEW
         size *= 1.0 if few else 2.0 * _FEW / sensor.size
         levels = self._levels(touch, rest, finger)
-        style: dict[str, Any] = {"edgecolors": _FINGER_COLOURS[finger]} if few else {"linewidths": 0.0}
+        style: dict[str, Any] = (
+            {"edgecolors": _FINGER_COLOURS[finger % len(_FINGER_COLOURS)]} if few else {"linewidths": 0.0}
+        )
         style |= {"vmin": low, "vmax": high, "cmap": self.colours}
         self.drawn = axes.scatter(across[valid], along[valid], s=size, c=levels[valid], **style)
         hollow: dict[str, Any] = {"facecolors": "none", "linewidths": 1.3 if few else 0.5}
@@ -260,7 +262,7 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str])
     upper = int(ends[1, 1] < ends[0, 1])  # y points down
     style: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "fontsize": 8, "fontweight": "bold"}
     style["bbox"] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
-    for k, (name, colour) in enumerate(zip(fingers, _FINGER_COLOURS, strict=True)):
+    for k, (name, colour) in enumerate(zip(fingers, _FINGER_COLOURS, strict=False)):
         axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
         place, va = (0.97, "top") if k == upper else (0.03, "bottom")
         axes.text(0.5, place, name, va=va, color=colour, **style)  # within the axes, wherever the contact is

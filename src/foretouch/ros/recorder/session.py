@@ -35,7 +35,7 @@ from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
-from foretouch.ros.recorder.touch_hold import HoldJudge
+from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import GraspSample
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
@@ -73,7 +73,7 @@ class RecordingSession:
 
     The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
     assembled from, and the predictions as `touch`, of either type; `losses` gives the messages that the middleware has lost since the
-    session began, by topic; `tell` gets for each grasp whether it will hold.
+    session began, by topic; `publish` gets for each grasp whether it will hold.
 
     Attributes:
         status: The state; replaced as a whole.
@@ -89,7 +89,7 @@ class RecordingSession:
         inputs: Mapping[str, tuple[Role | Literal["touch"], type]],
         losses: Callable[[], Mapping[str, int]],
         warn: Callable[[str], object],
-        tell: Callable[[TouchHold], object],
+        publish: Callable[[TouchHold], object],
         *,
         views: bool = True,
     ) -> None:
@@ -108,7 +108,7 @@ class RecordingSession:
         self._inputs = inputs
         self._losses = losses
         self._warn = warn
-        self._judge, self._tell = HoldJudge(writer.sensor), tell
+        self._hold, self._publish = HoldEvaluator(writer.sensor), publish
         self._unreadable: Counter[str] = Counter()
         self._last_sample = ""
         self._errors_ns: deque[int] = deque(maxlen=1000)
@@ -262,8 +262,8 @@ class RecordingSession:
             if role == "tactile":
                 held_ns, now_s = self._assembler.held_ns, time.monotonic()
                 stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else one.received_ns
-                if (judged := self._judge.update(message, stamp, held_ns, now_s)) is not None:
-                    self._tell(judged)
+                if (evaluated := self._hold.update(message, stamp, held_ns, now_s)) is not None:
+                    self._publish(evaluated)
         except FileError:
             raise
         except ForetouchError as err:
@@ -298,7 +298,7 @@ class RecordingSession:
                 error=self._error,
                 operator=self._operator.state(),
                 last=self._last,
-                hold=self._judge.last,
+                hold=self._hold.last,
             )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judges once for each grasp whether it will hold, from a reading of three BioTac SP, and says why where it cannot."""
+"""Evaluates once for each grasp whether it will hold, from a reading of three BioTac SP, and says why where it cannot."""
 
 import math
 from collections import deque
@@ -20,13 +20,13 @@ from foretouch_msgs.msg import Status, TouchHold
 _REST_S: Final = 1.0  # between two readings without contact that are kept
 
 
-class HoldJudge:
-    """Judges the grasps of a session, whose messages are of the `sensor`; `last` is the message of the latest one."""
+class HoldEvaluator:
+    """Evaluates the grasps of a session, whose messages are of the `sensor`; `last` is the message of the latest one."""
 
     def __init__(self, sensor: Sensor) -> None:
         self._model, self._card = load_touch_hold()
         self.last = self._message(0, reason="no grasp has been held yet")
-        self._judged = False
+        self._evaluated = False
         self._rest = deque[Float64](maxlen=2)  # the older is surely from before the contact that is found
         self._rest_s = -math.inf
         self._reader: SensorReader | None = None
@@ -35,7 +35,7 @@ class HoldJudge:
             self._reader = SensorReader(self._sensor)
 
     def update(self, message: Any, stamp_ns: int, held_ns: int | None, now_s: float) -> TouchHold | None:
-        """Add a tactile message; gives the judgement if the grasp has now been held for `SETTLE_NS`.
+        """Add a tactile message; gives the answer if the grasp has now been held for `SETTLE_NS`.
 
         Args:
             message: Of the type that the sensor's description names.
@@ -44,16 +44,16 @@ class HoldJudge:
             now_s: Time of a clock that never goes back [s].
         """
         if held_ns is None:
-            self._judged = False
+            self._evaluated = False
             if now_s - self._rest_s >= _REST_S and self._reader is not None:
                 self._rest_s = now_s
                 try:
                     self._rest.append(_counts(self._reader.read(message)))
                 except TactileError:
                     self._rest.clear()
-        if self._judged or held_ns is None or held_ns < SETTLE_NS:
+        if self._evaluated or held_ns is None or held_ns < SETTLE_NS:
             return None
-        self._judged = True
+        self._evaluated = True
         try:
             self.last = self._message(stamp_ns, chance=self._chance(message))
         except TactileError as err:
@@ -68,7 +68,7 @@ class HoldJudge:
         if unread := [finger for finger, valid in zip(FINGERS, found.valid, strict=True) if not valid.all()]:
             raise TactileError(f"electrodes of {', '.join(unread)} cannot be used")
         if not self._rest or not np.isfinite(self._rest[0]).all():
-            raise TactileError("there is no reading without contact to tell which fingers touch")
+            raise TactileError("there is no reading without contact that shows which fingers touch")
         scores = contact_scores([_counts(found)], [self._rest[0]], self._sensor.channels)[0]
         if apart := [finger for finger, score in zip(FINGERS, scores, strict=True) if score <= 1.0]:
             raise TactileError(
