@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.models.touch_hold import FINGERS, load_touch_hold
-from foretouch.ros.messages.tactile import biotac_all_to_msg
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import packaged_sensor
@@ -85,8 +85,8 @@ def test_a_grasp_is_evaluated_once_when_it_has_settled() -> None:
 ODD = {finger: np.r_[2150, counts[:0:-1]].astype(np.int16) for finger, counts in PRESSED.items()}
 BROKEN = {**PRESSED, "MF": np.r_[2150, 0, PRESSED["MF"][2:]].astype(np.int16)}
 REFUSED: dict[str, tuple[Any, ...]] = {
-    "no third BioTac": (REST, {finger: PRESSED[finger] for finger in ("TH", "MF")}, "electrodes of FF cannot be used"),
-    "an electrode out of range": (REST, BROKEN, "electrodes of MF cannot be used"),
+    "no third BioTac": (REST, {finger: PRESSED[finger] for finger in ("TH", "MF")}, "cannot be used: 24 not_read"),
+    "an electrode out of range": (REST, BROKEN, "cannot be used: 1 out_of_range"),
     "two fingers grasp": (REST, {**PRESSED, "FF": REST["FF"]}, "FF does not touch, and the model is of grasps with TH, MF, FF"),
     "no rest": (None, PRESSED, "there is no reading without contact that shows which fingers touch"),
     "not as in training": (REST, ODD, "of the pattern is out of the range of training"),

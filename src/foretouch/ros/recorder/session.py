@@ -216,7 +216,7 @@ class RecordingSession:
         markers = serialize_message(sample_markers(sample, self.writer.sensor))
         views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
         views += [
-            (one.topic, POINT_CLOUD_TYPE, one.stamp_ns, one.data) for one in taxel_clouds(record, self.writer.sensor)
+            (topic, POINT_CLOUD_TYPE, at_ns, data) for topic, at_ns, data in taxel_clouds(record, self.writer.sensor)
         ]
         for topic, type_name, at_ns, data in views:
             self.writer.add_topic(topic, type_name)

@@ -13,8 +13,8 @@ from foretouch.models.touch_hold import FINGERS, OUTSIDE, load_touch_hold
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.tactile.contact_detector import contact_scores
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.described import SensorReader, SensorReading
-from foretouch.types import Float64
+from foretouch.tactile.messages.described import SensorReader
+from foretouch.types import Float32
 from foretouch_msgs.msg import Status, TouchHold
 
 _REST_S: Final = 1.0  # between two readings without contact that are kept
@@ -27,7 +27,7 @@ class HoldEvaluator:
         self._model, self._card = load_touch_hold()
         self.last = self._message(0, reason="no grasp has been held yet")
         self._evaluated = False
-        self._rest = deque[Float64](maxlen=2)  # the older is surely from before the contact that is found
+        self._rest = deque[Float32](maxlen=2)  # the older is surely from before the contact that is found
         self._rest_s = -math.inf
         self._reader: SensorReader | None = None
         if sensor.is_biotac and {one.name for one in sensor.config.fingers} >= set(FINGERS):
@@ -48,7 +48,7 @@ class HoldEvaluator:
             if now_s - self._rest_s >= _REST_S and self._reader is not None:
                 self._rest_s = now_s
                 try:
-                    self._rest.append(_counts(self._reader.read(message)))
+                    self._rest.append(self._reader.read(message).counts)
                 except TactileError:
                     self._rest.clear()
         if self._evaluated or held_ns is None or held_ns < SETTLE_NS:
@@ -65,16 +65,19 @@ class HoldEvaluator:
         if self._reader is None:
             raise TactileError(f"the sensor is no BioTac SP on {', '.join(FINGERS)}")
         found = self._reader.read(message)
-        if unread := [finger for finger, valid in zip(FINGERS, found.valid, strict=True) if not valid.all()]:
-            raise TactileError(f"electrodes of {', '.join(unread)} cannot be used")
+        if found.invalid:
+            raise TactileError(
+                f"electrodes cannot be used: {', '.join(f'{n} {why}' for why, n in found.invalid.items())}"
+            )
         if not self._rest or not np.isfinite(self._rest[0]).all():
             raise TactileError("there is no reading without contact that shows which fingers touch")
-        scores = contact_scores([_counts(found)], [self._rest[0]], self._sensor.channels)[0]
+        scores = contact_scores([found.counts], [self._rest[0]], self._sensor.channels)[0]
         if apart := [finger for finger, score in zip(FINGERS, scores, strict=True) if score <= 1.0]:
             raise TactileError(
                 f"{', '.join(apart)} does not touch, and the model is of grasps with {', '.join(FINGERS)}"
             )
-        readings = found.values[None, ..., 0].astype(np.float64)
+        # Pressures of the fingers come first, then the electrodes of each.
+        readings = found.counts[len(FINGERS) :].reshape(1, len(FINGERS), -1).astype(np.float64)
         if (share := self._model.outside(readings)[0]) > OUTSIDE:
             raise TactileError(f"{share:.0%} of the pattern is out of the range of training")
         return float(self._model.chance(readings)[0])
@@ -89,8 +92,3 @@ class HoldEvaluator:
             model=self._card["name"],
             model_sha256=self._card["sha256"],
         )
-
-
-def _counts(reading: SensorReading) -> Float64:
-    """(75,) values of a touch of the three fingers: their PDC, then their electrodes [counts]."""
-    return np.concatenate([reading.scalars[:, 0], reading.values.ravel()]).astype(np.float64)
