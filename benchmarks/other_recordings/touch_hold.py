@@ -7,10 +7,11 @@ from typing import Final
 import numpy as np
 
 from foretouch.models.novelty import standardisation
-from foretouch.models.touch_hold import FINGERS, TouchHold, patterns
+from foretouch.models.touch_hold import TouchHold, patterns
 from foretouch.types import Bool, Float64
 from foretouch.types.channels import Channels
 
+FINGERS: Final = ("TH", "MF", "FF")
 CONFIG: Final = {"networks": 5, "units": 16, "decay": 1.0, "epochs": 60}
 _USUAL: Final = (0.001, 0.999)  # quantiles of the training readings, between which a pattern is in range
 

@@ -76,7 +76,12 @@ def test_files_that_are_not_of_this_model_are_refused(tmp_path: Path) -> None:
         load_touch_hold(card.parents[1] / "contact-v2.json")
     facts = json.loads(card.read_text())
     (tmp_path / "touch-hold.json").write_text(json.dumps(facts))
-    (tmp_path / "touch-hold.safetensors").write_bytes(b"other")
+    weights = tmp_path / "touch-hold.safetensors"
+    weights.write_bytes(card.with_suffix(".safetensors").read_bytes())
+    (tmp_path / "five.json").write_text(json.dumps(facts | {"config": {"fingers": list("abcde")}}))
+    with pytest.raises(ModelError, match=r"config\.fingers: are not those of 72 numbers"):
+        load_touch_hold(tmp_path / "five.json")
+    weights.write_bytes(b"other")
     with pytest.raises(ModelError, match="damaged or replaced"):
         load_touch_hold(tmp_path / "touch-hold.json")
     tensors = load_touch_hold()[0].to_tensors()

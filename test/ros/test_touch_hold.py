@@ -10,16 +10,17 @@ from robot_builders import RecordedRobot, start
 from scipy.optimize import minimize
 
 from foretouch.dataset.pairing.matcher import SETTLE_NS
-from foretouch.models.touch_hold import FINGERS, load_touch_hold
-from foretouch_lab.ros.hand_messages import biotac_all_to_msg
+from foretouch.models.touch_hold import load_touch_hold
 from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import packaged_sensor
+from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import Status, TouchHold
 
 pytestmark = pytest.mark.ros
 
 MODEL, CARD = load_touch_hold()
+FINGERS = CARD["config"]["fingers"]
 
 
 def usual() -> np.ndarray:
@@ -76,7 +77,7 @@ def test_a_grasp_is_evaluated_once_when_it_has_settled() -> None:
     ]
     assert [k for k, one in enumerate(answers) if one is not None] == [4, 9]
     found = answers[4]
-    assert (found.status, found.reason, found.fingers, found.header.stamp.nanosec) == (Status.OK, "", list(FINGERS), 4)
+    assert (found.status, found.reason, found.fingers, found.header.stamp.nanosec) == (Status.OK, "", FINGERS, 4)
     assert (found.model, found.model_sha256) == ("touch-hold", CARD["sha256"])
     counts = np.array([PRESSED[finger][1:] for finger in FINGERS], float)
     assert found.chance == pytest.approx(MODEL.chance(counts[None])[0], rel=1e-6)
@@ -85,12 +86,12 @@ def test_a_grasp_is_evaluated_once_when_it_has_settled() -> None:
 ODD = {finger: np.r_[2150, counts[:0:-1]].astype(np.int16) for finger, counts in PRESSED.items()}
 BROKEN = {**PRESSED, "MF": np.r_[2150, 0, PRESSED["MF"][2:]].astype(np.int16)}
 REFUSED: dict[str, tuple[Any, ...]] = {
-    "no third BioTac": (REST, {finger: PRESSED[finger] for finger in ("TH", "MF")}, "cannot be used: 24 not_read"),
-    "an electrode out of range": (REST, BROKEN, "cannot be used: 1 out_of_range"),
+    "no third BioTac": (REST, {finger: PRESSED[finger] for finger in ("TH", "MF")}, "electrodes cannot be used: 24 not_read"),
+    "an electrode out of range": (REST, BROKEN, "electrodes cannot be used: 1 out_of_range"),
     "two fingers grasp": (REST, {**PRESSED, "FF": REST["FF"]}, "FF does not touch, and the model is of grasps with TH, MF, FF"),
     "no rest": (None, PRESSED, "there is no reading without contact that shows which fingers touch"),
     "not as in training": (REST, ODD, "of the pattern is out of the range of training"),
-    "another sensor": (REST, PRESSED, "the sensor is no BioTac SP on TH, MF, FF", packaged_sensor("xela_uskin_4x4")),
+    "another sensor": (REST, PRESSED, "the sensor is not biotac_sp on TH, MF, FF", packaged_sensor("xela_uskin_4x4")),
 }  # fmt: skip
 
 

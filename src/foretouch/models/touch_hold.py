@@ -18,37 +18,31 @@ from foretouch.models.card import read_card
 from foretouch.models.files import TensorRecord, file_beside, read_tensors
 from foretouch.types import Float64
 
-FINGERS: Final = ("TH", "MF", "FF")
-"""The fingers that the model reads, in this order."""
-
-ELECTRODES: Final = 24
 OUTSIDE: Final = 0.05
 """Share of the pattern that may be out of the range of training."""
 
-_SIZE: Final = len(FINGERS) * ELECTRODES
-
 
 def patterns(readings: Float64) -> Float64:
-    """(S, 72) patterns of (S, 3, 24) electrodes of the fingers in the order of `FINGERS` [counts]."""
+    """(S, D) patterns of (S, F, N) electrodes of the fingers, in the order of the card [counts]; D = F x N."""
     apart = readings - readings.mean(axis=-1, keepdims=True)
-    found: Float64 = (apart / np.maximum(apart.std(axis=-1, keepdims=True), 1.0)).reshape(len(readings), _SIZE)
+    found: Float64 = (apart / np.maximum(apart.std(axis=-1, keepdims=True), 1.0)).reshape(len(readings), -1)
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class TouchHold(TensorRecord):
-    """K networks with H hidden units."""
+    """K networks with H hidden units, of patterns of D numbers."""
 
-    low: Float64  # (72,) lowest and
-    high: Float64  # (72,) highest of a pattern in training
-    hidden: Float64  # (K, 72, H)
+    low: Float64  # (D,) lowest and
+    high: Float64  # (D,) highest of a pattern in training
+    hidden: Float64  # (K, D, H)
     hidden_bias: Float64  # (K, H)
     out: Float64  # (K, H), logits by
     out_bias: Float64  # (K,)
     calibration: Float64  # (2,) slope and offset of their mean
 
     def chance(self, readings: Float64) -> Float64:
-        """(S,) probabilities that grasps hold, of (S, 3, 24) electrodes [counts]."""
+        """(S,) probabilities that grasps hold, of (S, F, N) electrodes [counts]."""
         slope, offset = self.calibration
         found: Float64 = 1.0 / (1.0 + np.exp(-slope * self.logits(readings) - offset))
         return found
@@ -66,18 +60,25 @@ class TouchHold(TensorRecord):
         return share
 
     def _check(self) -> None:
-        networks, units = len(self.out_bias), self.out.shape[-1]
+        size, networks, units = len(self.low), len(self.out_bias), self.out.shape[-1]
         self._require({
-            "low": (_SIZE,), "high": (_SIZE,), "hidden": (networks, _SIZE, units), "hidden_bias": (networks, units),
+            "low": (size,), "high": (size,), "hidden": (networks, size, units), "hidden_bias": (networks, units),
             "out": (networks, units), "out_bias": (networks,), "calibration": (2,),
         })  # fmt: skip
 
 
 def load_touch_hold(card_path: Path | None = None) -> tuple[TouchHold, dict[str, Any]]:
-    """The model and its card; by default that of the package. A `ModelError` names the file and what is wrong with it."""
+    """The model and its card, whose `config` names the fingers; by default that of the package.
+
+    Raises:
+        ModelError: Names the file and what is wrong with it.
+    """
     path = card_path or Path(str(resources.files("foretouch.models"))) / "weights" / "hold" / "touch-hold.json"
     card = read_card(path)
     if card["kind"] != "hold":
         raise ModelError(f"{path}: kind: {card['kind']} is not hold")
     tensors = read_tensors(file_beside(path, card["weights"], "weights"), card["sha256"], path.name)
-    return TouchHold.from_tensors(tensors), card
+    model, fingers = TouchHold.from_tensors(tensors), card["config"].get("fingers")
+    if not isinstance(fingers, list) or not fingers or len(model.low) % len(fingers):
+        raise ModelError(f"{path}: config.fingers: are not those of {len(model.low)} numbers")
+    return model, card

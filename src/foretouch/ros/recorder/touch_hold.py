@@ -9,7 +9,7 @@ import numpy as np
 
 from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.errors import TactileError
-from foretouch.models.touch_hold import FINGERS, OUTSIDE, load_touch_hold
+from foretouch.models.touch_hold import OUTSIDE, load_touch_hold
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.tactile.contact_detector import contact_scores
 from foretouch.tactile.description import Sensor
@@ -25,13 +25,15 @@ class HoldEvaluator:
 
     def __init__(self, sensor: Sensor) -> None:
         self._model, self._card = load_touch_hold()
+        self._fingers = tuple(self._card["config"]["fingers"])
         self.last = self._message(0, reason="no grasp has been held yet")
         self._evaluated = False
         self._rest = deque[Float32](maxlen=2)  # the older is surely from before the contact that is found
         self._rest_s = -math.inf
         self._reader: SensorReader | None = None
-        if sensor.is_biotac and {one.name for one in sensor.config.fingers} >= set(FINGERS):
-            self._sensor = Sensor(sensor.config.replace(grasp=FINGERS), sensor.layout)
+        known = {one.name for one in sensor.config.fingers}
+        if sensor.sha256 == self._card["sensor_sha256"] and known.issuperset(self._fingers):
+            self._sensor = Sensor(sensor.config.replace(grasp=self._fingers), sensor.layout)
             self._reader = SensorReader(self._sensor)
 
     def update(self, message: Any, stamp_ns: int, held_ns: int | None, now_s: float) -> TouchHold | None:
@@ -63,21 +65,20 @@ class HoldEvaluator:
     def _chance(self, message: Any) -> float:
         """The chance that the grasp holds; a `TactileError` says why there is none."""
         if self._reader is None:
-            raise TactileError(f"the sensor is no BioTac SP on {', '.join(FINGERS)}")
+            raise TactileError(f"the sensor is not {self._card['sensor_name']} on {', '.join(self._fingers)}")
         found = self._reader.read(message)
         if found.invalid:
-            raise TactileError(
-                f"electrodes cannot be used: {', '.join(f'{n} {why}' for why, n in found.invalid.items())}"
-            )
+            counted = ", ".join(f"{count} {reason}" for reason, count in found.invalid.items())
+            raise TactileError(f"electrodes cannot be used: {counted}")
         if not self._rest or not np.isfinite(self._rest[0]).all():
             raise TactileError("there is no reading without contact that shows which fingers touch")
         scores = contact_scores([found.counts], [self._rest[0]], self._sensor.channels)[0]
-        if apart := [finger for finger, score in zip(FINGERS, scores, strict=True) if score <= 1.0]:
+        if apart := [finger for finger, score in zip(self._fingers, scores, strict=True) if score <= 1.0]:
             raise TactileError(
-                f"{', '.join(apart)} does not touch, and the model is of grasps with {', '.join(FINGERS)}"
+                f"{', '.join(apart)} does not touch, and the model is of grasps with {', '.join(self._fingers)}"
             )
         # Pressures of the fingers come first, then the electrodes of each.
-        readings = found.counts[len(FINGERS) :].reshape(1, len(FINGERS), -1).astype(np.float64)
+        readings = found.counts[len(self._fingers) :].reshape(1, len(self._fingers), -1).astype(np.float64)
         if (share := self._model.outside(readings)[0]) > OUTSIDE:
             raise TactileError(f"{share:.0%} of the pattern is out of the range of training")
         return float(self._model.chance(readings)[0])
@@ -85,7 +86,7 @@ class HoldEvaluator:
     def _message(self, stamp_ns: int, *, chance: float = math.nan, reason: str = "") -> TouchHold:
         return TouchHold(
             header=header_to_msg("", stamp_ns),
-            fingers=list(FINGERS),
+            fingers=list(self._fingers),
             chance=chance,
             status=Status.REFUSED if reason else Status.OK,
             reason=reason,
