@@ -8,7 +8,7 @@ than `angle_deg` on average over its whole length: an edge that fades out, or th
 
 Whole objects stay whole by four rules, each counted:
 
-- `joined_small`: a fragment smaller than a large fingertip, or of fewer than 60 cells, belongs to the neighbour from which it is
+- `joined_small`: a fragment smaller than a large fingertip, or of fewer than 80 cells, belongs to the neighbour from which it is
   separated least (a handle).
 - `joined_hollow`: hollow fragments are one wall, and belong to the rim before them that is as high as they are (a bowl, a cup).
 - `joined_concentric`: fragments that are surfaces of revolution about one axis, seen from outside, are one (a bottle and its
@@ -38,9 +38,9 @@ _SAG_M = 0.002  # its depth below the straight line between both ends
 _LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per depth, and points in each that is not empty
 _STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
 _CELL_NOISE = 1.4  # side of a cell by the noise of the threshold, which is 2.5 standard deviations unless configured
-_LEAST_NOISE = 0.0036  # of a stereo camera, per depth² [1/m]: a table may be smoother than the objects
-_FEW_CELLS = 60  # of a part, whose normals are as doubtful as its outline
-_LARGEST_CELL_M = 0.0075  # by noise: two surfaces in one list of points are no noise
+_CELL_PER_M = 0.005  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
+_LIST_CELL_M = 0.005  # of a list of points at least: those of several views do not agree exactly
+_FEW_CELLS = 80  # of a part, whose normals are as doubtful as its outline
 _FEW = 8  # concave points that noise makes; two convex parts of 3 cm meet in as many
 
 
@@ -97,8 +97,7 @@ def split_clusters(
     _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
     if found[:2].max() < _FEW:
         return list(windows), counts
-    noise_m = max(_LEAST_NOISE, threshold.noise_per_m) * depth**2
-    cell_m = max(config.cell_m, min(_CELL_NOISE * noise_m, _LARGEST_CELL_M))
+    cell_m = max(config.cell_m, max(_CELL_PER_M, _CELL_NOISE * threshold.noise_per_m) * depth**2)
     cell = min(max(round(cell_m / side), 1), _MAX_CELL)
     settings = [
         np.radians(config.angle_deg),
@@ -136,7 +135,8 @@ def split_list(
     shown[tuple(at[order].T)] = order  # the nearest point of each pixel is the last
     image = np.where(shown[..., None] >= 0, points[shown], np.float32(np.nan))
     labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
-    found, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, config)
+    wide = config.updated({"cell_m": max(config.cell_m, _LIST_CELL_M)})
+    found, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, wide)
     if not counts["parts"]:
         return list(windows), counts
     parts, front = found[0].labels[tuple(at.T)], shown[tuple(at.T)]
