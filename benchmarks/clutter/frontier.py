@@ -19,7 +19,7 @@ from foretouch.types import Cloud
 
 HERE: Final = Path(__file__).parent
 CSV, PICTURE = HERE / "frontier.csv", HERE / "frontier.png"
-ANGLES: Final = (180.0, 20.0, 34.0)  # degrees; the first does not split
+ANGLES: Final = (180.0, 20.0, 29.0)  # degrees; the first does not split
 STRIDES: Final = (1, 2)  # every pixel, or every second of rows and columns
 CELLS_M: Final = (0.0035, 0.005, 0.008)  # over which the surface is averaged
 CLOSE: Final = 0.01  # so much less than the best may the F of the knee be

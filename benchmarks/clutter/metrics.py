@@ -120,8 +120,10 @@ def _without_gaps(labels: Int32) -> tuple[Int64, Int32]:
 def _outlines(overlap: _Overlap, rows: Int64, columns: Int64) -> tuple[int, int, int, int]:
     """Predicted pixels near the paired true outline, true ones near the predicted one, and the sizes of all outlines."""
     reach = float(np.ceil(BOUNDARY * np.hypot(*overlap.true.shape)))
-    edges_true = [outline(overlap.true == k) for k in range(1, len(overlap.n_true) + 1)]
-    edges_predicted = [outline(overlap.predicted == k) for k in range(1, len(overlap.n_predicted) + 1)]
+    window = _around(overlap.true + overlap.predicted > 0)
+    true, predicted = overlap.true[window], overlap.predicted[window]
+    edges_true = [outline(true == k) for k in range(1, len(overlap.n_true) + 1)]
+    edges_predicted = [outline(predicted == k) for k in range(1, len(overlap.n_predicted) + 1)]
     near_true = near_predicted = 0
     for row, column in zip(rows, columns, strict=True):
         mine, theirs = edges_predicted[column], edges_true[row]
@@ -129,6 +131,14 @@ def _outlines(overlap: _Overlap, rows: Int64, columns: Int64) -> tuple[int, int,
         near_predicted += int((theirs & _within(mine, reach)).sum())
     size_true, size_predicted = (sum(int(edge.sum()) for edge in edges) for edges in (edges_true, edges_predicted))
     return near_true, near_predicted, size_true, size_predicted
+
+
+def _around(mask: Bool) -> tuple[slice, slice]:
+    """The part of an image that holds all of a mask and a pixel around it, where there is one."""
+    if not mask.any():
+        return np.s_[:0, :0]
+    v, u = np.nonzero(mask)
+    return np.s_[max(0, v.min() - 1) : v.max() + 2, max(0, u.min() - 1) : u.max() + 2]
 
 
 def outline(mask: Bool) -> Bool:

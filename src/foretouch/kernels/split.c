@@ -4,8 +4,8 @@
  * A window is divided into square cells of a few millimetres. A surface is fitted to the inverse depth of each cell and its
  * neighbours: the image of a plane is linear in it, and the noise of a stereo camera has the same size everywhere. Across each
  * edge between two cells the normals some cells away from it are compared: `bend`, positive where concave, STEP where the
- * depth jumps. Cells away from concave edges are connected to fragments, which grow over the rest; a border between two
- * fragments then has a mean bend along its whole length, and the fragments whose border bends least are joined first. */
+ * depth jumps. Fragments are the watersheds of the distance from such edges; a border between two of them then has a mean bend
+ * along its whole length, and the fragments whose border bends least are joined first. */
 #include "eigen.h"
 
 enum { BEND, STEP_M, PART_M2, PLANE, PITCH = PLANE + 4, SETTINGS }; /* of `settings` */
@@ -14,6 +14,8 @@ enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, BY_AXIS, COUNTS };                   
 #define STEP 2.0f   /* bend of a step in depth: chord of opposite normals */
 #define FULL 0.7f   /* a sharper bend counts as much as this one, of 40 degrees, and a convex one as none */
 #define REACH 2     /* cells from an edge to the normals that are compared, and from a normal to the edge of its window */
+#define EDGE 0.75f /* of the angle that separates two objects: a sharper edge may separate two fragments */
+#define NECK 2     /* halves of a cell by which a neck is narrower than both fragments that it separates, on each side */
 #define SLOPE 4.0f  /* depth per lateral distance of cells that have no further neighbours */
 #define TURN 0.25f /* chord of the normals of one surface on both sides of a nearer part */
 #define SKEW 0.05f /* and how far it may be off for each metre between them */
@@ -32,7 +34,7 @@ enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, BY_AXIS, COUNTS };                   
 
 typedef struct {
     float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
-    int32_t label, part;
+    int32_t label, part, inside; /* halves of a cell from the nearest edge that may separate */
 } cell;
 
 typedef struct {
@@ -55,6 +57,9 @@ typedef struct {
     border *borders;
     const double *s;
 } graph;
+
+/* A sharper edge may separate two fragments. */
+INLINE float least_bend(const graph *g) { return (float)g->s[BEND] * EDGE; }
 
 INLINE int broken(const cell *c, const cell *o, const cell *before, const cell *after, float step) {
     const float limit = step * c->d * o->d, by = o->d - c->d;
@@ -186,45 +191,66 @@ INLINE int32_t root_of(int32_t *root, int32_t i) {
     return i;
 }
 
-/* Fragments: cells away from concave edges, connected; they grow over the other cells in order of the edges' bend. */
+/* Distance of cells from the nearest edge that is concave, a step, or that of the cluster: in halves of a cell, 2 to a neighbour
+ * and 3 to a diagonal one; 1 beside such an edge, 0 without a normal. Returns the largest. */
+static int32_t find_depths(graph *g) {
+    int32_t most = 0;
+    for (int64_t i = 0; i < g->n; i++) {
+        g->cells[i].inside = g->cells[i].n[0] == g->cells[i].n[0] ? INT32_MAX / 2 : 0;
+    }
+    for (int64_t k = 0; k < 2 * g->n; k++) {
+        if (!(g->bends[k] <= least_bend(g))) {
+            const int64_t i = k / 2, o = i + (k & 1 ? g->w : 1);
+            g->cells[i].inside = g->cells[i].inside ? 1 : 0;
+            if (o < g->n) {
+                g->cells[o].inside = g->cells[o].inside ? 1 : 0;
+            }
+        }
+    }
+    for (int64_t t = 0; t < 2 * g->n; t++) { /* from the first cell to the last, and back */
+        const int64_t to = t < g->n ? -1 : 1, i = t < g->n ? t : 2 * g->n - 1 - t, x = i % g->w, row = i + to * g->w;
+        const int above = row >= 0 && row < g->n, before = to < 0 ? x > 0 : x + 1 < g->w, after = to < 0 ? x + 1 < g->w : x > 0;
+        const int32_t ways[4] = {before ? g->cells[i + to].inside + 2 : 1, above ? g->cells[row].inside + 2 : 1,
+                                 above && before ? g->cells[row + to].inside + 3 : 1, above && after ? g->cells[row - to].inside + 3 : 1};
+        for (int way = 0; way < 4; way++) {
+            g->cells[i].inside = ways[way] < g->cells[i].inside ? ways[way] : g->cells[i].inside;
+        }
+        most = t >= g->n && g->cells[i].inside > most ? g->cells[i].inside : most;
+    }
+    return most;
+}
+
+/* Fragments: watersheds of that distance, as a neck between concave edges separates two fragments as well as an edge all
+ * along. Cells are added from the innermost on; two fragments that meet are one unless the neck is narrower than both. */
 static void make_fragments(graph *g) {
-    const float least = (float)(g->s[BEND] * 2.0 / 3.0);
+    memset(g->root, -1, (size_t)g->n * sizeof(int32_t));
+    for (int32_t level = find_depths(g); level >= 0; level--) {
+        for (int64_t i = 0; i < g->n; i++) {
+            if (!g->cells[i].label || g->cells[i].inside != level) {
+                continue;
+            }
+            const int64_t edges[4] = {2 * (i - 1), 2 * i, 2 * (i - g->w) + 1, 2 * i + 1}, others[4] = {i - 1, i + 1, i - g->w, i + g->w};
+            int32_t own = g->root[i] = (int32_t)i;
+            for (int side = 0; side < 4; side++) {
+                const int64_t o = others[side];
+                if (edges[side] < 0 || !(g->bends[edges[side]] <= least_bend(g)) || g->root[o] < 0) {
+                    continue;
+                }
+                const int32_t one = root_of(g->root, (int32_t)o), a = g->cells[one].inside, b = g->cells[own].inside;
+                if (own != i && (a < b ? a : b) < level + NECK) {
+                    g->root[a > b ? own : one] = a > b ? one : own;
+                }
+                own = own == i || a > b ? one : own;
+            }
+            g->root[i] = own;
+        }
+    }
     int32_t count = 0;
     for (int64_t i = 0; i < g->n; i++) {
-        g->root[i] = g->cells[i].label && g->cells[i].n[0] == g->cells[i].n[0] ? (int32_t)i : -1;
+        g->cells[i].part = g->root[i] == i ? ++count : 0;
     }
-    for (int64_t k = 0; k < 2 * g->n; k++) {
-        if (g->bends[k] > least) {
-            g->root[k / 2] = g->root[k / 2 + (k & 1 ? g->w : 1)] = -1;
-        }
-    }
-    for (int64_t k = 0; k < 2 * g->n; k++) {
-        const int64_t o = k / 2 + (k & 1 ? g->w : 1);
-        if (g->bends[k] <= least && g->root[k / 2] >= 0 && g->root[o] >= 0) {
-            const int32_t a = root_of(g->root, (int32_t)(k / 2)), b = root_of(g->root, (int32_t)o);
-            g->root[a > b ? a : b] = a < b ? a : b;
-        }
-    }
-    for (int64_t i = 0; i < g->n; i++) { /* a root comes before its members */
-        g->cells[i].part = g->root[i] < 0 ? 0 : root_of(g->root, (int32_t)i) == i ? ++count : g->cells[g->root[i]].part;
-    }
-    for (float limit = least; limit <= 2.0f * STEP; limit = limit < FULL ? limit + 0.14f : 2.0f * limit) {
-        for (int changed = 1; changed;) {
-            changed = 0;
-            for (int64_t i = 0; i < g->n; i++) {
-                g->root[i] = g->cells[i].part;
-            }
-            for (int64_t k = 0; k < 2 * g->n; k++) {
-                const int64_t i = k / 2, o = i + (k & 1 ? g->w : 1);
-                if (g->bends[k] <= limit && !g->root[i] != !g->root[o]) {
-                    g->cells[g->root[i] ? o : i].part = g->root[i] + g->root[o];
-                    changed = 1;
-                }
-            }
-        }
-    }
-    for (int64_t i = 0; i < g->n; i++) { /* cells that nothing reaches */
-        g->cells[i].part = g->cells[i].label && !g->cells[i].part ? ++count : g->cells[i].part;
+    for (int64_t i = 0; i < g->n; i++) {
+        g->cells[i].part = g->root[i] < 0 ? 0 : g->cells[root_of(g->root, (int32_t)i)].part;
     }
     g->n_fragments = count;
 }
@@ -295,6 +321,7 @@ static void join(graph *g, int32_t a, int32_t b) {
         if (other == a) {
             continue;
         }
+        one.apart = other ? 0 : one.apart;
         if (other && g->fragments[other].first >= 0) {
             border *same = g->borders + g->fragments[other].first;
             same->bend += one.bend, same->steps += one.steps, same->length += one.length;
@@ -309,11 +336,11 @@ static void join(graph *g, int32_t a, int32_t b) {
     g->n_borders = kept;
 }
 
-/* Whether a border may be that of a hollow fragment with its rim: as high, and mostly before it. */
+/* Whether a border may be that of a hollow fragment with its rim: as high, mostly before it, and mostly at a step in depth. */
 INLINE int rim_of(const graph *g, const border *one) {
     const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
     const int front = is_hollow(a) && !is_hollow(b) ? -one->behind : is_hollow(b) && !is_hollow(a) ? one->behind : -1;
-    return front >= 0 && fabs(a->tops - b->tops) < TOUCH;
+    return front >= 0 && 2 * one->steps >= one->length && fabs(a->tops - b->tops) < TOUCH;
 }
 
 /* Whether two fragments are surfaces of revolution about one axis, seen from outside, as a bottle and its neck: the lines along
@@ -422,10 +449,10 @@ static void join_all(graph *g, int64_t *counts) {
             double bend = one->bend / one->length;
             int reason = -1;
             if (a->area < g->s[PART_M2] || b->area < g->s[PART_M2]) {
-                reason = bend < least ? -1 : BY_SIZE;
+                reason = bend < g->s[BEND] ? -1 : BY_SIZE;
                 bend -= 10.0;
             } else if (is_hollow(a) && is_hollow(b) && 2 * one->steps < one->length) {
-                reason = bend < least ? -1 : BY_HOLLOW;
+                reason = bend < g->s[BEND] ? -1 : BY_HOLLOW;
                 bend -= 5.0;
             }
             if (bend < least) {
@@ -473,20 +500,20 @@ static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
     int hidden = 0, open = 0; /* cells */
     for (int64_t t = 1; at + t < length; t++) {
         const cell *o = g->cells + i + t * to;
+        if (!o->label) {
+            continue;
+        }
         const float u = o->p[0] * o->d, v = o->p[1] * o->d;
         const float d = (a->n[0] * u + a->n[1] * v + a->n[2]) / (a->n[0] * a->p[0] + a->n[1] * a->p[1] + a->n[2] * a->p[2]);
-        const float step = (float)g->s[STEP_M] * d * d;
-        if (o->label && o->part == g->cells[i].part) {
+        if (o->part == g->cells[i].part) {
             return -1;
         }
-        if (o->d > d + step && o->label) {
+        if (o->d > d + (float)g->s[STEP_M] * d * d) {
             hidden++;
-        } else if (o->label && hidden) {
+        } else if (hidden) {
             return i + t * to;
-        } else if (o->label || o->d < d - step) { /* seen past it: a flying pixel, or nothing hides the surface */
-            if (++open > 2) {
-                return -1;
-            }
+        } else if (++open > 2) { /* nothing hides the surface */
+            return -1;
         }
     }
     return -1;

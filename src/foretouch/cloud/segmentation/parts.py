@@ -3,13 +3,14 @@
 
 Household objects are mostly convex, and where two of them touch, the visible surface has a concave edge or a step in depth
 (Stein, Schoeler, Papon, Wörgötter: Object Partitioning using Local Convexity, CVPR 2014). A cluster is divided into fragments
-along such edges, and fragments are joined while the border between two of them bends less than `angle_deg` on average over
-its whole length: an edge that fades out, or that bends only at its end, does not separate.
+along such edges and across the necks between them, and fragments are joined while the border between two of them bends less
+than `angle_deg` on average over its whole length: an edge that fades out, or that bends only at its end, does not separate.
 
 Whole objects stay whole by four rules, each counted:
 
-- `joined_small`: a fragment smaller than a large fingertip belongs to the neighbour from which it is separated least (a handle).
-- `joined_hollow`: hollow fragments are one wall, and belong to the rim that is as high as they are (a bowl, a cup).
+- `joined_small`: a fragment smaller than a large fingertip, or of fewer than 80 cells, belongs to the neighbour from which it is
+  separated least (a handle).
+- `joined_hollow`: hollow fragments are one wall, and belong to the rim before them that is as high as they are (a bowl, a cup).
 - `joined_concentric`: fragments that are surfaces of revolution about one axis, seen from outside, are one (a bottle and its
   neck, or its cap from above). A can on a box, or beside the axis of another can by more than 6 mm, stays apart.
 - `joined_hidden`: fragments on both sides of a nearer object are one where the surface of one continues in the other.
@@ -36,6 +37,10 @@ _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
 _LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per depth, and points in each that is not empty
 _STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
+_CELL_NOISE = 1.4  # side of a cell by the noise of the threshold, which is 2.5 standard deviations unless configured
+_CELL_PER_M = 0.005  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
+_LIST_CELL_M = 0.005  # of a list of points at least: those of several views do not agree exactly
+_FEW_CELLS = 80  # of a part, whose normals are as doubtful as its outline
 _FEW = 8  # concave points that noise makes; two convex parts of 3 cm meet in as many
 
 
@@ -44,14 +49,14 @@ class SplitConfig(Settings):
     """Where a cluster is split into objects that touch."""
 
     angle_deg: float = setting(
-        34.0,
+        29.0,
         "A border that is concave by more than this on average separates two objects; from 40 on all that touches is joined, 180 does not split at all",
         bounds=(5.0, 180.0),
     )
     step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
     cell_m: float = setting(
-        0.005,
-        "Side of the squares over which the surface is averaged; as the noise of a stereo camera it grows with depth² beyond 1 m",
+        0.0035,
+        "Least side of the squares over which the surface is averaged; where the depth is noisier, they are larger: 3.5 standard deviations of its noise",
         bounds=(0.002, 0.02),
     )
     min_part_m: float = setting(
@@ -92,11 +97,12 @@ def split_clusters(
     _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
     if found[:2].max() < _FEW:
         return list(windows), counts
-    cell = min(max(round(config.cell_m * max(1.0, depth**2) / side), 1), _MAX_CELL)
+    cell_m = max(config.cell_m, max(_CELL_PER_M, _CELL_NOISE * threshold.noise_per_m) * depth**2)
+    cell = min(max(round(cell_m / side), 1), _MAX_CELL)
     settings = [
         np.radians(config.angle_deg),
         config.step_m,
-        config.min_part_m**2,
+        max(config.min_part_m**2, _FEW_CELLS * (cell * side) ** 2),
         *threshold.plane.coefficients,
         pitch * cell,
     ]
@@ -129,7 +135,8 @@ def split_list(
     shown[tuple(at[order].T)] = order  # the nearest point of each pixel is the last
     image = np.where(shown[..., None] >= 0, points[shown], np.float32(np.nan))
     labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
-    found, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, config)
+    wide = config.updated({"cell_m": max(config.cell_m, _LIST_CELL_M)})
+    found, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, wide)
     if not counts["parts"]:
         return list(windows), counts
     parts, front = found[0].labels[tuple(at.T)], shown[tuple(at.T)]
