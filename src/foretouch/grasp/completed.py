@@ -7,11 +7,11 @@ front of the object's middle and above it, and two fingers that close there slid
 1. completes the object: it stands on the table, and is symmetric about the vertical line through the middle of its top,
    as far as its outline in the image allows. A place that the camera sees through is free;
 2. closes along horizontal lines, in 24 directions and at many places, each at half the height of the object there, or of
-   the part whose underside is free;
+   what the camera does not see through;
 3. refuses lines that the hand cannot execute: wider than it opens, too low for a fingertip, or with another object in the
    way of a finger that comes from outside along the line;
 4. prefers lines that are short, near the object's centre of mass (of the completed object, with equal density), meet
-   both sides at a right angle, and run across the view, where both sides are seen.
+   both sides at a right angle, run across the view, where both sides are seen, and do not end where the camera sees through.
 
 Every measure is a quantile or a mean, so that it changes little when the cloud changes little.
 """
@@ -68,6 +68,7 @@ _DISTANCE_M = 0.015  # beside the centre of mass
 _SLOPE_DEG = 40.0  # of either side against the line
 _ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
+_HOLLOW = 3.0  # cost of a line whose ends the camera sees through
 _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
 _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
@@ -208,14 +209,14 @@ class CompletedObject:
         return other[kept], weight[kept]
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """(A, n_lines, 5) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         floor_m, way_m = hand.tip_radius_m + hand.clearance_m, hand.approach_m + hand.tip_radius_m
         settings = np.array([_STEP_M, hand.tip_radius_m, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        found = np.empty((len(turns), n_lines, 5))
+        found = np.empty((len(turns), n_lines, 6))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
             *(others, len(others), found),
@@ -227,7 +228,7 @@ class CompletedObject:
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = np.pi * np.arange(_ANGLES) / _ANGLES, np.nan
         found = self._close(turns, _LINES)
-        low, high, height, top, blocker = np.moveaxis(found, 2, 0)
+        low, high, height, top, blocker, solid = np.moveaxis(found, 2, 0)
         slope = np.stack([_slopes(low), _slopes(high)])
         refused = self._refused(found) | {"n_too_steep": slope.max(axis=0) > _STEEPEST}
         left = alone = np.isfinite(height)
@@ -236,7 +237,7 @@ class CompletedObject:
             counts[name] = int(np.count_nonzero(left & refused[name]))
             alone, left = left, left & ~refused[name]
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(np.nan_to_num(self._cost(high - low, slope), nan=_MOST_COST), _MOST_COST)
+        every = np.minimum(np.nan_to_num(self._cost(high - low, slope, solid), nan=_MOST_COST), _MOST_COST)
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
@@ -245,8 +246,8 @@ class CompletedObject:
         )
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
-        """Which lines (..., 5) of `_close` the hand cannot execute, by the names of `REASONS`."""
-        low, high, height, top, blocker = np.moveaxis(found, -1, 0)
+        """Which lines (..., 6) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        low, high, height, top, blocker, _ = np.moveaxis(found, -1, 0)
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius_m),
             "n_too_wide": high - low > self._hand.opening_m,
@@ -254,12 +255,12 @@ class CompletedObject:
             "n_blocked": blocker >= 0.0,
         }
 
-    def _cost(self, width: Float64, slope: Float64) -> Float64:
-        """What speaks against each line, with the slopes of both ends (2, ...); the smallest is the best."""
+    def _cost(self, width: Float64, slope: Float64, solid: Float64) -> Float64:
+        """What speaks against each line, with the slopes of both ends (2, ...) and how certainly they are on the object; the smallest is the best."""
         offset = _STEP_M * (np.arange(_LINES) - _LINES // 2)
         angle = np.pi * np.arange(_ANGLES) / _ANGLES
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
-        cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None]
+        cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None] + _HOLLOW * (1.0 - solid)
         opening_m = self._hand.opening_m
         return np.asarray(cost + _BIAS * offset + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
