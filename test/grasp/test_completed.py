@@ -172,10 +172,7 @@ def test_grasps_come_best_first_differ_and_have_the_pose_of_the_hand() -> None:
 
 
 def filters(plan: GraspPlan) -> dict[str, int]:
-    return {
-        name: plan.counts[name]
-        for name in ("n_too_wide", "n_too_thin", "n_too_steep", "n_too_flat", "n_blocked", "n_free")
-    }
+    return {name: plan.counts[name] for name in ("n_too_wide", "n_too_thin", "n_too_flat", "n_blocked", "n_free")}
 
 
 def test_a_hand_that_does_not_open_so_far_has_no_grasp() -> None:

@@ -52,17 +52,10 @@ _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at 
 _BEHIND_M = 0.004  # behind the seen surface, from where on a mirrored point is unseen
 _MOST_CELLS = 4e6  # of such a grid
 _FAR_M = 0.6  # from the centre: no hand reaches it
-_STEEPEST = 1.7  # slope of a side against the line beyond which it is cut at an edge
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
 _ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
-REASONS = (
-    "n_too_flat",
-    "n_too_wide",
-    "n_too_thin",
-    "n_too_steep",
-    "n_blocked",
-)  # counts of refused lines, in this order
+REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
 _SLOPE_DEG = 40.0  # of either side against the line
@@ -229,8 +222,7 @@ class CompletedObject:
         turns[:, 0], turns[:, 2] = np.pi * np.arange(_ANGLES) / _ANGLES, np.nan
         found = self._close(turns, _LINES)
         low, high, height, top, blocker, solid = np.moveaxis(found, 2, 0)
-        slope = np.stack([_slopes(low), _slopes(high)])
-        refused = self._refused(found) | {"n_too_steep": slope.max(axis=0) > _STEEPEST}
+        slope, refused = np.stack([_slopes(low), _slopes(high)]), self._refused(found)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
@@ -256,7 +248,7 @@ class CompletedObject:
         }
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64) -> Float64:
-        """What speaks against each line, with the slopes of both ends (2, ...) and how certainly they are on the object; the smallest is the best."""
+        """What speaks against each line, with the slopes of both ends (2, ...) and how certainly the object is there; the smallest is the best."""
         offset = _STEP_M * (np.arange(_LINES) - _LINES // 2)
         angle = np.pi * np.arange(_ANGLES) / _ANGLES
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
@@ -407,7 +399,6 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
     reasons = {
         "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
         "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
-        "n_too_steep": f"at an edge, steeper than {_STEEPEST:g} on one side",
         "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
         "n_blocked": f"blocked by object {', '.join(map(str, blocking_objects(lines, obstacles)))}",
     }

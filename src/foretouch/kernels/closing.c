@@ -310,7 +310,8 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 const double arch = (top + round_underside(top, lowest, side, width, horizontal)) / 2.0;
                 level = arch > level ? arch : level;
             }
-            double z = isnan(turns[3 * angle + 2]) ? level + shift : turns[3 * angle + 2];
+            const double shifted = level + shift > level / 2.0 ? level + shift : level / 2.0;
+            double z = isnan(turns[3 * angle + 2]) ? shifted : turns[3 * angle + 2];
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < floor_m ? floor_m : z;
             one[2] = z, one[3] = top;

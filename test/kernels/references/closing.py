@@ -65,7 +65,7 @@ def closing_lines(
             width = (high - low) * ALONG_M
             if horizontal < 0.5 and top > 1.2 * width and width > 0.0:
                 level_m = max(level_m, (top + _round_underside(one, top, lowest, low, high, horizontal)) / 2.0)
-            z = level_m + shift if np.isnan(turns[angle, 2]) else turns[angle, 2]
+            z = max(level_m + shift, level_m / 2.0) if np.isnan(turns[angle, 2]) else turns[angle, 2]
             z = max(min(z, top - tip / 2.0), floor_m)
             low, high, total = one.ends((z - tip) / HEIGHT_M)
             if total < 3.0:
@@ -141,7 +141,8 @@ def _round_underside(one: _Strip, top: float, lowest: float, low: float, high: f
     width = (high - low) * ALONG_M
     from_end, reach = 0.2 * (high - low), 0.15 * (high - low)
     shares = (
-        np.clip(1.0 - np.abs(one.place - at) / reach, 0.0, None) * one.weight for at in (low + from_end, high - from_end)
+        np.clip(1.0 - np.abs(one.place - at) / reach, 0.0, None) * one.weight
+        for at in (low + from_end, high - from_end)
     )
     side = max(share @ one.level / (share.sum() + 1e-9) for share in shares) * HEIGHT_M
     radius = width / 2.0
