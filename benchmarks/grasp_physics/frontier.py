@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What accuracy costs in time: the share of grasps that hold against the time of a plan, over methods and settings."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -42,14 +42,24 @@ class Point:
 
 def run(tasks: Sequence[Task], vary: Sequence[str], workers: int, *, renew: bool) -> None:
     """Measure and print; where asked, write table, page and picture."""
-    points = list(_points(tasks, vary, workers))
+    points = sorted(_points(tasks, vary, workers), key=lambda point: point.ms)
     knee = knee_of(points)
-    lines = [_line(point, points, knee) for point in sorted(points, key=lambda point: point.ms)]
+    best = max((point for point in points if point.method != RULE), key=lambda point: point.held, default=knee)
+    sentence = (
+        f"The knee is {knee.name}: {knee.held:.2f} held in {knee.ms:.1f} ms. The best, {best.name}, holds {best.held:.2f} in {best.ms:.1f} ms. "
+        f"The knee is the fastest setting of a method of foretouch that holds at most {CLOSE:g} less than the best of them."
+    )
+    lines = [
+        {"method": point.method, "settings": point.settings, "held": point.interval, "strict": f"{point.strict:.2f}"}
+        | {"median [ms]": f"{point.ms:.2f}", "p95 [ms]": f"{point.p95_ms:.2f}"}
+        | {"place": "knee" if point is knee else "frontier" if on_frontier(point, points) else ""}
+        for point in points
+    ]
     print_rows(lines)
-    print(f"\n{_sentence(knee, points)}")
+    print(f"\n{sentence}")
     if renew:
         write_csv(CSV, [{k: v for k, v in line.items() if not k.endswith("[ms]")} for line in lines])
-        replace_marked(PAGE, f"{table(lines)}\n{_sentence(knee, points)}")
+        replace_marked(PAGE, f"{table(lines)}\n{sentence}")
         draw(points, knee, PICTURE)
 
 
@@ -62,25 +72,22 @@ def combinations(vary: Sequence[str]) -> list[dict[str, Any]]:
 
 def _points(tasks: Sequence[Task], vary: Sequence[str], workers: int) -> Iterator[Point]:
     chosen = [name for name in tasks[0].methods if name in METHODS]
-    every: list[tuple[dict[str, Any], tuple[str, ...]]] = [({}, (RULE,))] if RULE in chosen else []
-    every += [(settings, tuple(name for name in chosen if name != RULE)) for settings in combinations(vary)]
+    ours = tuple(name for name in chosen if name != RULE)
+    every = [({}, (RULE,))] * (RULE in chosen) + [(settings, ours) for settings in combinations(vary) if ours]
     for settings, methods in every:
-        if not methods:
-            continue
-        rows = measure(
-            [replace(task, methods=methods, settings={**task.settings, **settings}, repeats=REPEATS) for task in tasks],
-            workers,
-        )
+        varied = [
+            replace(task, methods=methods, settings={**task.settings, **settings}, repeats=REPEATS) for task in tasks
+        ]
+        rows = measure(varied, workers)
+        text = ", ".join(f"{name.rpartition('.')[2]} {value}" for name, value in settings.items())
         for method in methods:
-            yield _point(method, settings, [row for row in rows if row.method == method])
+            yield _point(method, text, [row for row in rows if row.method == method])
 
 
-def _point(method: str, settings: Mapping[str, Any], rows: Sequence[Row]) -> Point:
+def _point(method: str, settings: str, rows: Sequence[Row]) -> Point:
     held, strict = (float(np.mean([getattr(row, what) for row in rows])) for what in ("held", "strict"))
-    times = np.array([row.ms for row in rows])
-    median, p95 = (float(np.nanquantile(times, q)) for q in (0.5, 0.95))
-    text = ", ".join(f"{name.rpartition('.')[2]} {value}" for name, value in settings.items())
-    return Point(method, text, held, share(rows, lambda row: row.held), strict, median, p95)
+    median, p95 = (float(np.nanquantile([row.ms for row in rows], q)) for q in (0.5, 0.95))
+    return Point(method, settings, held, share(rows, lambda row: row.held), strict, median, p95)
 
 
 def on_frontier(point: Point, points: Sequence[Point]) -> bool:
@@ -98,33 +105,12 @@ def knee_of(points: Sequence[Point]) -> Point:
     return min((point for point in ours if point.held >= best - CLOSE), key=lambda point: point.ms)
 
 
-def _line(point: Point, points: Sequence[Point], knee: Point) -> dict[str, str]:
-    place = "knee" if point is knee else "frontier" if on_frontier(point, points) else ""
-    return {
-        "method": point.method,
-        "settings": point.settings,
-        "held": point.interval,
-        "strict": f"{point.strict:.2f}",
-        "median [ms]": f"{point.ms:.2f}",
-        "p95 [ms]": f"{point.p95_ms:.2f}",
-        "place": place,
-    }
-
-
-def _sentence(knee: Point, points: Sequence[Point]) -> str:
-    best = max((point for point in points if point.method != RULE), key=lambda point: point.held, default=knee)
-    return (
-        f"The knee is {knee.name}: {knee.held:.2f} held in {knee.ms:.1f} ms. The best, {best.name}, holds {best.held:.2f} in {best.ms:.1f} ms. "
-        f"The knee is the fastest setting of a method of foretouch that holds at most {CLOSE:g} less than the best of them."
-    )
-
-
 def draw(points: Sequence[Point], knee: Point, path: Path) -> None:
     """Write the picture: a line for each method, its settings from fast to slow."""
     figure = new_figure(7.0, 4.2)
     axis = figure.subplots()
     for method in dict.fromkeys(point.method for point in points):
-        mine = sorted((point for point in points if point.method == method), key=lambda point: point.ms)
+        mine = [point for point in points if point.method == method]
         axis.plot([point.ms for point in mine], [point.held for point in mine], "o-", label=method)
     axis.plot(knee.ms, knee.held, "o", markersize=14, fillstyle="none", color="black", label=f"knee: {knee.name}")
     axis.set(xlabel="time of a plan, median [ms]", ylabel="first grasps that hold", ylim=(0.0, 1.0))

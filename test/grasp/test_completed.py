@@ -172,10 +172,7 @@ def test_grasps_come_best_first_differ_and_have_the_pose_of_the_hand() -> None:
 
 
 def filters(plan: GraspPlan) -> dict[str, int]:
-    return {
-        name: plan.counts[name]
-        for name in ("n_too_wide", "n_too_thin", "n_too_steep", "n_too_flat", "n_blocked", "n_free")
-    }
+    return {name: plan.counts[name] for name in ("n_too_wide", "n_too_thin", "n_too_flat", "n_blocked", "n_free")}
 
 
 def test_a_hand_that_does_not_open_so_far_has_no_grasp() -> None:
@@ -288,7 +285,7 @@ def test_a_slide_moves_the_grasp_along_the_axis(box_cloud: Cloud, top_view: Plan
         beyond = plan_grasps(box_cloud, top_view, CONFIG, slide_m=beyond_m)
         assert beyond.reason
         for grasp in beyond.grasps:
-            check_reach(grasp, box_cloud.xyz, 0.1, 0.02)
+            check_reach(grasp, box_cloud.xyz, 0.1, 0.025)
     with pytest.raises(GraspError, match=r"a slide of 0\.01 m and a random one exclude each other"):
         plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.01, rng=rng)
 

@@ -75,11 +75,12 @@ def test_lines_and_hidden_points(monkeypatch: pytest.MonkeyPatch, rng: np.random
             assert np.count_nonzero(met != np.isfinite(other[..., 0])) <= 0.005 * met.size
             both = met & np.isfinite(other[..., 0])
             gaps = np.abs(found - other)[both]
-            low, high, height, top, blocker = gaps.T
+            low, high, height, top, blocker, solid = gaps.T
             lengths = np.stack([low, high, height, top])  # [m]
             if met.size > 1:
                 assert np.quantile(lengths, 0.9) < 1e-6
                 assert np.mean(blocker > 0.0) < 0.01
+                assert np.mean(solid > 1e-3) < 0.01
             assert lengths.max() < 0.002
             blocked += int((other[both][:, 4] >= 0.0).sum())
 
@@ -113,7 +114,7 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     settings = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])
     turns = np.array([[0.0, 0.0, np.nan], [np.pi / 2.0, 0.0, np.nan], [0.0, 0.004, np.nan]])
     others = np.array([[0.05, 0.0, 0.04], [0.0, -0.03, 0.04], [0.08, 0.0, 0.04], [0.05, 0.0, 0.02]])
-    found = np.empty((3, 3, 5))
+    found = np.empty((3, 3, 6))
     completed._closing_lines(
         *(points, np.ones(len(points)), len(points), turns, 3, 3, settings, np.zeros(15)),
         *(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0, others, len(others), found),
@@ -128,4 +129,5 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
         found[0, :, 4], 0
     )  # the first, 20 mm outside of the end and no more than a tip beside
     np.testing.assert_array_equal(found[1, 1:, 4], 1)
+    np.testing.assert_array_equal(found[:, :, 5], 1.0)  # without a view nothing is seen through
     np.testing.assert_array_equal(found[2, 0], found[0, 1])  # moved by one step: the same line

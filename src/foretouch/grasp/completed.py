@@ -7,11 +7,11 @@ front of the object's middle and above it, and two fingers that close there slid
 1. completes the object: it stands on the table, and is symmetric about the vertical line through the middle of its top,
    as far as its outline in the image allows. A place that the camera sees through is free;
 2. closes along horizontal lines, in 24 directions and at many places, each at half the height of the object there, or of
-   the part whose underside is free;
+   what the camera does not see through;
 3. refuses lines that the hand cannot execute: wider than it opens, too low for a fingertip, or with another object in the
    way of a finger that comes from outside along the line;
 4. prefers lines that are short, near the object's centre of mass (of the completed object, with equal density), meet
-   both sides at a right angle, and run across the view, where both sides are seen.
+   both sides at a right angle, run across the view, where both sides are seen, and do not end where the camera sees through.
 
 Every measure is a quantile or a mean, so that it changes little when the cloud changes little.
 """
@@ -52,27 +52,20 @@ _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at 
 _BEHIND_M = 0.004  # behind the seen surface, from where on a mirrored point is unseen
 _MOST_CELLS = 4e6  # of such a grid
 _FAR_M = 0.6  # from the centre: no hand reaches it
-_STEEPEST = 1.7  # slope of a side against the line beyond which it is cut at an edge
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
 _ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
-REASONS = (
-    "n_too_flat",
-    "n_too_wide",
-    "n_too_thin",
-    "n_too_steep",
-    "n_blocked",
-)  # counts of refused lines, in this order
+REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
 _SLOPE_DEG = 40.0  # of either side against the line
 _ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
+_HOLLOW = 3.0  # cost of a line whose ends the camera sees through
 _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
 _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
-_HOLLOW = 1.0  # of a line through a place that the camera sees through
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
@@ -209,7 +202,7 @@ class CompletedObject:
         return other[kept], weight[kept]
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """(A, n_lines, 5) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
@@ -229,17 +222,14 @@ class CompletedObject:
         turns[:, 0], turns[:, 2] = np.pi * np.arange(_ANGLES) / _ANGLES, np.nan
         found = self._close(turns, _LINES)
         low, high, height, top, blocker, solid = np.moveaxis(found, 2, 0)
-        slope = np.stack([_slopes(low), _slopes(high)])
-        refused = self._refused(found) | {"n_too_steep": slope.max(axis=0) > _STEEPEST}
+        slope, refused = np.stack([_slopes(low), _slopes(high)]), self._refused(found)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
             counts[name] = int(np.count_nonzero(left & refused[name]))
             alone, left = left, left & ~refused[name]
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(
-            np.nan_to_num(self._cost(high - low, slope) + _HOLLOW * (1.0 - solid), nan=_MOST_COST), _MOST_COST
-        )
+        every = np.minimum(np.nan_to_num(self._cost(high - low, slope, solid), nan=_MOST_COST), _MOST_COST)
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
@@ -248,7 +238,7 @@ class CompletedObject:
         )
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
-        """Which lines (..., 5) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        """Which lines (..., 6) of `_close` the hand cannot execute, by the names of `REASONS`."""
         low, high, height, top, blocker, _ = np.moveaxis(found, -1, 0)
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius_m),
@@ -257,12 +247,12 @@ class CompletedObject:
             "n_blocked": blocker >= 0.0,
         }
 
-    def _cost(self, width: Float64, slope: Float64) -> Float64:
-        """What speaks against each line, with the slopes of both ends (2, ...); the smallest is the best."""
+    def _cost(self, width: Float64, slope: Float64, solid: Float64) -> Float64:
+        """What speaks against each line, with the slopes of both ends (2, ...) and how certainly the object is there; the smallest is the best."""
         offset = _STEP_M * (np.arange(_LINES) - _LINES // 2)
         angle = np.pi * np.arange(_ANGLES) / _ANGLES
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
-        cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None]
+        cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None] + _HOLLOW * (1.0 - solid)
         opening_m = self._hand.opening_m
         return np.asarray(cost + _BIAS * offset + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
@@ -409,7 +399,6 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
     reasons = {
         "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
         "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
-        "n_too_steep": f"at an edge, steeper than {_STEEPEST:g} on one side",
         "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
         "n_blocked": f"blocked by object {', '.join(map(str, blocking_objects(lines, obstacles)))}",
     }

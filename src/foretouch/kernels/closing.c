@@ -8,15 +8,14 @@
 #define ALONGS 2560     /* bins: nor longer than 1.2 m */
 #define STEPS 16        /* places of a column that are tried for free space */
 #define FADE 4.0f       /* bins of height over which points fade out below the fingertips */
-#define END_M 0.004f    /* from either end of a line are the points that have the height of the end */
+#define SIDE 0.2f       /* of the width, from either end, where the height of a side is measured */
+#define AROUND 0.15f    /* of the width, on either side of that place */
+#define INSET_M 0.004   /* from either end, where a line must meet the object */
 #define SEEN_M 0.003    /* in front of the nearest point, where a place still counts as hidden */
 #define LEAST 0.5       /* of the share beyond an end, from which on its place is a mean */
 #define MOST 2.5        /* up to which */
 #define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
-double dbg[24*17*6];
-static int64_t dbg_at = 0;
-double knob[8] = {1.0, 0.5, 0.0, 0.06, 0.22, 0.2, 0.15, 0.004};
 #define FOUND 6         /* values of a line */
 
 typedef struct {
@@ -172,11 +171,11 @@ INLINE void ends(const Strip *one, Histogram *bins, float above, double share, d
     *high = last + beyond < ALONGS - 1.0 ? last + beyond : ALONGS - 1.0;
 }
 
-/* Mean height of the points of a strip before (sign -1) or beyond (sign 1) a place along its line [bins]. */
-INLINE double height_at_end(const Strip *one, float place, float sign, float at_end) {
+/* Mean height of the points of a strip around a place along its line [bins], the nearest with the largest weight. */
+INLINE double height_around(const Strip *one, double place, double reach) {
     float sum = 0.0f, total = 1e-9f;
     for (int64_t i = 0; i < one->n; i++) {
-        const float beyond = sign == 0.0f ? 1.0f - fabsf(one->along[i] - place) / at_end : sign * (one->along[i] - place) / at_end, share = beyond < 0.0f ? 0.0f : (beyond > 1.0f ? 1.0f : beyond);
+        const float near = 1.0f - fabsf(one->along[i] - (float)place) / (float)reach, share = near < 0.0f ? 0.0f : near;
         sum += one->weight[i] * share * one->height[i], total += one->weight[i] * share;
     }
     return (double)(sum / total);
@@ -184,40 +183,45 @@ INLINE double height_at_end(const Strip *one, float place, float sign, float at_
 
 /* Height of the underside of a body that is as thick as it is wide, as an arch seen from above; 0 if the points speak for walls.
  *
- * Evidence are ends that are seen well below the top, and nothing that is seen lower than the underside of a round body is seen. */
-INLINE double round_underside(double top, double lowest, double end, double width, double horizontal) {
+ * Evidence are sides that are seen below the top, and that nothing is seen below the side of a round body. */
+INLINE double round_underside(double top, double lowest, double side, double width, double horizontal) {
     const double radius = width / 2.0, below = lowest - (top - radius - radius * horizontal);
     const double tall = smooth(top / width, 1.2, 1.5), none = smooth(below, -0.4 * radius, -0.1 * radius);
-    const double bent = smooth(top - end, knob[3] * radius, knob[4] * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
+    const double bent = smooth(top - side, 0.06 * radius, 0.22 * radius), from_above = 1.0 - smooth(horizontal, 0.3, 0.5);
     const double underside = top - width;
-    double *d = dbg + 6 * dbg_at;
-    d[0] = tall, d[1] = none, d[2] = bent, d[3] = (top - end) / radius, d[4] = below / radius, d[5] = top / width;
     return underside > 0.0 ? tall * none * bent * from_above * underside : 0.0;
 }
 
-/* How certainly the object hides its column from the camera, in STEPS places from the top (0) to the table, as a mean over three columns along a
- * line, whose middle is at `mid`; the middle of what is hidden is the answer. */
-INLINE double hidden_middle(const Outline *seen, double c, double s, double mid, double offset, double top, double tip, double *hidden) {
-    double sum = 1e-9, moment = 0.5e-9 * top;
-    for (int64_t k = 0; k < STEPS; k++) {
-        const double z = top * (1.0 - ((double)k + 0.5) / STEPS);
-        hidden[k] = 0.0;
-        for (int64_t j = -1; j <= 1; j++) {
-            const double along = mid + (double)j * tip / 2.0, x = c * along - s * offset, y = s * along + c * offset;
-            hidden[k] += k < 2 ? 1.0 / 3.0 : hidden_by(seen, x, y, z, -SEEN_M) / 3.0;
+/* The middle of what the object hides of its column, as a mean over three columns along a line, whose middle is at `mid`: half of the height,
+ * unless the camera sees through the column. Its top is the object's own. */
+INLINE double hidden_middle(const Outline *seen, double c, double s, double mid, double offset, double top, double tip) {
+    double sum = 0.0, moment = 0.0;
+    for (int64_t j = -1; j <= 1; j++) {
+        const double along = mid + (double)j * tip / 2.0, x = c * along - s * offset, y = s * along + c * offset;
+        for (int64_t k = 0; k < STEPS; k++) {
+            const double z = top * (1.0 - ((double)k + 0.5) / STEPS), hidden = k < 2 ? 1.0 : hidden_by(seen, x, y, z, -SEEN_M);
+            sum += hidden, moment += hidden * z;
         }
-        sum += hidden[k], moment += hidden[k] * z;
     }
     return moment / sum;
+}
+
+/* How certainly the object hides both ends of a line at a height from the camera, 0 ... 1: 0 where it is seen through. */
+INLINE double hidden_ends(const Outline *seen, double c, double s, const double *ends, double offset, double z) {
+    const double half = (ends[1] - ends[0]) / 2.0, inset = half < INSET_M ? half : INSET_M;
+    const double low = ends[0] + inset, high = ends[1] - inset;
+    return (hidden_by(seen, c * low - s * offset, s * low + c * offset, z, -SEEN_M) +
+            hidden_by(seen, c * high - s * offset, s * high + c * offset, z, -SEEN_M)) / 2.0;
 }
 
 /* The object along `angles` x `lines` horizontal lines, on which two fingers close at a height between its top and its underside.
  *
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
- * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points. settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal
- * part of the direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
- * found (angles, lines, 5): both ends, height, top, and the first of `others` in the way of a finger, or -1. Ends are
- * NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
+ * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points.
+ * settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal part of the
+ * direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
+ * found (angles, lines, 6): both ends, height, top, the first of `others` in the way of a finger, or -1, and how certainly the object is at both ends,
+ * 0 ... 1. The first two and the last two are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
                               int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns,
                               const double *others, int64_t m, double *found) {
@@ -288,30 +292,26 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 strip.last = most[j] > strip.last ? most[j] : strip.last;
             }
             clear(&heights, 0, highest + 1);
-            for (int64_t i = 0; i < strip.n; i++) {
-                const float at = strip.height[i] < 0.5f ? 0.0f : strip.height[i] - 0.5f;
-                const int32_t bin = (int32_t)at;
-                heights.bins[bin] += strip.weight[i] * (1.0f - (at - (float)bin)), heights.bins[bin + 1] += strip.weight[i] * (at - (float)bin);
+            for (int64_t i = 0; i < strip.n; i++) { /* shared by two bins: depth comes in whole millimetres, which are borders of bins */
+                const float at = strip.height[i] < 0.5f ? 0.0f : strip.height[i] - 0.5f, part = at - (float)(int32_t)at;
+                float *bin = heights.bins + (int32_t)at;
+                bin[0] += strip.weight[i] * (1.0f - part), bin[1] += strip.weight[i] * part;
             }
             ends(&strip, &alongs, -FADE, share, &low, &high);
             heights.total = alongs.total;
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
-            double hidden[STEPS], level = top / 2.0, solid = 1.0;
-            if (rows > 0) {
-                level = hidden_middle(&seen, c, s, mid, offset, top, tip, hidden);
-            }
-            dbg_at = angles == 24 ? angle * lines + line : 407;
+            double level = rows > 0 ? hidden_middle(&seen, c, s, mid, offset, top, tip) : top / 2.0;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
-                const float at_end = knob[2] > 0.0 ? (float)(knob[2] * (high - low)) : END_M / ALONG_M; /* the weight of a point grows over that length */
-                const float side = (float)(knob[5] * (high - low)), half = (float)(knob[6] * (high - low));
-                const double first = knob[5] > 0.0 ? height_at_end(&strip, (float)low + side, 0.0f, half) : height_at_end(&strip, (float)low + at_end, -1.0f, at_end), second = knob[5] > 0.0 ? height_at_end(&strip, (float)high - side, 0.0f, half) : height_at_end(&strip, (float)high - at_end, 1.0f, at_end);
-                const double end = (first > second ? first : second) * (double)HEIGHT_M;
-                const double round = round_underside(top, lowest, end, width, horizontal);
-                level = knob[0] > 0.0 && (round + top) / 2.0 > level ? (round + top) / 2.0 : level;
+                const double from_end = SIDE * (high - low), reach = AROUND * (high - low);
+                const double first = height_around(&strip, low + from_end, reach), second = height_around(&strip, high - from_end, reach);
+                const double side = (first > second ? first : second) * (double)HEIGHT_M;
+                const double arch = (top + round_underside(top, lowest, side, width, horizontal)) / 2.0;
+                level = arch > level ? arch : level;
             }
-            double z = isnan(turns[3 * angle + 2]) ? level * 2.0 * knob[1] + shift : turns[3 * angle + 2];
+            const double shifted = level + shift > level / 2.0 ? level + shift : level / 2.0;
+            double z = isnan(turns[3 * angle + 2]) ? shifted : turns[3 * angle + 2];
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < floor_m ? floor_m : z;
             one[2] = z, one[3] = top;
@@ -320,15 +320,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 continue;
             }
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
-            if (rows > 0) {
-                const double inset = 0.5 * (one[1] - one[0]) < knob[7] ? 0.5 * (one[1] - one[0]) : knob[7];
-                solid = 0.0;
-                for (int64_t side = 0; side < 2; side++) {
-                    const double at = side ? one[1] - inset : one[0] + inset;
-                    solid += 0.5 * hidden_by(&seen, c * at - s * offset, s * at + c * offset, z, -SEEN_M);
-                }
-            }
-            one[4] = -1.0, one[5] = solid;
+            one[4] = -1.0, one[5] = rows > 0 ? hidden_ends(&seen, c, s, one, offset, z) : 1.0;
             for (int64_t i = 0; i < m && one[4] < 0.0; i++) {
                 const double x = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
                 const int beside = fabs(y - offset) < tip && others[3 * i + 2] > z - tip;

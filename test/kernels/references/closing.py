@@ -36,7 +36,7 @@ def closing_lines(
     step, tip, floor_m, share, horizontal, shift, way = settings
     found[:] = np.nan
     points, weights = points[weights > 0.0], weights[weights > 0.0]
-    level = np.clip(points[:, 2] / HEIGHT_M, 0.0, HEIGHTS - 1.0)
+    level = np.clip(points[:, 2] / HEIGHT_M, 0.0, HEIGHTS - 2.0)
     for angle, (turn, beside_m) in enumerate(turns[:, :2]):
         along_line = np.array([np.cos(turn), np.sin(turn), 0.0])
         beside_line = np.array([-np.sin(turn), np.cos(turn), 0.0])
@@ -51,21 +51,22 @@ def closing_lines(
             one = _Strip(place[strip], level[strip], weights[strip] * tent[strip], share)
             low, high, _ = one.ends(-np.inf)
             top, lowest = (_quantile(one.level, one.weight, q) * HEIGHT_M for q in (0.95, 0.03))
-            under = 0.0
-            for beside in (-tip / 2.0, 0.0, tip / 2.0) if rows else ():
-                along_m = ((low + high) / 2.0 - ALONGS / 2) * ALONG_M + beside
-                column = (
-                    along_m * along_line
-                    + offset * beside_line
-                    + np.outer(top * (1.0 - np.arange(2, 17) / 16), [0.0, 0.0, 1.0])
-                )
-                hidden = np.minimum.accumulate(_hidden(column, -0.003, camera, nearest, inside))
-                under += float(np.sum(1.0 - hidden)) * top / 16 / 3.0
+            level_m = top / 2.0
+            if rows:
+                along_m = ((low + high) / 2.0 - ALONGS / 2) * ALONG_M
+                places = top * (1.0 - (np.arange(16) + 0.5) / 16)
+                columns_m = [
+                    (along_m + beside) * along_line + offset * beside_line + np.outer(places, [0.0, 0.0, 1.0])
+                    for beside in (-tip / 2.0, 0.0, tip / 2.0)
+                ]
+                hidden = np.stack([_hidden(one, -0.003, camera, nearest, inside) for one in columns_m])
+                hidden[:, :2] = 1.0
+                level_m = float((hidden @ places).sum() / hidden.sum())
             width = (high - low) * ALONG_M
             if horizontal < 0.5 and top > 1.2 * width and width > 0.0:
-                under = max(under, _round_underside(one, top, lowest, low, high, horizontal))
-            z = (top + under) / 2.0 + shift if np.isnan(turns[angle, 2]) else turns[angle, 2]
-            z = max(min(z, top - tip / 2.0), under, floor_m)
+                level_m = max(level_m, (top + _round_underside(one, top, lowest, low, high, horizontal)) / 2.0)
+            z = max(level_m + shift, level_m / 2.0) if np.isnan(turns[angle, 2]) else turns[angle, 2]
+            z = max(min(z, top - tip / 2.0), floor_m)
             low, high, total = one.ends((z - tip) / HEIGHT_M)
             if total < 3.0:
                 continue
@@ -73,7 +74,12 @@ def closing_lines(
             x, y, height = others[:m] @ along_line, others[:m] @ beside_line, others[:m, 2]
             outside = ((x > ends[0] - way) & (x < ends[0])) | ((x > ends[1]) & (x < ends[1] + way))
             blocking = np.flatnonzero((np.abs(y - offset) < tip) & (height > z - tip) & outside)
-            found[angle, line] = (*ends, z, top, blocking[0] if len(blocking) else -1)
+            solid = 1.0
+            if rows:
+                inset = min((ends[1] - ends[0]) / 2.0, 0.004)
+                at = np.array([[ends[0] + inset], [ends[1] - inset]]) * along_line
+                solid = _hidden(at + offset * beside_line + [0.0, 0.0, z], -0.003, camera, nearest, inside).mean()
+            found[angle, line] = (*ends, z, top, blocking[0] if len(blocking) else -1, solid)
 
 
 class _Strip:
@@ -100,8 +106,10 @@ def _mean_quantile(values: Array, weight: Array, share: float) -> float:
 
 
 def _quantile(values: Array, weight: Array, share: float) -> float:
-    """Interpolated within bins of width 1; the end of the last bin with a point where there is no weight."""
-    bins = np.bincount(values.astype(np.int64), weight)
+    """Interpolated within bins of width 1, of which each value fills two; the end of the last bin where there is no weight."""
+    at = np.maximum(values - 0.5, 0.0)
+    first, part = at.astype(np.int64), at % 1.0
+    bins = np.bincount(np.r_[first, first + 1], np.r_[weight * (1.0 - part), weight * part])
     reached = np.cumsum(bins)
     inside = np.flatnonzero((bins > 0.0) & (reached >= share * reached[-1]))
     if not len(inside):
@@ -130,18 +138,19 @@ def _smooth(values, low: float, high: float):
 
 
 def _round_underside(one: _Strip, top: float, lowest: float, low: float, high: float, horizontal: float) -> float:
-    at_end = 0.004 / ALONG_M
     width = (high - low) * ALONG_M
+    from_end, reach = 0.2 * (high - low), 0.15 * (high - low)
     shares = (
-        np.clip(far / at_end, 0.0, 1.0) * one.weight for far in (low + at_end - one.place, one.place - high + at_end)
+        np.clip(1.0 - np.abs(one.place - at) / reach, 0.0, None) * one.weight
+        for at in (low + from_end, high - from_end)
     )
-    end = max(share @ one.level / (share.sum() + 1e-9) for share in shares) * HEIGHT_M
+    side = max(share @ one.level / (share.sum() + 1e-9) for share in shares) * HEIGHT_M
     radius = width / 2.0
     below = lowest - (top - radius - radius * horizontal)
     evidence = (
         _smooth(top / width, 1.2, 1.5)
         * _smooth(below, -0.4 * radius, -0.1 * radius)
-        * _smooth(top - end, 0.2 * radius, 0.6 * radius)
+        * _smooth(top - side, 0.06 * radius, 0.22 * radius)
         * (1.0 - _smooth(horizontal, 0.3, 0.5))
     )
     return max(top - width, 0.0) * evidence
