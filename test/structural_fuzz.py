@@ -471,7 +471,7 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
 
 def _mesh(folder: Path) -> Path:
     path = _text("mesh.ply", PLY)(folder)
-    read_mesh_file(str(path))  # starts Open3D's process before the memory is limited
+    read_mesh_file(str(path))  # imports the reader before the memory is limited
     return path
 
 
