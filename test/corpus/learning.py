@@ -31,9 +31,9 @@ from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.evaluation import metrics
 from foretouch_lab.learning.training import losses
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, make_calibration
-from foretouch_lab.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch_lab.learning.training.run import train_run
 from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
+from foretouch_lab.learning.training.trainer import set_precision
 
 Cases = Iterator[tuple[Any, ...]]
 
@@ -225,7 +225,7 @@ def network_cases() -> Cases:
 def _network(clouds: int, precision: str = "float32", size: float = 1.0, *, training: bool = True) -> Any:
     torch.manual_seed(0)
     net = TouchNet(ModelConfig.from_mapping(_MODEL))
-    TrainingDevice.of(DeviceConfig(device="cpu", precision=precision)).prepare(net)
+    set_precision(net, precision)
     _multiply(net, size)
     points = torch.rand(1, 32, 3).expand(clouds, 32, 3).contiguous()
     grasps = torch.rand(1, net.config.grasp_size).expand(clouds, -1)
