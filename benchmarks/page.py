@@ -48,7 +48,7 @@ def main() -> None:
         section("In short"),
         "![Skill against the time of a prediction](results/tradeoff/model/tradeoff.png)",
         models(),
-        "- Times: p50, p95, p99 of the wall time; in brackets the processor time in a loop without the pause before each call.",
+        "- Times: p50, p95, p99 of the wall time.",
         graph(),
         "![Latency and losses against the rate of the clouds](stamp_to_touch.png)",
     ]

@@ -42,9 +42,9 @@ from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.graph import Graph
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileConfig, stamp_ns
-from foretouch_lab.simulation.campaign import object_index
 from foretouch_lab.simulation.execution import SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
+from foretouch_lab.simulation.world import object_index
 
 SCENE: Final = Path(__file__).parents[1] / "config" / "scenes" / "campaign_day.yaml"
 HAND: Final = "day"

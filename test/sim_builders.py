@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from foretouch.types import GraspSample
-from foretouch_lab.simulation.effect import SampleState
 from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.engine import Engine, SampleState
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.simulate import Simulation
 from foretouch_lab.simulation.world import SampleKey

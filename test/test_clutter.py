@@ -14,9 +14,8 @@ from benchmarks.clutter.metrics import BOUNDARY, FOUND, pairs, score, summary
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
 from foretouch.types import Int32
-from foretouch_lab.simulation.depth_scene import DepthScene
+from foretouch_lab.simulation.depth_scene import CameraView, DepthScene
 from foretouch_lab.simulation.solids import Box, Sphere
-from foretouch_lab.simulation.view import CameraView
 
 
 def test_scores_of_an_example_worked_by_hand() -> None:

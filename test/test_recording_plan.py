@@ -11,10 +11,9 @@ from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, GraspSample
 from foretouch_lab.experiments import find_experiment, run_sweep
 from foretouch_lab.experiments.framework import sweep
-from foretouch_lab.experiments.framework.executors import run_cell
 from foretouch_lab.experiments.shared.tables import select
-from foretouch_lab.simulation.campaign import object_index
 from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.world import object_index
 
 PROTOCOL = Path(__file__).parents[1] / "config" / "scenes" / "campaign_protocol.yaml"
 READING = biotac_touch(np.full(50, 2000.0))
@@ -54,7 +53,9 @@ def test_the_protocol_is_a_campaign_with_revisits_repeats_and_a_tare_before_each
 @pytest.mark.slow
 def test_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On six objects, whose mean reading is known to predict them better than that of others does."""
-    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, _workers: (run_cell(job, cell) for cell in cells))
+    monkeypatch.setattr(
+        sweep, "in_processes", lambda job, cells, _workers: (sweep.run_cell(job, cell) for cell in cells)
+    )
     experiment = find_experiment("benchmarks.recording_plan")
     assert experiment is EXPERIMENT
     settings = experiment.resolve("smoke", {"visits": [1, 2]})

@@ -20,9 +20,8 @@ from benchmarks.clutter.physics import Pile, Placed, settle
 from benchmarks.common import add_data, scene
 from foretouch.types import Bool, Float32, Float64, Int32
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
-from foretouch_lab.simulation.effect import Effect
 from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
-from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.engine import Effect, Engine
 from foretouch_lab.simulation.solids import LYING, Body, about_z
 from foretouch_lab.simulation.world import SampleKey
 

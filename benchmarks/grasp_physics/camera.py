@@ -14,12 +14,10 @@ import numpy.typing as npt
 from benchmarks.common import scene
 from benchmarks.grasp_physics.objects import Item, Placed
 from foretouch.types import Cloud, Float32, Float64
-from foretouch_lab.simulation.depth_scene import DepthImage, to_millimetres
-from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch_lab.simulation.depth_scene import CameraView, DepthImage, to_millimetres
 from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
-from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
 from foretouch_lab.simulation.solids import Body, Hits
-from foretouch_lab.simulation.view import CameraView
 from foretouch_lab.simulation.world import SampleKey
 
 VIEWS: Final = ("oblique", "above")

@@ -14,6 +14,7 @@ _NEEDED: Final = {
     "embreex": "embreex",
     "sklearn": "scikit-learn",
     "threadpoolctl": "threadpoolctl",
+    "trimesh": "trimesh",
 }
 """Distributions that only the laboratory needs, by the name under which they are imported."""
 

@@ -200,7 +200,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
     from foretouch.camera.schedule import ScheduleConfig
 
-    simulation = laboratory("simulation.scheduled", f"--source {arguments.source}")
+    simulation = laboratory("simulation.scene", f"--source {arguments.source}")
 
     show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:

@@ -3,7 +3,7 @@
 
 import argparse
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,16 +13,9 @@ from foretouch.cli.output import print_json, print_table, print_text, progress_b
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
 from foretouch_lab.experiments import Experiment, find_experiment, list_experiments, run_sweep
-from foretouch_lab.experiments.framework.executors import CellResult
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.experiments.framework.manifest import (
-    SUMMARY_FILE,
-    read_results,
-    require_experiment,
-    times_line,
-    write_summary,
-)
-from foretouch_lab.experiments.framework.sweep import SweepResult
+from foretouch_lab.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
+from foretouch_lab.experiments.framework.sweep import CellResult
 
 ENVIRONMENT = "FORETOUCH_DATA"
 
@@ -75,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     return run_experiment(find_experiment(arguments.name), arguments)
 
 
-def print_list(title: str, experiments: Mapping[str, Experiment[Any, Any]], *, as_json: bool) -> int:
+def print_list(title: str, experiments: Mapping[str, Experiment], *, as_json: bool) -> int:
     """Print names, questions and presets of experiments; exit status 0."""
     if as_json:
         for name, one in experiments.items():
@@ -86,13 +79,8 @@ def print_list(title: str, experiments: Mapping[str, Experiment[Any, Any]], *, a
     return 0
 
 
-def run_experiment(
-    experiment: Experiment[Any, Any], arguments: argparse.Namespace, measure: Callable[..., Sequence[Row]] | None = None
-) -> int:
-    """Run, resume or redraw an experiment; the exit status is 1 if a cell failed.
-
-    `measure` is called in place of the sweep, with settings, output folder, path of the data and progress; returns rows.
-    """
+def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int:
+    """Run, resume or redraw an experiment; the exit status is 1 if a cell failed."""
     if arguments.out is None:
         raise ConfigError(f"{arguments.command}: -o DIR is required")
     if arguments.redraw:
@@ -102,59 +90,19 @@ def run_experiment(
     if source is None and folder and experiment.data_folder is not None:
         source = Path(folder) / experiment.data_folder
     with progress_bar("reading the data", hidden=arguments.json) as update:
-        finishing, times = partial(update, description="times"), ""
-        if measure is not None:
-            result = SweepResult(rows=list(measure(settings, arguments.out, source, finishing)))
-            times = times_line(experiment, arguments.preset, settings)
-        else:
-            result = run_sweep(
-                experiment,
-                settings,
-                arguments.out,
-                preset=arguments.preset,
-                source=source,
-                resume=arguments.resume,
-                only_finished=arguments.finished,
-                workers=arguments.workers or len(os.sched_getaffinity(0)),
-                address=arguments.address,
-                progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),
-                finishing=finishing,
-            )
-    return _show_result(experiment, result, arguments, times)
-
-
-def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
-    """Write summary and figures of the table in a folder."""
-    require_experiment(arguments.out, experiment.name)
-    rows = read_results(arguments.out / experiment.results)
-    if not rows:
-        raise FileError(arguments.out / experiment.results, "contains no row: no cell has finished")
-    try:
-        figures = _report(experiment, rows, arguments.out)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as err:
-        rule = f"is not a table of {experiment.name}: {type(err).__name__}: {err}"
-        raise FileError(arguments.out / experiment.results, rule) from err
-    if arguments.json:
-        print_json({"status": "done", "figures": figures})
-    else:
-        print(f"drawn: {', '.join([SUMMARY_FILE, *figures])}")
-    return 0
-
-
-def _report(
-    experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], out: Path, times: str | None = None
-) -> list[str]:
-    """Write tables and figures of the results; returns the names of the figures. For `times` see `write_summary`."""
-    if not rows:
-        return []
-    write_summary(out, experiment, experiment.tables(rows), times)
-    return [path.name for path in experiment.draw(rows, out)]
-
-
-def _show_result(
-    experiment: Experiment[Any, Any], result: SweepResult, arguments: argparse.Namespace, times: str
-) -> int:
-    """Write summary and figures of a sweep and print its result; the exit status is 1 if a cell failed."""
+        result = run_sweep(
+            experiment,
+            settings,
+            arguments.out,
+            preset=arguments.preset,
+            source=source,
+            resume=arguments.resume,
+            only_finished=arguments.finished,
+            workers=arguments.workers or len(os.sched_getaffinity(0)),
+            address=arguments.address,
+            progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),
+            finishing=partial(update, description="times"),
+        )
     summary = {
         "status": "failed" if result.failures else "done",
         "experiment": experiment.name,
@@ -164,7 +112,7 @@ def _show_result(
         "finished": result.finished,
         "failed": result.failures,
         "rows": len(result.rows),
-        "figures": _report(experiment, result.rows, arguments.out, times),
+        "figures": _report(experiment, result.rows, arguments.out) if result.rows else [],
         "data_sha256": result.data_sha256,
         "path": str(arguments.out),
     }
@@ -177,7 +125,31 @@ def _show_result(
     return 1 if result.failures else 0
 
 
-def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summary: dict[str, Any]) -> None:
+def _redraw(experiment: Experiment, arguments: argparse.Namespace) -> int:
+    """Write summary and figures of the table in a folder."""
+    require_experiment(arguments.out, experiment.name)
+    file = arguments.out / experiment.results
+    rows = read_results(file)
+    if not rows:
+        raise FileError(file, "contains no row: no cell has finished")
+    try:
+        figures = _report(experiment, rows, arguments.out)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as err:
+        raise FileError(file, f"is not a table of {experiment.name}: {type(err).__name__}: {err}") from err
+    if arguments.json:
+        print_json({"status": "done", "figures": figures})
+    else:
+        print(f"drawn: {', '.join([SUMMARY_FILE, *figures])}")
+    return 0
+
+
+def _report(experiment: Experiment, rows: Sequence[Row], out: Path) -> list[str]:
+    """Write tables and figures of the results; returns the names of the figures."""
+    write_summary(out, experiment, experiment.tables(rows))
+    return [path.name for path in experiment.draw(rows, out)]
+
+
+def _show(experiment: Experiment, rows: Sequence[dict[str, Any]], summary: dict[str, Any]) -> None:
     print_text(experiment.question)
     for table in experiment.tables(rows):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows])

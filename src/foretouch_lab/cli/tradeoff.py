@@ -2,12 +2,11 @@
 """`foretouch tradeoff AREA`: measure skill and time of many settings, and name those on the frontier."""
 
 import argparse
-from functools import partial
 
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.models.registry import load_model
 from foretouch_lab.cli.experiment import add_sweep_arguments, print_list, run_experiment
-from foretouch_lab.experiments.framework.tradeoff import find_area, list_areas, measure_times
+from foretouch_lab.experiments.framework.tradeoff import find_area, list_areas
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,9 +18,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_sweep_arguments(parser, "small", "small (default): within 3 minutes, trains no network; full: all settings")
     parser.add_argument(
-        "--times", action="store_true", help="measure times alone again; skills are those of DIR/tradeoff.csv"
-    )
-    parser.add_argument(
         "--model", default="default", help="of `profile`: name or path of the model (default: contact-v2)"
     )
 
@@ -32,8 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
         return print_list("areas", {area.area: area for area in list_areas()}, as_json=arguments.json)
     if arguments.area == "profile":
         return _profile(arguments)
-    area = find_area(arguments.area)
-    return run_experiment(area, arguments, partial(measure_times, area) if arguments.times else None)
+    return run_experiment(find_area(arguments.area), arguments)
 
 
 def _profile(arguments: argparse.Namespace) -> int:

@@ -20,18 +20,15 @@ grasps of the same objects in the same scene.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError, SimulationError
-from foretouch.report.panels import Axes, Rows
 from foretouch.types import Float64, GraspSample
 from foretouch.types.channels import Channels
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.predictors import PREDICTORS, find_predictor
 from foretouch_lab.experiments.shared.simulated_data import (
     SimulatedGrasps,
@@ -39,7 +36,7 @@ from foretouch_lab.experiments.shared.simulated_data import (
     load_simulated,
     prepare_simulated,
 )
-from foretouch_lab.experiments.shared.tables import findings, grouped, listed, pivot, select, span, unique
+from foretouch_lab.experiments.shared.tables import grouped, pivot, select, unique
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
@@ -293,12 +290,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         "only ... hidden: the ceiling if all other causes were known",
     ]
     scored, modalities = [row for row in rows if row["share"] is not None], unique(rows, "modality")
-    ceilings = grouped([row for row in rows if row["name"].startswith(_CEILING)], "name")
-    sentences = [f"{name}: skills of {listed(own, 'skill')} ({', '.join(modalities)})" for name, own in ceilings]
-    shares = grouped(scored, "name")
-    sentences += [f"`{name}` reaches {span(row['share'] for row in own)} of the ceiling" for name, own in shares]
     tables = [
-        findings(sentences),
         Table(f"noise ceiling: {rows[0]['grasps']} grasps", ["skill", *modalities], _body(rows, "skill"), notes),
         Table("share of the ceiling", ["share", *modalities], _body(scored, "share")),
     ]
@@ -310,22 +302,6 @@ def _body(rows: Sequence[Row], name: str) -> list[list[str]]:
         return f"{row[name]:.2f} [{row[f'{name}_low']:.2f}, {row[f'{name}_high']:.2f}]"
 
     return pivot(rows, "name", text, names=unique(rows, "modality"))
-
-
-def _draw(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `ceiling.png`: modalities side by side, with the predictors' shares of the ceiling."""
-    names = unique(rows, "name")
-
-    def _draw_skills(axes: Axes, own: Rows) -> None:
-        draw_intervals(axes, own, "name", names, lowest=-0.1, colour=lambda row: "C0" if row["share"] is None else "C1")
-        for row in own:
-            if row["share"] is not None:
-                text = f"{100.0 * row['share']:.0f} %"
-                axes.annotate(text, (1.0, names.index(row["name"])), ha="right", va="center", fontsize=8)
-        axes.set_xlim(-0.1, 1.02)
-
-    line = Line(1.2 + 0.35 * len(names), rows, _draw_skills, x_label="skill (0: training mean)")
-    return save_panels(folder / "ceiling.png", 13.0, [line], sharey=True, sharex=True)
 
 
 EXPERIMENT = Experiment(
@@ -350,7 +326,6 @@ EXPERIMENT = Experiment(
     run=_run,
     tabulate=lambda settings, rows: ceiling_rows(rows, settings.draws),
     summarise=_summarise,
-    figure=_draw,
     prepare=prepare_simulated,
     resumable_settings=("predictors", "draws"),
 )

@@ -16,22 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch_lab.experiments.shared.scores import labelled, load
-from foretouch_lab.experiments.shared.tables import findings, grouped, pivot, select, span, unique
+from foretouch_lab.experiments.shared.tables import grouped, pivot, select, unique
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
@@ -200,18 +196,8 @@ def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
     scored = "P1's scoring: mean of the batches' RMSE over its divisor; (in counts)"
-    counts = {(r["table"], r["modality"], r["predictor"]): r["as_published_counts"] for r in rows}
-    sentences = []
-    for kind, named in (("electrodes", "E"), ("pressures", "PDC")):
-        for way in (_WAYS["batch"], _WAYS["running"]):
-            mine = [key for key in counts if key[1].startswith(named) and key[2] == way]
-            ratios = [counts[key] / counts[(*key[:2], P1)] for key in mine]
-            if ratios:
-                sentences.append(f"{kind}, {way}: {span(ratios)} times the published errors")
-    below = [key for key in counts if key[2] != _WAYS["mean"] and counts[key] < counts[(*key[:2], _WAYS["mean"])]]
-    sentences.append(f"errors of networks, ours or published, below that of the mean of the labels: {len(below)}")
     ours = "our scoring: RMSE of all test samples in counts"
-    tables = [findings(sentences)]
+    tables = []
     for table, own in grouped(rows, "table"):
         tables.append(Table(f"{table}: {scored}", ["rmse", *MODALITIES], pivot(own, "predictor", _published_text)))
         pooled = pivot(
@@ -226,28 +212,6 @@ def _published_text(row: Row) -> str:
     return f"{scaled}({row['as_published_counts']:.0f})"
 
 
-def draw_errors(axes: Axes, rows: Rows, *, tables: Sequence[str], predictors: Sequence[str], values: str) -> None:
-    """Draw the error of each predictor over the tables; published errors are black stars."""
-    styles: dict[str, dict[str, Any]] = {
-        "every": {"linestyle": ""},
-        P1: {"color": "black", "marker": "*", "markersize": 9},
-    }
-    draw_series(axes, rows, "table", "predictor", predictors, values=values, places=tables, spread=0.1, styles=styles)
-    axes.set_xticks(range(len(tables)), [name.replace(" ", "\n", 1) for name in tables], fontsize=8)
-    axes.set_ylim(bottom=0.0)
-    axes.margins(x=0.15)
-
-
-def _draw(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `rmse.png`: P1's score by table and predictor, a panel for each modality."""
-    tables, predictors = unique(rows, "table"), unique(rows, "predictor")
-    draw = partial(draw_errors, tables=tables, predictors=predictors, values="as_published_counts")
-    line = Line(3.4, rows, draw, y_label="P1's score [counts]", legend="lower center")
-    return save_panels(
-        folder / "rmse.png", 12.0, [line], modalities=[m for m in MODALITIES if select(rows, modality=m)]
-    )
-
-
 EXPERIMENT = Experiment(
     name="p1_as_published",
     question="What does P1's network reach when it is trained, split, tested and scored as its public code does it?",
@@ -260,7 +224,6 @@ EXPERIMENT = Experiment(
     run=_run,
     tabulate=_tabulate,
     summarise=_summarise,
-    figure=_draw,
     resumable_settings=("modalities",),
     data_folder="vision2tactile",
 )

@@ -6,12 +6,9 @@ All contact models of a fold share what is described and fitted alike. Networks 
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from multiprocessing import get_context
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,16 +20,21 @@ from foretouch.models.card import read_card
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import CONDITIONS
-from foretouch.models.files import packed
 from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator, History, TouchModel
 from foretouch.models.tracker import SensorTracker
-from foretouch.processes import one_thread_each
-from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
+from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Row, Table
-from foretouch_lab.experiments.framework.frontier import Panel, interval, time_column
-from foretouch_lab.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
+from foretouch_lab.experiments.framework.tradeoff import (
+    Area,
+    Panel,
+    Timed,
+    TradeoffSettings,
+    Variant,
+    interval,
+    time_column,
+)
 from foretouch_lab.experiments.shared.scores import equal_columns, error_rows, labelled, load, skill_columns
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold, Indices
@@ -58,7 +60,6 @@ _PAPERS: Final = "papers' four networks"
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out", "random": "random folds"}
 _CONTACT: Final = "contact"
-_SERVED: Final = ("clouds", "processes")  # factors that change the time alone
 
 _SHOWN: Final = (
     *(_MEAN, _OBJECT, f"{_MEAN} + readings", NETWORK, "10 trees", "no surroundings", "forests alone", SHIPPED),
@@ -68,7 +69,6 @@ _SHOWN: Final = (
 
 _BUDGET_MS: Final = 10.0  # of the answer
 _POINTS: Final = (64, 128, 256, 512, 1024, 2048)
-_CLOUDS: Final = (4, 16)  # in one request, beside the usual one
 _REFITTED: Final = {"depth": (2, 4, 6, 8, 12), "feature_share": (0.1, 0.25, 1.0), "leaf": (1, 10), "trees": (120, 240)}
 _FEW_REFITTED: Final = {"depth": (4, 8), "feature_share": (0.1, 1.0)}
 _TEXTS: Final = {"depth": "depth {}", "feature_share": "share {:g} of features", "leaf": "leaf {}", "trees": "{} trees"}
@@ -117,11 +117,7 @@ def _variants(settings: ModelSettings) -> Iterator[Variant]:
     for sampler, count in (*(("random", count) for count in _POINTS), ("voxel", 256), ("farthest", 256)):
         network = {"kind": "network", "changes": {"n_points": count, "sampler": sampler}}
         yield Variant(f"{sampler} {count}", f"net: {sampler}", network)
-    yield Variant("net bf16", "net: precision", {"kind": "network", "precision": "bfloat16"}, NETWORK)
-    for name, kind in ((SHIPPED, _CONTACT), (NETWORK, "network")):
-        for count in _CLOUDS:
-            yield Variant(f"{name}, {count} clouds", "clouds", {"kind": kind, "clouds": count})
-        yield Variant(f"{name}, 2 processes", "processes", {"kind": kind, "processes": 2})
+    yield Variant("net bf16", "net: precision", {"kind": "network", "precision": "bfloat16"})
 
 
 def _contact(factor: str, name: str, **values: Any) -> Variant:
@@ -268,7 +264,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
     net = train_network(TrainingSet.build(train, run.model), np.arange(len(train)), run.train.replace(seed=0))
     fallback = Fallback.fit(BIOTAC, describe_objects(train), data.labels[fold.train])
     for variant in _variants(settings):
-        if variant.values["kind"] == "network" and variant.factor not in _SERVED:
+        if variant.values["kind"] == "network":
             estimator = _network(variant.values, net.config, net.state_dict(), fallback)
             yield variant.name, np.concatenate([estimator.estimate(one.cloud, [one.grasp]).counts for one in tested])
 
@@ -283,7 +279,7 @@ def _timed_network(values: Mapping[str, Any]) -> Estimator:
     return _network(values, config, tensors, load_calibration(path, card, BIOTAC)[1])
 
 
-def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:
+def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     """Four eager networks of P2 on 750 points, one for each modality, of random weights: for their time alone."""
     import torch
 
@@ -295,7 +291,7 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:
     configs = [ModelConfig(outputs=(name,)) for name in MODALITIES]
     nets = [TouchNet(config).eval() for config in configs]
 
-    def answer(count: int) -> Answer:
+    def answer(count: int) -> Float64:
         with torch.inference_mode():
             prepared = prepare_cloud(cloud, configs[0])
             points = torch.from_numpy(prepared.points)[None].expand(count, -1, -1)
@@ -336,7 +332,7 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
     tested = [described.samples[k] for k in fold.test]
     if model == _CONTACT:
         fitted = _fitted(described, fold.train, seed)
-        contact = [one for one in _variants(settings) if one.values["kind"] == _CONTACT and one.factor not in _SERVED]
+        contact = [one for one in _variants(settings) if one.values["kind"] == _CONTACT]
         rows = {one.name: described.rows(one.values.get("points", "whole"))[fold.test] for one in contact}
         found = [(_MEAN, np.tile(mean, (len(tested), 1)))]
         found += [(one.name, fitted(one.values).predict_rows(rows[one.name])[0]) for one in contact]
@@ -384,74 +380,44 @@ def _tabulate(settings: ModelSettings, rows: Sequence[Row]) -> list[Row]:
 
 
 def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
-    """See `Area.timed`: predicts the touch of K grasps on each cloud of a request; answers are (K, 50) counts for each."""
+    """See `Area.timed`: predicts the touch of K grasps on a cloud of median size, (K, 50) counts."""
     values, kind = variant.values, variant.values["kind"]
-    scenes = _scenes(data, max(settings.requests), values.get("clouds", 1))
-    (sample, grasps), size = scenes[0], None
+    sample, grasps = _scene(data, max(settings.requests))
     if kind == "papers":
-        return Timed(_papers(sample.cloud, grasps))
+        return _papers(sample.cloud, grasps), 1.0
     models = {one.name: one.model for one in levels_of(load_model(SHIPPED))}
     if kind in ("mean", "object"):
         own = [one for one in labelled(data) if kind == "mean" or one.object == sample.object]
         mean = labels_of(own).mean(axis=0)
-        return Timed(lambda count: np.tile(mean, (count, 1)), 8.0 * TOUCH_SIZE / 1e6)
+        return lambda count: np.tile(mean, (count, 1)), 1.0
     if kind == "readings":
-        return Timed(_after_reading(models[values["of"]], sample, grasps))
+        return _after_reading(models[values["of"]], sample, grasps), 1.0
+    shipped: Any = models[SHIPPED].estimator
     if kind == "network":
         estimator = _timed_network(values)
-        size = find_card(NETWORK).with_suffix(".safetensors").stat().st_size / 1e6 if len(values) == 1 else None
     else:
-        shipped: Any = models[SHIPPED].estimator
-        fitted = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
-        estimator, size = fitted, len(packed(fitted.to_tensors())[0]) / 1e6
-    answer = partial(_answer, estimator, [(one.cloud, own) for one, own in scenes], values.get("points"))
-    return Timed(_in_two_processes(answer) if "processes" in values else answer, size)
+        estimator = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
+    points = values.get("points")
+
+    def answer(count: int) -> Float64:
+        cloud = _thin(sample.cloud, points) if points else sample.cloud
+        return estimator.estimate(cloud, grasps[:count]).counts
+
+    return answer, 1.0
 
 
-def _answer(
-    estimator: Estimator, scenes: Sequence[tuple[Cloud, list[Grasp]]], points: int | None, count: int
-) -> Answer:
-    thinned = [(_thin(cloud, points) if points else cloud, grasps[:count]) for cloud, grasps in scenes]
-    return np.concatenate([estimator.estimate(*one).counts for one in thinned])
-
-
-def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:
+def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     """Predictions right after one more reading of the hand, which is added to the tracker in each call."""
     expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
     reading, tracker = labels_of([sample])[0], model.new_tracker()
     tracker.start_object()
 
-    def answer(count: int) -> Answer:
+    def answer(count: int) -> Float64:
         now = tracker.copy()
         now.add_touch(1, reading, expected)
         return History(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
 
     return answer
-
-
-def _in_two_processes(answer: Callable[[int], Answer]) -> Callable[[int], Answer]:
-    """Answers here and in another process at the same time, and returns when both are done."""
-    context = get_context("spawn")
-    here, there = context.Pipe()
-    with one_thread_each():
-        context.Process(target=_serve, args=(there, answer), daemon=True).start()
-
-    def both(count: int) -> Answer:
-        here.send(count)
-        found = answer(count)
-        here.recv()
-        return found
-
-    return both
-
-
-def _serve(requests: Any, answer: Callable[[int], Answer]) -> None:
-    """Answer requests until the process that sends them ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(EOFError):
-        while True:
-            answer(requests.recv())
-            requests.send(None)
 
 
 @lru_cache(maxsize=1)
@@ -460,15 +426,15 @@ def _refitted(data: Dataset) -> Callable[[Mapping[str, Any]], ContactEstimator]:
     return _fitted(described, np.arange(len(described.samples)), 0)
 
 
-@lru_cache(maxsize=4)
-def _scenes(data: Dataset, count: int, clouds: int) -> list[tuple[GraspSample, list[Grasp]]]:
-    """Samples whose clouds are evenly spread in size, one the median, each with its grasp and others.
+@lru_cache(maxsize=1)
+def _scene(data: Dataset, count: int) -> tuple[GraspSample, list[Grasp]]:
+    """A sample whose cloud is of median size, with its grasp and others.
 
     The others are between random points of the cloud, with the hand of its own grasp.
     """
     samples = sorted(labelled(data), key=lambda one: one.cloud.size)
-    places = np.linspace(0, len(samples), 2 * clouds + 1)[1::2].astype(int)
-    return [(samples[k], _grasps_on(samples[k], count)) for k in places]
+    sample = samples[len(samples) // 2]
+    return sample, _grasps_on(sample, count)
 
 
 def _grasps_on(sample: GraspSample, count: int) -> list[Grasp]:
@@ -485,16 +451,14 @@ def _two_digits(value: float) -> str:
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
-    """The answer, and the main models with requests of several clouds and to two processes."""
+    """The answer, and the main models."""
     requests = sorted({row["request"] for row in rows if row["request"]})
     found = {(row["variant"], row["request"]): row for row in rows}
     keys = ("ms_p50", "ms_p95", "ms_p99") if (wall := time_column(rows) == "ms_p50") else ("cpu_ms",)
 
     def cell(name: str, count: int) -> str:
-        if (row := found.get((name, count))) is None:
-            return "–"
-        loop = "" if row["hot_cpu_ms"] is None else f" ({_two_digits(row['hot_cpu_ms'])})"
-        return ", ".join(_two_digits(row[key]) for key in keys) + loop
+        row = found.get((name, count))
+        return "–" if row is None else ", ".join(_two_digits(row[key]) for key in keys)
 
     shipped = [found[SHIPPED, count] for count in requests if (SHIPPED, count) in found]
     sizes = f"{', '.join(str(row['request']) for row in shipped)} grasps on a cloud"
@@ -508,16 +472,14 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
         "nothing is promised of the time of an answer."
     )
     skills = [split for split in ("time", "object") if split in rows[0]]
-    served = dict.fromkeys(row["variant"] for row in rows if row["factor"] in _SERVED)
     body = [
         [name, *(interval(row, one) or "–" for one in skills), *(cell(name, count) for count in requests)]
-        for name in (*_SHOWN, *served)
+        for name in _SHOWN
         if (row := found.get((name, requests[0]))) is not None
     ]
     grasps = (f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests)
     head = ["", *(f"skill, {_SPLITS[one]}" for one in skills), *grasps]
-    kinds = "p50, p95, p99 of the wall time" if wall else "medians of the processor time"
-    note = f"Times: {kinds}; in brackets the processor time in a loop without the pause before each call."
+    note = f"Times: {'p50, p95, p99 of the wall time' if wall else 'medians of the processor time'}."
     return [Table("In short", [], [], [text]), Table("Models", head, body, [note])]
 
 
@@ -539,8 +501,6 @@ EXPERIMENT = Area(
     data_folder="vision2tactile",
     variants=_variants,
     timed=_timed,
-    shipped=SHIPPED,
-    reference=_PAPERS,
     skills={name: f"mean skill, {text}" for name, text in _SPLITS.items()},
     panels=(
         Panel("time", 1, "Known objects (blocks of time), 1 grasp"),

@@ -26,26 +26,20 @@ from foretouch.grasp.original_score import OriginalScore, original_score
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.types import ASSUMED_TABLE, Bool, Cloud, Float64, Int32
 from foretouch_lab.experiments.framework.experiment import Cell, Row
-from foretouch_lab.experiments.framework.frontier import Panel
-from foretouch_lab.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch_lab.experiments.framework.tradeoff import Area, Panel, Timed, TradeoffSettings, Variant, variant_cells
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.experiments.shared.tables import grouped
 from foretouch_lab.learning.evaluation.metrics import ScoreEstimate
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, random_scene
-from foretouch_lab.simulation.solids import Primitive
-from foretouch_lab.simulation.view import CameraView
 
 SEGMENTATION: Final = "segmentation"
 GRASP: Final = "GeoGrasp"
 
-_EVERY_PIXEL: Final = "every pixel"
-_ALL_POINTS: Final = "all points"
-_EVERY_PIXEL_ROWS: Final = 10_000
+_REFERENCES: Final = ((SEGMENTATION, "every pixel", {"grid_rows": 10_000}), (GRASP, "all points", {"max_points": 0}))
 _NOISE_M: Final = 0.001  # standard deviation of the depth at 1 m
 _SHARED: Final = ("oblique_848x480.npz", "oblique_1280x720.npz")
 _REAL: Final = "vision2tactile/*/*/cloud-object.pcd"
 _MOVED_MM: Final = 5.0  # a best grasp has moved if a contact is farther from before
-_EQUAL_SCORE: Final = 0.1  # of equal grasps; scores range from 2.5, both rankings at their minimum, to 10
 _DRAWS: Final = 1000  # of the bootstrap
 _TIMED: Final = 8  # clouds that are timed in turn
 
@@ -96,35 +90,21 @@ class PerceptionSettings(TradeoffSettings):
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledScene:
-    """A cloud and the truth about it."""
-
-    cloud: Cloud  # (H, W, 3)
-    labels: Int32  # (H, W), 2 and on are the objects
-    solids: tuple[Primitive, ...] = ()  # the objects in the world, in order of their labels; none if unknown
-    view: CameraView | None = None  # the camera in the world
-
-    @property
-    def object_labels(self) -> range:
-        """Labels of the objects."""
-        return range(FIRST_OBJECT, int(self.labels.max()) + 1)
-
-    @classmethod
-    def generate(cls, seed: int) -> "LabelledScene":
-        """Three boxes, cans or balls, 848x480, with depth noise and flying pixels."""
-        rng = np.random.default_rng(seed)
-        scene = random_scene(rng)
-        image = scene.render(rng, _NOISE_M, True)
-        return cls(image.cloud(), image.labels, scene.objects, scene.view)
-
-
-@dataclass(frozen=True, eq=False)
 class PerceptionData:
     """What settings are measured on."""
 
-    scenes: tuple[LabelledScene, ...]
+    scenes: tuple[
+        tuple[Cloud, Int32], ...
+    ]  # (H, W, 3) clouds with their (H, W) true labels, of which 2 and on are objects
     real: tuple[Cloud, ...]  # an object each
     sha256: str
+
+
+def _scene(seed: int) -> tuple[Cloud, Int32]:
+    """Three boxes, cans or balls, 848x480, with depth noise and flying pixels."""
+    rng = np.random.default_rng(seed)
+    image = random_scene(rng).render(rng, _NOISE_M, True)
+    return image.cloud(), image.labels
 
 
 def _prepare(_settings: PerceptionSettings, source: Path | None, _out: Path) -> Path:
@@ -136,16 +116,16 @@ def _prepare(_settings: PerceptionSettings, source: Path | None, _out: Path) -> 
 
 def _load(settings: PerceptionSettings, path: Path) -> PerceptionData:
     """Render the scenes, and read what the folder holds."""
-    scenes = [LabelledScene.generate(seed) for seed in range(settings.scenes)]
+    scenes = [_scene(seed) for seed in range(settings.scenes)]
     for name in _SHARED:
         if (path / "scenes" / name).is_file():
             with np.load(path / "scenes" / name) as shared:
-                scenes.append(LabelledScene(Cloud(shared["xyz"]), shared["labels"].astype(np.int32)))
+                scenes.append((Cloud(shared["xyz"]), shared["labels"].astype(np.int32)))
     found = sorted(path.glob(_REAL))
     chosen = np.linspace(0, len(found) - 1, min(settings.real, len(found))).astype(int)
     real = tuple(Cloud(read_cloud(found[k]).xyz.reshape(-1, 3)) for k in chosen)
     content = hashlib.sha256()
-    for cloud in (*(scene.cloud for scene in scenes), *real):
+    for cloud in (*(cloud for cloud, _ in scenes), *real):
         content.update(np.ascontiguousarray(cloud.xyz).tobytes())
     return PerceptionData(tuple(scenes), real, content.hexdigest())
 
@@ -155,11 +135,10 @@ def _variants(settings: PerceptionSettings) -> Iterator[Variant]:
     every = settings.detail == "all"
     yield _variant(SEGMENTATION, "shipped", {})
     yield (shipped := _variant(GRASP, "shipped", {}))
-    yield replace(_variant(SEGMENTATION, "reference", {"grid_rows": _EVERY_PIXEL_ROWS}), name=_EVERY_PIXEL)
-    yield replace(_variant(GRASP, "reference", {"max_points": 0}), name=_ALL_POINTS)
+    for step, name, reference in _REFERENCES:
+        yield _variant(step, "reference", reference)._replace(name=name)
     for mm in (0.01, 0.1, 0.5) if every else (0.1,):
-        moved = {**shipped.values, "jitter_mm": mm}
-        yield replace(shipped, name=f"points moved by {mm:g} mm", factor="noise", values=moved)
+        yield Variant(f"points moved by {mm:g} mm", "noise", {**shipped.values, "jitter_mm": mm})
     for step, factor, name, values, few in _FACTORS:
         for value in values if every else few:
             yield _variant(step, factor, {name: value})
@@ -168,16 +147,12 @@ def _variants(settings: PerceptionSettings) -> Iterator[Variant]:
 
 
 def _variant(step: str, factor: str, changes: Mapping[str, Any]) -> Variant:
-    shipped = f"{step} as shipped"
-    name = ", ".join(_text(key, value) for key, value in changes.items()) or shipped
-    reference = _EVERY_PIXEL if step == SEGMENTATION else _ALL_POINTS
-    return Variant(name, factor, {"step": step, "changes": dict(changes)}, shipped, reference)
+    name = ", ".join(_text(key, value) for key, value in changes.items()) or f"{step} as shipped"
+    return Variant(name, factor, {"step": step, "changes": dict(changes)})
 
 
 def _text(key: str, value: Any) -> str:
     name = key.rpartition(".")[2]
-    if name == "method":
-        return str(value)
     if name.endswith("_m"):
         return f"{name.removesuffix('_m').replace('_', ' ')} {1e3 * value:g} mm"
     return f"{name.replace('_', ' ')} {value:g}"
@@ -192,7 +167,6 @@ class GraspedObject:
     contacts: Float64 | None = None  # (2, 3) float64 [m]; None without a grasp
     touch: Float64 | None = None  # (50,) [counts]
     half: Float64 | None = None  # (50,) half widths of the intervals [counts]
-    error_mm: float | None = None  # mean distance of both contacts from the true surface
 
 
 def overlaps(labels: Int32, truth: Int32, objects: Sequence[int]) -> list[float]:
@@ -212,21 +186,28 @@ def _pipeline(values: Mapping[str, Any]) -> Pipeline:
     return Pipeline(PipelineConfig().updated({"grasp.method": "original", **changes}))
 
 
-def grasp_objects(pipeline: Pipeline, scene: LabelledScene, jitter_mm: float = 0.0) -> tuple[list[GraspedObject], int]:
+def _grasp_objects(
+    pipeline: Pipeline, scene: tuple[Cloud, Int32], jitter_mm: float = 0.0
+) -> tuple[list[GraspedObject], int]:
     """The true objects of a scene as the pipeline finds and grasps them, and the number of objects it found."""
-    found = pipeline.segment(scene.cloud).segmentation
-    shape = (scene.cloud.xyz.shape[0], scene.cloud.xyz.shape[1])
+    cloud, truth = scene
+    found = pipeline.segment(cloud).segmentation
+    objects = _object_labels(truth)
     result = []
-    for label, iou in zip(scene.object_labels, overlaps(found.labels, scene.labels, scene.object_labels), strict=True):
-        number = _covering(found.labels, scene.labels == label)
+    for label, iou in zip(objects, overlaps(found.labels, truth, objects), strict=True):
+        number = _covering(found.labels, truth == label)
         segments = [one for one in found.objects if one.id == number]
         if not segments or found.plane is None or iou == 0.0:
             result.append(GraspedObject(0.0, None))
             continue
         seen = _jittered(segments[0].cloud, jitter_mm)
-        target = FoundObject(str(number), seen, found.plane, segments[0].pixels, shape)
-        result.append(_grasped(pipeline, target, iou, scene, label - scene.object_labels.start))
+        target = FoundObject(str(number), seen, found.plane, segments[0].pixels, (truth.shape[0], truth.shape[1]))
+        result.append(_grasped(pipeline, target, iou))
     return result, len(found.objects)
+
+
+def _object_labels(truth: Int32) -> range:
+    return range(FIRST_OBJECT, int(truth.max()) + 1)
 
 
 def _grasp_real(pipeline: Pipeline, cloud: Cloud, jitter_mm: float = 0.0) -> GraspedObject:
@@ -241,32 +222,22 @@ def _jittered(cloud: Cloud, jitter_mm: float) -> Cloud:
     return Cloud((cloud.xyz + noise).astype(np.float32))
 
 
-def _grasped(
-    pipeline: Pipeline,
-    target: FoundObject,
-    iou: float | None = None,
-    scene: LabelledScene | None = None,
-    index: int = 0,
-) -> GraspedObject:
+def _grasped(pipeline: Pipeline, target: FoundObject, iou: float | None = None) -> GraspedObject:
     grasps = pipeline.plan(target).grasps
     if not grasps:
         return GraspedObject(iou, target)
-    contacts = np.stack([grasps[0].g1, grasps[0].g2])
+    found = GraspedObject(iou, target, np.stack([grasps[0].g1, grasps[0].g2]))
     (predicted,) = pipeline.predict(target, grasps[:1])
-    error = None
-    if scene is not None and scene.view is not None:
-        world = contacts @ scene.view.R_world_camera.T + scene.view.eye
-        error = 1e3 * float(scene.solids[index].surface_distance(world).mean())
     if predicted.value is None or predicted.lower is None or predicted.upper is None:
-        return GraspedObject(iou, target, contacts, error_mm=error)
+        return found
     half = (predicted.upper.values - predicted.lower.values) / 2.0
-    return GraspedObject(iou, target, contacts, predicted.value.values, half, error)
+    return replace(found, touch=predicted.value.values, half=half)
 
 
 @lru_cache(maxsize=1)
 def _shipped(data: PerceptionData) -> tuple[list[list[GraspedObject]], list[GraspedObject]]:
     pipeline = _pipeline(_UNCHANGED)
-    return [grasp_objects(pipeline, one)[0] for one in data.scenes], [_grasp_real(pipeline, one) for one in data.real]
+    return [_grasp_objects(pipeline, one)[0] for one in data.scenes], [_grasp_real(pipeline, one) for one in data.real]
 
 
 @lru_cache(maxsize=4096)
@@ -281,8 +252,8 @@ def _run(cell: Cell, _settings: PerceptionSettings, data: PerceptionData) -> lis
     before, real_before = _shipped(data)
     rows = []
     for number, (scene, shipped) in enumerate(zip(data.scenes, before, strict=True)):
-        changed, count = grasp_objects(pipeline, scene, jitter_mm)
-        wrong = count != len(scene.object_labels)
+        changed, count = _grasp_objects(pipeline, scene, jitter_mm)
+        wrong = count != len(_object_labels(scene[1]))
         pairs = zip(changed, shipped, strict=True)
         rows += [{"scene": number, "wrong": wrong, **_compared(one, other)} for one, other in pairs]
     if cell.values["step"] != SEGMENTATION:
@@ -297,7 +268,7 @@ def _run(cell: Cell, _settings: PerceptionSettings, data: PerceptionData) -> lis
 def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
     """An object against the same with the shipped settings; what cannot be compared is None."""
     row: Row = dict.fromkeys(("score", "score_change", "touch_counts", "touch_half", "moved"))
-    row |= {"iou": one.iou, "grasped": one.contacts is not None, "error_mm": one.error_mm}
+    row |= {"iou": one.iou, "grasped": one.contacts is not None}
     if one.contacts is None or shipped.contacts is None or shipped.found is None:
         return row
     row["moved"] = bool(1e3 * np.linalg.norm(one.contacts - shipped.contacts, axis=1).max() > _MOVED_MM)
@@ -323,28 +294,13 @@ def _tabulate(_settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
             **_interval("score", [] if masks else own),
             "objects": len(own),
             "no_grasp": sum(not one["grasped"] for one in own),
-            "contact_mm": _mean(own, "error_mm"),
-            **_moves(own),
+            "moved": _mean(own, "moved"),
             **_interval("score_change", own),
         }
         real = [one for one in own if one["iou"] is None]
-        for key in ("touch_counts", "touch_half"):
-            row |= {key: _mean(own, key), f"{key}_real": _mean(real, key)}
+        row |= {f"{key}_real": _mean(real, key) for key in ("touch_counts", "touch_half")}
         result.append(row)
     return result
-
-
-def _moves(rows: Sequence[Row]) -> Row:
-    """Share of best grasps that moved, and of those that have a score, whether it is equal, better or worse."""
-    known = [row for row in rows if row["moved"] is not None]
-    changes = np.array([row["score_change"] for row in known if row["moved"] and row["score_change"] is not None])
-    shares: dict[str, Any] = {"moved": sum(row["moved"] for row in known) / max(len(known), 1)}
-    tests = {
-        "equal": np.abs(changes) <= _EQUAL_SCORE,
-        "better": changes > _EQUAL_SCORE,
-        "worse": changes < -_EQUAL_SCORE,
-    }
-    return shares | {f"moved_{name}": float(test.mean()) if len(changes) else None for name, test in tests.items()}
 
 
 def _mean(rows: Sequence[Row], key: str) -> float | None:
@@ -365,29 +321,20 @@ def _interval(key: str, rows: Sequence[Row]) -> Row:
     return interval_columns(key, ScoreEstimate(float(sums.sum() / counts.sum()), float(low), float(high)))
 
 
-def _timed(variant: Variant, _settings: PerceptionSettings, data: PerceptionData) -> Timed:
-    """See `Area.timed`: segments scenes, or plans grasps on objects, one after the other.
-
-    Answers are the centroid of the nearest object, (3,), or the contacts of the best grasp, (6,) [m].
-    """
+def _timed(variant: Variant, settings: PerceptionSettings, data: PerceptionData) -> Timed:
+    """See `Area.timed`: segments generated scenes, or plans grasps on their objects, one after the other."""
     pipeline = _pipeline(variant.values)
-    clouds = cycle([scene.cloud for scene in data.scenes if scene.view is not None][:_TIMED])
+    clouds = cycle([cloud for cloud, _ in data.scenes[: min(_TIMED, settings.scenes)]])
     targets = cycle(_timed_targets(data))
-
-    def segment(_: int) -> Answer:
-        return np.asarray(pipeline.segment(next(clouds)).segmentation.objects[0].centroid)
-
-    def plan(_: int) -> Answer:
-        grasps = pipeline.plan(next(targets)).grasps
-        return np.concatenate([grasps[0].g1, grasps[0].g2]) if grasps else np.zeros(6)
-
-    return Timed(segment if variant.values["step"] == SEGMENTATION else plan)
+    if variant.values["step"] == SEGMENTATION:
+        return lambda _: pipeline.segment(next(clouds)), 1.0
+    return lambda _: pipeline.plan(next(targets)), 1.0
 
 
 @lru_cache(maxsize=1)
 def _timed_targets(data: PerceptionData) -> list[FoundObject]:
     """Objects of all sizes: of the generated scenes, by number of points, evenly spread."""
-    found = [one for scene in data.scenes[:_TIMED] for one in grasp_objects(_pipeline(_UNCHANGED), scene)[0]]
+    found = [one for scene in data.scenes[:_TIMED] for one in _grasp_objects(_pipeline(_UNCHANGED), scene)[0]]
     targets = sorted((one.found for one in found if one.found is not None), key=lambda one: one.cloud.size)
     return [targets[k] for k in np.linspace(0, len(targets) - 1, min(_TIMED, len(targets))).astype(int)]
 
@@ -406,8 +353,6 @@ EXPERIMENT = Area(
     data_folder="",
     variants=_variants,
     timed=_timed,
-    shipped=f"{GRASP} as shipped",
-    reference=_ALL_POINTS,
     skills={"iou": "mean IoU of the objects, 95 % interval", "score": "mean original score, 95 % interval"},
     panels=(
         Panel("iou", 1, "Segmentation, 848x480: masks of the objects"),

@@ -22,8 +22,7 @@ from foretouch.errors import ConfigError, SimulationError
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Row
-from foretouch_lab.experiments.framework.frontier import Panel
-from foretouch_lab.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch_lab.experiments.framework.tradeoff import Area, Panel, Timed, TradeoffSettings, Variant, variant_cells
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
@@ -129,8 +128,7 @@ def _variants(settings: SimulationSettings) -> Iterator[Variant]:
     every = settings.detail == "all"
 
     def variant(name: str, factor: str, scene: str, changes: Mapping[str, Any]) -> Variant:
-        values = {"scene": scene, "changes": {**_ALWAYS[scene], **changes}}
-        return Variant(name, factor, values, compared_with=_shipped(scene), reference=_finest(scene))
+        return Variant(name, factor, {"scene": scene, "changes": {**_ALWAYS[scene], **changes}})
 
     for scene in (RIGID, SOFT):
         yield variant(_shipped(scene), "shipped", scene, {})
@@ -240,7 +238,7 @@ def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
 
 
 def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
-    """See `Area.timed`: simulates the first grasps that do not fail, one after the other; answers are (50,) counts."""
+    """See `Area.timed`: simulates the first grasps that do not fail, one after the other."""
     scene = data.changed(variant.values)
     engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
     kept = []
@@ -251,7 +249,7 @@ def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Tim
             continue
         kept.append(SampleKey(scene.seed, slot))
     keys = cycle(kept[:_TIMED])
-    return Timed(lambda _: engine.run(next(keys)).touch.values)
+    return lambda _: engine.run(next(keys)), 1.0
 
 
 EXPERIMENT = Area(
@@ -270,8 +268,6 @@ EXPERIMENT = Area(
     tabulate=_tabulate,
     variants=_variants,
     timed=_timed,
-    shipped=_shipped(RIGID),
-    reference=_finest(RIGID),
     skills={
         **{f"digits_{name}": "correct decimal digits" for name in (RIGID, SOFT)},
         **{f"trained_{name}": "mean skill, 95 % interval" for name in SCENES},

@@ -3,7 +3,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,8 +11,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Row
-from foretouch_lab.experiments.framework.frontier import Panel
-from foretouch_lab.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant
+from foretouch_lab.experiments.framework.tradeoff import Area, Panel, Timed, TradeoffSettings, Variant
 from foretouch_lab.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
 from foretouch_lab.experiments.shared.predictors import network
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_columns
@@ -33,7 +31,7 @@ _ONE_BLOCK: Final = "one_block"  # column of the skill on the first block of tim
 _FIRST: Final = "block 0"  # its name
 _SCENE: Final = Path("config/scenes/deformables.yaml")  # of the grasps where no recordings are given
 _ENDLESS: Final = 100_000  # epochs of a trainer that is timed epoch by epoch
-_COMPARED: Final = 10  # predictions of each model that are compared
+_PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
 _GRASPS: Final = (5, 10, 20)  # for training, of each object; the shipped model uses all, 40 of 50 in a block of time
 _OBJECTS: Final = (2, 4)  # for training; the shipped model uses all, 7 of 8 where one is left out
@@ -71,7 +69,7 @@ def _prepare(settings: TrainingSettings, source: Path | None, out: Path) -> Path
 def _variants(settings: TrainingSettings) -> Iterator[Variant]:
     every = settings.detail == "all"
     yield Variant(CONTACT, "shipped", {"kind": "contact"})
-    yield Variant(MEAN, "part", {"kind": "mean"}, reference=CONTACT)
+    yield Variant(MEAN, "part", {"kind": "mean"})
     contact: list[tuple[str, str, dict[str, Any]]] = [
         *((f"{count} grasps an object", "labels", {"grasps": count}) for count in (_GRASPS if every else _GRASPS[::2])),
         *((f"{count} objects", "objects", {"objects": count}) for count in (_OBJECTS if every else ())),
@@ -79,11 +77,11 @@ def _variants(settings: TrainingSettings) -> Iterator[Variant]:
         ("no thinned copies", "copies", {"changes": {"thinned": 1.0}}),
     ]
     for name, factor, values in contact:
-        yield Variant(name, factor, {"kind": "contact", **values}, reference=CONTACT)
+        yield Variant(name, factor, {"kind": "contact", **values})
     for factor, changes in (("shipped", {}), *_NETWORKS) if every else ():
         texts = [str(v) if key == "train.precision" else f"{v} {key.rpartition('.')[2]}" for key, v in changes.items()]
         name = f"network, {', '.join(texts)}" if changes else NETWORK
-        yield Variant(name, factor, {"kind": "network", "changes": changes}, CONTACT, NETWORK)
+        yield Variant(name, factor, {"kind": "network", "changes": changes})
 
 
 def _cells(settings: TrainingSettings, _data: Dataset) -> list[Cell]:
@@ -172,36 +170,22 @@ def _tabulate(settings: TrainingSettings, rows: Sequence[Row]) -> list[Row]:
 def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed:
     """See `Area.timed`: one fit of a contact model, or one epoch of a network, of the first block of time.
 
-    The features of a contact model are computed before: they cost the same at each setting, about 6 ms a grasp. Its
-    answers are predictions of some test samples [counts]; an epoch answers nothing.
+    The features of a contact model are computed before: they cost the same at each setting, about 6 ms a grasp. It also
+    predicts some test samples.
     """
-    train, test = _first_block(data)
-    chosen = _chosen_samples(variant.values, train)
-    if variant.values["kind"] == "network":
-        return _timed_network(variant, chosen)
-    return Timed(lambda _: _predict(variant.values, settings, data, chosen, test[:_COMPARED]))
-
-
-@lru_cache(maxsize=1)
-def _first_block(data: Dataset) -> tuple[list[GraspSample], list[GraspSample]]:
     samples = labelled(data)
-    return split_by_fold(samples, make_folds(samples, "time", 0), _FIRST)
-
-
-def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
+    train, test = split_by_fold(samples, make_folds(samples, "time", 0), _FIRST)
+    chosen = _chosen_samples(variant.values, train)
+    if variant.values["kind"] != "network":
+        return lambda _: _predict(variant.values, settings, data, chosen, test[:_PREDICTED]), 1.0
     from foretouch_lab.learning.data.training_set import TrainingSet
     from foretouch_lab.learning.training.run_config import load_run_config
     from foretouch_lab.learning.training.supervised import SupervisedTrainer
 
     recipe: Any = load_run_config("touchnet-v1").updated(variant.values["changes"])
     endless = recipe.train.replace(epochs=_ENDLESS)
-    trainer = SupervisedTrainer(TrainingSet.build(train, recipe.model), np.arange(len(train)), endless)
-
-    def epoch(_: int) -> Answer:
-        trainer.run_epoch()
-        return np.zeros(0)
-
-    return Timed(epoch, whole=float(recipe.train.epochs))
+    trainer = SupervisedTrainer(TrainingSet.build(chosen, recipe.model), np.arange(len(chosen)), endless)
+    return lambda _: trainer.run_epoch(), float(recipe.train.epochs)
 
 
 EXPERIMENT = Area(
@@ -218,8 +202,6 @@ EXPERIMENT = Area(
     data_folder="vision2tactile",
     variants=_variants,
     timed=_timed,
-    shipped=CONTACT,
-    reference=CONTACT,
     skills={
         "known": "mean skill, known objects in blocks of time",
         "new": "mean skill, objects left out",

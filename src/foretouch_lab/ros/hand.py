@@ -13,15 +13,17 @@ computes contacts, so that a slow computation delays no message.
 import threading
 import time
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
+from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.schedule import ScheduleConfig
 from foretouch.config import setting
 from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
@@ -34,13 +36,13 @@ from foretouch.ros.runtime.workers import Worker
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg, sensor_to_msg
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
-from foretouch_lab.simulation.scheduled import scheduled_scene
-from foretouch_lab.simulation.tactile_faults import TactileFaultConfig, TactileFaults
+from foretouch_lab.simulation.scene import scheduled_scene
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
 _DEPTH = 100
+_T = TypeVar("_T")
 _PRESS_S = 1.0  # how long a person presses a finger
 
 
@@ -72,6 +74,37 @@ def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> E
     return ExecutedGrasp(
         header=header, grasp_id=planned.grasps[0].id, achieved=achieved, success=trajectory.success, **times
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TactileFaultConfig(FaultConfig):
+    """Faults of messages, and of the fingers."""
+
+    swapped: bool = setting(False, "Whether the readings of thumb and middle finger are exchanged")
+    frozen: str = setting(
+        "",
+        "Finger whose readings stay the same: TH, which takes g1, or MF, which takes g2; empty for none",
+        choices=("", "TH", "MF"),
+    )
+
+
+class TactileFaults(MessageFaults):
+    """As `MessageFaults`, for tactile messages."""
+
+    config: TactileFaultConfig
+
+    def __init__(self, config: TactileFaultConfig, seed: int = 0) -> None:
+        super().__init__(config, seed)
+        self._first: dict[str, Any] = {}
+
+    def readings(self, fingers: Mapping[str, _T]) -> dict[str, _T]:
+        """The readings that a message carries, by finger: of the wrong one, or those of the first message."""
+        found, frozen = dict(fingers), self.config.frozen
+        if frozen:
+            found[frozen] = self._first.setdefault(frozen, found[frozen])
+        if self.config.swapped:
+            found["TH"], found["MF"] = found["MF"], found["TH"]
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)

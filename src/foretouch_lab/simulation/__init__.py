@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator: objects on a table, a simulated depth camera, and BioTac SP fingertips that press on the objects."""
 
-from foretouch_lab.simulation.depth_scene import DepthImage, DepthScene, random_scene
+from foretouch_lab.simulation.depth_scene import CameraView, DepthImage, DepthScene, random_scene
 from foretouch_lab.simulation.solids import Box, Cylinder, Primitive, Sphere
-from foretouch_lab.simulation.view import CameraView
 
 __all__ = ["Box", "CameraView", "Cylinder", "DepthImage", "DepthScene", "Primitive", "Sphere", "random_scene"]

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes of random household-sized solids on a table, seen by a D415: exact depth, labels, plane, and camera effects."""
+"""A simulated depth camera (D415): where it stands, what its stereo adds to exact depth, and scenes of random solids.
+
+The world has its origin on the table top, z up. The camera frame is the optical one (x right,
+y down, z forward). Scenes of household-sized solids on a table give exact depth, labels, plane, and camera effects.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final, Literal, Self
@@ -7,12 +11,139 @@ from typing import Final, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.camera.deproject import Deprojector
+from foretouch.camera.deproject import Deprojector, pinhole_matrix
 from foretouch.errors import ConfigError
-from foretouch.types import Cloud, Float32, Float64, Int32, UInt8
-from foretouch_lab.simulation.depth_effects import add_flying_pixels, add_stereo_noise
+from foretouch.types import Bool, Cloud, Float32, Float64, Int32, UInt8
 from foretouch_lab.simulation.solids import LYING, Box, Cylinder, Primitive, Sphere, about_z, footprint_m
-from foretouch_lab.simulation.view import CameraView
+
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """A pinhole camera in the world."""
+
+    width: int  # [px]
+    height: int  # [px]
+    matrix: Float64  # (3, 3) float64, intrinsics [px]
+    eye: Float64  # (3,) float64, its optical centre in the world [m]
+    R_world_camera: Float64  # (3, 3) float64, its axes as columns in the world
+
+    @classmethod
+    def towards_table(cls, width: int, height: int, distance_m: float, tilt_rad: float, hfov_deg: float = 65.0) -> Self:
+        """A camera that looks at the origin of the world.
+
+        Args:
+            width: [px]
+            height: [px]
+            distance_m: From the origin [m].
+            tilt_rad: Between its axis and the vertical; 0 looks straight down [rad].
+            hfov_deg: Horizontal field of view [deg]; by default that of a D415.
+        """
+        sine, cosine = np.sin(tilt_rad), np.cos(tilt_rad)
+        forward = np.array([0.0, sine, -cosine])
+        right = np.array([1.0, 0.0, 0.0])
+        rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+        return cls(width, height, pinhole_matrix(width, height, hfov_deg), -distance_m * forward, rotation)
+
+    def directions(self, window: Window = (slice(None), slice(None))) -> Float64:
+        """(h, w, 3) float64 ray of each pixel in the world, one metre deep in the camera frame."""
+        x = (np.arange(self.width)[window[1]] - self.matrix[0, 2]) / self.matrix[0, 0]
+        y = (np.arange(self.height)[window[0]] - self.matrix[1, 2]) / self.matrix[1, 1]
+        axes = self.R_world_camera
+        rays: Float64 = (x[:, None] * axes[:, 0])[None] + (y[:, None] * axes[:, 1])[:, None] + axes[:, 2]
+        return rays
+
+    def to_camera(self, points: Float64) -> Float64:
+        """Points (..., 3) of the world in the camera frame [m]."""
+        return np.asarray((points - self.eye) @ self.R_world_camera, np.float64)
+
+    def to_world(self, points: Float64) -> Float64:
+        """Points (..., 3) of the camera frame in the world [m]."""
+        return np.asarray(points @ self.R_world_camera.T + self.eye, np.float64)
+
+    def bounds(self, points: Float64) -> Float64:
+        """(2, 2) float64 smallest and largest (column, row) of (n, 3) points; the whole line of sight if one is behind."""
+        local = self.to_camera(points)
+        if (local[:, 2] <= 0.0).any():
+            return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        pixels = (local @ self.matrix.T)[:, :2] / local[:, 2:]
+        return np.stack([pixels.min(axis=0), pixels.max(axis=0)])
+
+    def window(self, points: Float64) -> Window:
+        """The pixels that can see the convex hull of points (n, 3)."""
+        (left, top), (right, bottom) = self.bounds(points)
+        columns = slice(int(max(0.0, np.floor(left))), int(min(self.width, np.ceil(right) + 1.0)))
+        return slice(int(max(0.0, np.floor(top))), int(min(self.height, np.ceil(bottom) + 1.0))), columns
+
+    def table_plane(self) -> Float64:
+        """(4,) float64 a, b, c, d of the table top in the camera frame, the normal towards the camera."""
+        return np.append(self.R_world_camera[2], self.eye[2])
+
+
+D415_BASELINE_M = 0.055  # distance of the imagers
+FLYING_SHARE = 0.5  # of the pixels of a depth edge that lie between both sides
+HOLE_SHARE = 0.01  # of the pixels that lie in random spots without depth
+GRAZING_DEG = 80.0  # angle between ray and surface normal beyond which there is no depth
+_MATCHING_WINDOW_PX = 9  # side of the block that stereo matching compares
+_EDGE_M = 0.02  # a 3x3 window that spans more than this holds a depth edge
+
+
+def add_stereo_noise(depth: Float64, noise_m: float, rng: np.random.Generator) -> Float64:
+    """Noise that grows with the square of the depth and is correlated over the matching window.
+
+    A constant sub-pixel error s of the disparity gives sigma_z = s·z² / (f·B).
+
+    Args:
+        depth: (H, W) float64 [m], inf where there is none.
+        noise_m: Standard deviation at a depth of 1 m [m].
+        rng: Of the noise.
+
+    Returns:
+        (H, W) float64 [m].
+    """
+    from scipy.ndimage import uniform_filter
+
+    # The mean of k x k independent values has 1/k of their deviation; wrapping keeps it so at the border.
+    noise = _MATCHING_WINDOW_PX * uniform_filter(rng.standard_normal(depth.shape), _MATCHING_WINDOW_PX, mode="wrap")
+    finite = np.isfinite(depth)
+    return np.where(finite, depth + noise_m * np.where(finite, depth, 0.0) ** 2 * noise, np.inf)
+
+
+def add_flying_pixels(depth: Float64, rng: np.random.Generator) -> Float64:
+    """Pixels on a depth edge take a depth between the nearest and the farthest of their 3x3 window.
+
+    Args:
+        depth: (H, W) float64 [m], inf where there is none.
+        rng: Of the mixing weights.
+
+    Returns:
+        (H, W) float64 [m].
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    finite = np.isfinite(depth)
+    near = minimum_filter(depth, 3, mode="nearest")
+    far = maximum_filter(np.where(finite, depth, -np.inf), 3, mode="nearest")
+    edge = finite & (far - near > _EDGE_M)
+    weight = rng.random(depth.shape)
+    result = depth.copy()
+    result[edge] = (weight * far)[edge] + ((1.0 - weight) * near)[edge]
+    return result
+
+
+def stereo_shadow(depth: Float64, focal_px: float, baseline_m: float = D415_BASELINE_M) -> Bool:
+    """Pixels that the second imager, to the right of the first, cannot see.
+
+    A pixel at column u of the depth (H, W) [m] is seen there at u - f·B/z. It is hidden if a pixel to its right, hence
+    of something nearer, is seen at the same place or farther left.
+    """
+    seen_at = np.arange(depth.shape[1]) - focal_px * baseline_m / depth
+    leftmost = np.minimum.accumulate(seen_at[:, ::-1], axis=1)[:, ::-1]
+    hidden = np.zeros(depth.shape, np.bool_)
+    hidden[:, :-1] = leftmost[:, 1:] < seen_at[:, :-1]
+    return hidden
+
 
 TABLE: Final = 1  # label of the table; 0 is everything else
 FIRST_OBJECT: Final = 2  # label of the first object

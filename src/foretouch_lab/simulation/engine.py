@@ -1,20 +1,144 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the effects that a scene calls for, in the order of their list, and measures their time.
+"""Effects, each one step of a sample, and the engine that runs those that a scene calls for and measures their time.
 
-Of each object of the scene, those effects run that the scene calls for and whose result leads to an output. The others cost nothing.
+Each effect has a random stream of its own: an effect that is off leaves all bit-equal that is not computed from its result.
+Of each object of the scene, those effects run, in the order of their list, that the scene calls for and whose result leads
+to an output. The others cost nothing.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError, ForetouchError, GraspError, SimulationError
-from foretouch_lab.simulation.campaign import Campaign, object_index
-from foretouch_lab.simulation.effect import Effect, Job, SampleState
+from foretouch.grasp import GraspPlan
+from foretouch.types import Cloud, Float64, Grasp, Int32, Int64, Touch
+from foretouch_lab.simulation.contact.grip import HeldWeight
+from foretouch_lab.simulation.contact.pad import ContactFrame, PadWindow
+from foretouch_lab.simulation.contact.problem import ContactSolution
+from foretouch_lab.simulation.depth_scene import Window
+from foretouch_lab.simulation.fingertip import Finger
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.objects import ObjectConfig
-from foretouch_lab.simulation.world import SampleKey, World
+from foretouch_lab.simulation.solids import Body, Hits
+from foretouch_lab.simulation.world import CampaignTime, SampleKey, World, object_index
+
+
+class SampleState:
+    """The keys that effects read and write; none is there before an effect has written it.
+
+    Pairs are those of thumb and middle finger; T is the number of messages, N the cells along one side of a pad's window.
+    """
+
+    bodies: list[Body]  # the object first, then the clutter
+    window: Window  # rows and columns of the image that are rendered
+    exact_depth: Float64  # (h, w) along the optical axis [m], inf where there is nothing
+    labels: Int32  # (h, w): 0 none, 1 table, 2 the object, 3 and on the clutter
+    hits: list[Hits | None]  # of each body, flat over the window; None for a body that the window does not show
+    normals: Float64  # (h, w, 3), outward unit normals in the world; zero where no body is
+    depth: Float64  # (h, w) [m], as the camera measures it; inf where it measures nothing
+    cloud: Cloud  # the object's points in the camera frame
+    pixels: Int64  # (n,), pixel of each point in the flat image
+    plan: GraspPlan  # result of GeoGrasp
+    grasp: Grasp  # the grasp that is executed, in the camera frame
+    fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world
+    targets: Float64  # (2,) that both fingers are commanded to reach, [N] or [m] by the scene's `control`
+    axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
+    tangential_n: Float64  # (2, 3) [N], force of the object's weight on both fingers in the world, across their line
+    weight: HeldWeight  # forces of the object's weight on the fingers
+    postures: tuple[tuple[ContactFrame, Float64], tuple[ContactFrame, Float64]]
+    # of each fingertip: where on its skin the hand aims with, and its axes as columns in the world, (3, 3)
+    pads: tuple[PadWindow, PadWindow]  # where on its skin each fingertip is touched, and the window about it
+    touches: tuple[ContactFrame, ContactFrame]  # the tangent frames there, in the world
+    relief: Float64  # (2, N, N) [m], the object's surface behind each tangent plane, inf where there is none
+    contacts: tuple[ContactSolution, ContactSolution]  # solved contacts of both fingers
+    campaign_time: CampaignTime  # when in the campaign the grasp is executed
+    sensors: tuple[Finger, Finger]  # the fingertips that are mounted
+    readings: (
+        Float64  # (2, 2, V) at rest and in contact, ideal, not rounded; V = 25, PDC then electrodes, of a BioTac SP
+    )
+    times: Float64  # (T,) [s] of the messages; without a timeline two, for tare and touch, at one time
+    load: Float64  # (T,), 0 without contact and 1 in full contact
+    hold_row: int  # the message that is the touch; the tare is the median of those before the first load
+    level: Float64  # (T, 2, 25) [counts], how far the readings have drifted in the course of the campaign
+    others: Float64  # (T, 2, 4) [counts], PAC0, PAC1, TAC and TDC of both fingers, not rounded; 0 if not simulated
+    slid: Float64  # (T,) [m], how far the object has slid
+    series: Float64  # (T, 2, V), with what the sensor adds
+    touch: Touch  # readings in contact
+    tare: Touch | None  # readings before contact; None where no tare is recorded
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One step of a sample.
+
+    Attributes:
+        name: Unique name. It also names the random stream, so renaming an effect changes its numbers.
+        run: Computes the effect.
+        when: Field of the scene that calls for it, such as `camera.noise` (`objects.` stands for the object of the
+            sample), or a function that returns the reason to run it with an object, or None.
+        reads: Keys of the state that must be there, those that it changes included.
+        writes: Keys that it makes or changes.
+        changes: Keys that it both reads and writes.
+        off: Reason why it does not run where nothing calls for it; by default the field that is absent.
+        again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is there.
+        detail: Describes that field, for the reason.
+    """
+
+    name: str
+    run: Callable[["Job", SampleState], None]
+    when: str | Callable[[SceneConfig, ObjectConfig], str | None]
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
+    off: str = ""
+    again: bool = False
+    detail: Callable[[Any], str] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("reads", "writes"):
+            object.__setattr__(self, name, tuple(dict.fromkeys((*getattr(self, name), *self.changes))))
+
+    def reason(self, scene: SceneConfig, item: ObjectConfig) -> str | None:
+        """Why it runs with an object of a scene; None where nothing calls for it."""
+        if callable(self.when):
+            return self.when(scene, item)
+        value = _field_of(self.when, scene, item)
+        if value is None or value == ():
+            return None
+        return self.when if self.detail is None else f"{self.when}: {self.detail(value)}"
+
+
+def _field_of(path: str, scene: SceneConfig, item: ObjectConfig) -> Any:
+    """A field of a scene, such as `camera.noise`, or of the object, such as `objects.surface`; None where a group is absent."""
+    value: Any = item if path.startswith("objects.") else scene
+    for name in path.removeprefix("objects.").split("."):
+        value = None if value is None else getattr(value, name)
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What an effect may read besides the state."""
+
+    scene: SceneConfig  # the scene
+    item: ObjectConfig  # the object of this sample
+    world: World  # what all samples of the scene share
+    key: SampleKey  # which sample
+    effect: Effect  # the effect that runs
+
+    @property
+    def settings(self) -> Any:
+        """The field of the scene that calls for the effect."""
+        return _field_of(str(self.effect.when), self.scene, self.item)
+
+    def rng(self) -> np.random.Generator:
+        """The effect's own stream; call it once, for each call starts it again."""
+        return self.key.stream(self.effect.name, again=self.effect.again)
+
 
 # Reasons of failed tries that are not named by the effect.
 _REASONS: Final[dict[type[ForetouchError], str]] = {
@@ -65,8 +189,6 @@ class Engine:
     def __post_init__(self) -> None:
         self.timings = {effect.name: EffectTiming() for effect in self.effects}
         self.world = World.of(self.scene)
-        campaign = self.scene.campaign
-        self._campaign = Campaign(campaign, self.scene, self.world.fingers) if campaign else None
         self.chains = [self._chain(item) for item in self.scene.objects]
 
     def _chain(self, item: ObjectConfig) -> list[Effect]:
@@ -107,7 +229,7 @@ class Engine:
             timing = self.timings[effect.name]
             start = time.thread_time()
             try:
-                effect.run(Job(self.scene, item, self.world, key, effect, self._campaign), state)
+                effect.run(Job(self.scene, item, self.world, key, effect), state)
             except SimulationError:
                 raise
             except ForetouchError as err:

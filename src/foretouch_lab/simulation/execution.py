@@ -18,10 +18,9 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Grasp
 from foretouch_lab.simulation.contact.pad import ContactFrame
-from foretouch_lab.simulation.effect import Effect, Job, SampleState
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.effects.reading import drift_of
-from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
 from foretouch_lab.simulation.fingertip import quantise, read_press
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.fingers import DriftConfig, TimelineConfig
@@ -187,8 +186,8 @@ class SimulatedHand:
 
     def _calendar(self, job: Job, state: SampleState) -> None:
         """The campaign passes with the time since the hand was switched on."""
-        assert job.campaign is not None  # noqa: S101  # the scene calls for this with a campaign only
-        state.campaign_time = job.campaign.live(self._elapsed_s)
+        assert job.world.campaign is not None  # noqa: S101  # the scene calls for this with a campaign only
+        state.campaign_time = job.world.campaign.live(self._elapsed_s)
 
     def _drift(self, job: Job, state: SampleState) -> None:
         """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""

@@ -15,7 +15,6 @@ from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.schedule import ScheduleConfig
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
-from foretouch_lab.simulation.campaign import object_index
 from foretouch_lab.simulation.depth_scene import (
     FIRST_OBJECT,
     TABLE,
@@ -24,12 +23,11 @@ from foretouch_lab.simulation.depth_scene import (
     random_scene,
     to_millimetres,
 )
-from foretouch_lab.simulation.effects import place, view
+from foretouch_lab.simulation.effects import view
 from foretouch_lab.simulation.engine import Engine
-from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scheduled import scheduled_scene
+from foretouch_lab.simulation.scene import SceneConfig, scheduled_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
-from foretouch_lab.simulation.world import SampleKey
+from foretouch_lab.simulation.world import SampleKey, object_index
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
@@ -65,7 +63,7 @@ class FrameMaker:
 
     def __init__(self, scene: SceneConfig) -> None:
         self.scene = scene
-        self._engine = Engine(scene, (*place.EFFECTS, *view.FRAME_EFFECTS), ("depth", "labels", "normals"))
+        self._engine = Engine(scene, view.FRAME_EFFECTS, ("depth", "labels", "normals"))
 
     def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
         """One image.

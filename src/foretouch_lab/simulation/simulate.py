@@ -25,13 +25,11 @@ from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import GraspSample
 from foretouch_lab.dataset.chunks import made_in_chunks
-from foretouch_lab.simulation.campaign import object_index
-from foretouch_lab.simulation.effect import SampleState
 from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.engine import EffectPlan, EffectTiming, Engine
+from foretouch_lab.simulation.engine import EffectPlan, EffectTiming, Engine, SampleState
 from foretouch_lab.simulation.fingertip import quantise
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.world import SampleKey
+from foretouch_lab.simulation.world import SampleKey, object_index
 
 #: The keys of the state that every sample is made of.
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")

@@ -115,10 +115,6 @@ class Primitive(ABC):
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
         """`cast` in the solid's own frame, (n, 3) to (n,)."""
 
-    @abstractmethod
-    def _beyond(self, points: Float64) -> Float64:
-        """(n, k) float64, how far points of its own frame are beyond each of its faces; negative within [m]."""
-
     def cast(self, origin: Float64, directions: Float64) -> Float64:
         """Where rays enter the solid.
 
@@ -131,12 +127,6 @@ class Primitive(ABC):
         """
         t = self._cast((origin - self.position) @ self.rotation, directions.reshape(-1, 3) @ self.rotation)
         return t.reshape(directions.shape[:-1])
-
-    def surface_distance(self, points: Float64) -> Float64:
-        """(n,) float64, distance of points (n, 3) in the world from its surface, inside as well as outside [m]."""
-        beyond = self._beyond((points - self.position) @ self.rotation)
-        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-        return np.asarray(np.where(outside > 0.0, outside, -beyond.max(axis=1)), np.float64)
 
     def corners(self) -> Float64:
         """(8, 3) float64, corners of its oriented bounding box, world [m]."""
@@ -160,9 +150,6 @@ class Box(Primitive):
         near, far = _slab(origin, directions, self.size / 2.0)
         return _first(near.max(axis=1), far.min(axis=1))
 
-    def _beyond(self, points: Float64) -> Float64:
-        return np.asarray(np.abs(points) - self.size / 2.0, np.float64)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cylinder(Primitive):
@@ -179,10 +166,6 @@ class Cylinder(Primitive):
         side_near, side_far = _ball(origin[:2], directions[:, :2], self.radius)  # within the mantle
         return _first(np.maximum(near[:, 0], side_near), np.minimum(far[:, 0], side_far))
 
-    def _beyond(self, points: Float64) -> Float64:
-        across = np.hypot(points[:, 0], points[:, 1]) - self.radius
-        return np.stack([across, np.abs(points[:, 2]) - self.height / 2.0], axis=1)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sphere(Primitive):
@@ -195,9 +178,6 @@ class Sphere(Primitive):
 
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
         return _first(*_ball(origin, directions, self.radius))
-
-    def _beyond(self, points: Float64) -> Float64:
-        return np.asarray(np.linalg.norm(points, axis=1, keepdims=True) - self.radius, np.float64)
 
 
 def _slab(origin: Float64, directions: Float64, half: Float64) -> tuple[Float64, Float64]:

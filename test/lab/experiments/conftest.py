@@ -9,7 +9,6 @@ import pytest
 
 from foretouch_lab.experiments import find_experiment, run_sweep
 from foretouch_lab.experiments.framework import sweep
-from foretouch_lab.experiments.framework.executors import run_cell
 
 
 @pytest.fixture
@@ -34,7 +33,9 @@ def scenes() -> Path:
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of sweeps run in the process of the test, which saves the start of others."""
-    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, workers: (run_cell(job, cell) for cell in cells))
+    monkeypatch.setattr(
+        sweep, "in_processes", lambda job, cells, workers: (sweep.run_cell(job, cell) for cell in cells)
+    )
 
 
 @pytest.fixture
@@ -49,8 +50,7 @@ def swept(
         result = run_sweep(experiment, experiment.resolve("smoke", changes), tmp_path / "out", source=source)
         assert result.failures == {}
         assert experiment.summarise(result.rows)
-        (figure,) = experiment.draw(result.rows, tmp_path)
-        assert figure.stat().st_size > 5000
+        assert all(figure.stat().st_size > 5000 for figure in experiment.draw(result.rows, tmp_path))
         return result.rows
 
     return run

@@ -134,7 +134,7 @@ def test_touches_of_an_unseen_object(collection) -> None:
         touch_draws("cup", 7, 7, 4)
 
 
-def test_cross_type_keeps_types_apart(collection, tmp_path: Path) -> None:
+def test_cross_type_keeps_types_apart(collection) -> None:
     table = run_all("cross_type", collection, predictors=["training_mean", "object_mean"], references=["training_mean"])
     objects = {name: {row["object"] for row in select(table, table=name)} for name in {row["table"] for row in table}}
     assert objects["cylinders to boxes"] == {"all", "cheezit", "spam", "wood"}
@@ -147,11 +147,8 @@ def test_cross_type_keeps_types_apart(collection, tmp_path: Path) -> None:
     crossed = select(table, table="cylinders to boxes", object="all", modality="E_TH")
     assert crossed[0]["rmse"] == pytest.approx(crossed[1]["rmse"])  # the mean of an unknown object is that of all
     assert all(row["skill_low"] is None for row in select(table, table="within boxes", object="all"))
-    text = find_experiment("cross_type").summarise(table)[2].rows[-1]
+    text = find_experiment("cross_type").summarise(table)[1].rows[-1]
     assert text[2] == "164 (0.081)"
-    for name in ("cross_type", "cross_validation"):  # which draws the skills of any table
-        (figure,) = find_experiment(name).draw(table, tmp_path)
-        assert figure.stat().st_size > 5000
 
 
 def test_settings_that_cannot_be_are_refused(collection) -> None:
@@ -186,7 +183,7 @@ def test_smaller_draws_are_part_of_larger_ones_and_splits_keep_objects_whole() -
         split_objects(SAMPLES, 6, seed=0)
 
 
-def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side(tmp_path: Path) -> None:
+def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side() -> None:
     data = RealAndSimulated(make_collection(8, 12), make_collection(8, 12))
     few = {"grasps": [5], "objects": [2, 7], "simulated_objects": [3, 5], "seeds": [0, 1]}
     rows, settings = cell_rows("learning_curve", data, predictors=["training_mean"], **few)
@@ -199,9 +196,7 @@ def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side(tmp_pat
     table = experiment.tabulate(settings, rows)
     assert [row["size"] for row in select(table, object="all", modality="mean")] == [5, 2, 7, 3, 5]
     assert {row["seeds"] for row in table} == {2}
-    assert "new objects: with 2, 7 objects" in experiment.summarise(table)[0].notes[1]
-    (figure,) = experiment.draw(table, tmp_path)
-    assert figure.stat().st_size > 5000
+    assert len(experiment.summarise(table)) == 5
 
 
 def test_simulated_predictions_are_scaled_by_what_they_explain() -> None:

@@ -2,7 +2,6 @@
 """P2's label ratios, on a few simulated grasps and with networks that are hardly trained."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -243,14 +242,3 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
         ]
         for one, other in zip(nets[0].state_dict().values(), nets[1].state_dict().values(), strict=True):
             assert torch.equal(one, other)
-
-
-def test_points_are_those_of_the_cloud_each_once(presampled: PresampledSet) -> None:
-    long = replace(presampled, cached_points=np.arange(2 * 40 * 3, dtype=np.float32).reshape(2, 40, 3))
-    rng = np.random.default_rng(0)
-    drawn = [long.points(np.array([1, 0, 1]), rng, 30) for _ in range(3)]
-    for cloud, index in zip(np.concatenate(drawn), [1, 0, 1] * 3, strict=True):
-        rows = {tuple(row) for row in cloud}
-        assert len(rows) == 30
-        assert rows <= {tuple(row) for row in long.cached_points[index]}
-    assert not np.array_equal(drawn[0], drawn[1])

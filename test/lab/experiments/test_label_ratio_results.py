@@ -9,15 +9,7 @@ import pytest
 
 from foretouch.errors import DatasetError
 from foretouch.tactile import P2_RANGES
-from foretouch_lab.experiments.label_ratio.results import (
-    P2_AVERAGES,
-    P2_CHANGES,
-    TREES,
-    compare_models,
-    draw_models,
-    summarise_models,
-)
-from foretouch_lab.experiments.shared import figures
+from foretouch_lab.experiments.label_ratio.results import TREES, compare_models, draw_models, summarise_models
 
 
 def row(model: str, seed: int, squared: dict[str, list[float]], **more: Any) -> dict[str, Any]:
@@ -44,7 +36,7 @@ def test_a_single_run_is_no_verdict_and_trees_and_mean_stand_beside_on_the_same_
     (told,) = compare_models(networks, P2_RANGES.ranges, draws=200)
     assert told["change"] == pytest.approx(50.0)
     assert told["verdict"] is told["change_low"] is told["srgan_sd"] is None
-    found, errors, changes = summarise_models([{"srgan": "chosen", **told}, {"srgan": "other", **told}])
+    errors, changes = summarise_models([{"srgan": "chosen", **told}, {"srgan": "other", **told}])
     assert [line[:2] for line in errors.rows] == [
         ["T90 mean of the labels", "14.1"],
         ["T90 trees on geometry", "–"],
@@ -53,11 +45,6 @@ def test_a_single_run_is_no_verdict_and_trees_and_mean_stand_beside_on_the_same_
         ["T90 SR-GAN other", "3.0"],
     ]
     assert [line[:2] for line in changes.rows] == [["T90 chosen", "+50.0"], ["T90 other", "+50.0"]]
-    assert found.notes[0] == (
-        "SR-GAN `chosen` in 1 cells: significantly better than the PointNet in 0, significantly worse in 0, no significant "
-        "difference in 0; lower mean error in 0 (P2: 12 of 20), below the mean of the labels in 1"
-    )
-    assert found.notes[2].startswith("PointNet: below the mean of the labels in 1 of 1 cells; trees on geometry")
     (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES.ranges, draws=200)
     assert (told["mean_rmse"], told["trees_rmse"], told["runs"]) == (pytest.approx(200.0**0.5, abs=1e-4), 1.5, 1)
     others = [row("pointnet", 0, {"a": [1.0, 2.0]}), row("srgan", 0, {"a": [1.0], "b": [2.0]})]
@@ -82,14 +69,6 @@ def test_the_interval_holds_no_difference_in_19_of_20_worlds(rng) -> None:
     assert held >= (0.95 - 4.0 * np.sqrt(0.95 * 0.05 / worlds)) * worlds  # four standard errors
 
 
-def test_what_p2_tells_agrees_with_its_own_count() -> None:
-    """No modality has more lower averages in the text than P2 counts."""
-    for modality, count in P2_AVERAGES.items():
-        told = P2_CHANGES[modality].values()
-        assert sum(change < 0.0 for change in told) <= count
-        assert sum(change > 0.0 for change in told) <= 5 - count
-
-
 def cell(ratio: int, high: float | None, verdict: str | None, **more: Any) -> dict[str, Any]:
     found = {"pointnet_rmse": 80.0, "srgan_rmse": 76.0, "pointnet_percent": 2.3, "srgan_percent": 2.2}
     found |= {"mean_rmse": 90.0, "trees_rmse": None, "pointnet_sd": None, "srgan_sd": 1.0, "p2_change": None}
@@ -97,22 +76,8 @@ def cell(ratio: int, high: float | None, verdict: str | None, **more: Any) -> di
     return {"modality": "E_TH", "ratio": ratio, "srgan": "chosen", **found, **change, **more}
 
 
-def test_the_figure_shows_errors_and_differences_of_all_modalities(tmp_path: Path, monkeypatch) -> None:
-    for largest in (-1.0, 24.8):
-        other = cell(90, None, None, modality="E_MF", change=largest)
-        rows = [cell(90, -3.0, "better"), cell(10, 2.0, "tie"), cell(10, 2.0, "tie", srgan="srgan"), other]
-        (path,) = draw_models(rows, tmp_path)
-        assert path.stat().st_size > 5000
-        drawn: list[Any] = []
-        with monkeypatch.context() as patch:
-            patch.setattr(figures, "save_small", lambda figure, path, drawn=drawn: drawn.append(figure))
-            draw_models(rows, tmp_path)
-        above, _, *below = drawn[0].axes
-        assert [round(bar.get_height(), 3) for bar in above.patches] == [2.3, 2.3, 2.2, 2.2, 2.2]
-        assert above.get_ylim()[0] == 0.0
-        assert [label.get_text().split("\n")[0] for label in below[0].get_xticklabels()] == ["T10", "T90"]
-        assert len(below) == 2
-        for axes in below:  # with zero
-            low, high = axes.get_ylim()
-            assert low < -7.0
-            assert high >= max(5.0, largest)
+def test_the_figure_is_drawn_of_all_modalities(tmp_path: Path) -> None:
+    other = cell(90, None, None, modality="E_MF", change=24.8)
+    rows = [cell(90, -3.0, "better"), cell(10, 2.0, "tie"), cell(10, 2.0, "tie", srgan="srgan"), other]
+    (path,) = draw_models(rows, tmp_path)
+    assert path.stat().st_size > 5000

@@ -2,7 +2,6 @@
 """P1's network as its public code trains, splits and tests it: on made-up grasps, with hardly any training."""
 
 import json
-from pathlib import Path
 
 from experiment_samples import make_collection
 
@@ -11,7 +10,7 @@ from foretouch_lab.experiments.shared.tables import select
 from foretouch_lab.learning.training.run_config import load_run_config
 
 
-def test_splits_ways_of_testing_and_published_errors(tmp_path: Path) -> None:
+def test_splits_ways_of_testing_and_published_errors() -> None:
     experiment, data = find_experiment("p1_as_published"), make_collection(each=20)
     settings = experiment.resolve("smoke", {"modalities": ["PDC_MF"]})
     cells = experiment.cells(settings, data)
@@ -28,9 +27,7 @@ def test_splits_ways_of_testing_and_published_errors(tmp_path: Path) -> None:
     published = select(table, predictor="P1 (published)")
     told = {row["table"]: row["as_published_counts"] for row in published}
     assert told == {"within p1_cylinders": 153.0, "across types": 165.0}
-    assert len(experiment.summarise(table)) == 5
-    (figure,) = experiment.draw(table, tmp_path)
-    assert figure.stat().st_size > 3000
+    assert len(experiment.summarise(table)) == 4
 
 
 def test_the_recipe_differs_from_p1_in_three_switches() -> None:

@@ -70,7 +70,7 @@ def test_every_grasp_is_scored_once_and_tables_are_made_of_the_rows(tmp_path: Pa
     assert all(np.isfinite(row["skill"]) for row in rows if row["skill"] is not None)
     assert read_results(tmp_path / "results.csv") == rows
     titles = [table.title for table in experiment.summarise(rows)]
-    assert [title.partition(":")[0] for title in titles[1:5]] == ["never touched", "first three", "later", "all"]
+    assert [title.partition(":")[0] for title in titles[:4]] == ["never touched", "first three", "later", "all"]
     (figure,) = experiment.draw(rows, tmp_path)
     assert figure.stat().st_size > 5_000
 
@@ -93,7 +93,6 @@ def test_the_gain_of_vision_is_paired_and_stands_beside_its_skill() -> None:
     assert all(row["vs_constant_low"] <= row["vs_constant"] <= row["vs_constant_high"] for row in known)
     tables = {table.title: table for table in experiment.summarise(rows)}
     assert len(tables["Gain of vision, geometry_trees"].rows) == len(found) / 4
-    assert "significantly better than the mean of earlier readings" in tables["Findings"].notes[-1]
 
 
 def test_nothing_later_enters_a_prediction() -> None:

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from foretouch_lab.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
+from foretouch_lab.simulation.depth_scene import add_flying_pixels, add_stereo_noise, stereo_shadow
 
 
 def _step(near: float = 0.5, far: float = 1.0) -> np.ndarray:

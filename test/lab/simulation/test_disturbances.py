@@ -4,13 +4,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.simulation.steady_noise import steady_noise
-from foretouch_lab.simulation.disturbances import (
+from foretouch_lab.simulation.fingertip import (
     WANDER_COUNTS,
     WANDER_S,
     NoiseConfig,
     TemperatureConfig,
     creep,
-    mask_dead_electrodes,
     ou_noise,
     scan,
     slip_path,
@@ -84,12 +83,3 @@ def test_creep_comes_late_with_hysteresis_and_drift_ends_at_body_temperature():
     drift = temperature_drift(config, np.array([0.0, config.warming_s, 1e9]))
     kelvin = np.array([0.0, 3.0 * (1 - np.exp(-1)), 3.0])
     assert_allclose(drift, np.outer(kelvin, [8.0] + [12.0] * 24))
-
-
-def test_a_dead_electrode_is_stuck_and_the_others_live():
-    series = np.arange(48.0).reshape(2, 24)
-    for stuck_at, value in (("low", 0.0), ("high", 4095.0), ("last", 2.0)):
-        dead = mask_dead_electrodes(series, [2], stuck_at)
-        assert_allclose(dead[:, 2], value)
-        assert_allclose(np.delete(dead, 2, axis=1), np.delete(series, 2, axis=1))
-    assert series[0, 2] == 2.0  # the caller's own is left alone

@@ -12,9 +12,9 @@ import pytest
 from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, scene
 
 from foretouch.errors import CloudError, SimulationError
-from foretouch_lab.simulation.effect import Effect, Job, SampleState
-from foretouch_lab.simulation.effects import EFFECTS, place, view
-from foretouch_lab.simulation.engine import Engine
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
+from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.scene.objects import ObjectConfig
 from foretouch_lab.simulation.world import SampleKey
@@ -117,7 +117,7 @@ def test_each_effect_reads_and_writes_what_it_declares() -> None:
         **{key: {} for key in ("crosstalk", "slip", "noise", "drift", "sessions")},
     }
     configs.append(scene(*loaded, gravity={}, fingers=array))
-    configs.append(scene(campaign={"warm_up": {"tdc": {}}, "fluid_loss": {}}))
+    configs.append(scene(campaign={"warm_up": {"tdc": {}}}))
     ran = set()
     for config in configs:
         wanted = OUTPUTS if config.campaign is None else (*OUTPUTS, "campaign_time")
@@ -130,9 +130,8 @@ def test_each_effect_reads_and_writes_what_it_declares() -> None:
             except SimulationError as err:
                 assert err.reason in {"falls", "slips", "contact"}  # noqa: PT017
     assert ran == {one.name for one in EFFECTS}
-    frames = (*place.EFFECTS, *view.FRAME_EFFECTS)
-    made_before_read(frames, full, ("depth", "labels", "normals"))
-    Engine(full, [watched(one) for one in frames], ("depth", "labels", "normals")).run(SampleKey(0, 0))
+    made_before_read(FRAME_EFFECTS, full, ("depth", "labels", "normals"))
+    Engine(full, [watched(one) for one in FRAME_EFFECTS], ("depth", "labels", "normals")).run(SampleKey(0, 0))
 
 
 def test_declarations_name_keys_of_the_state_that_are_made_before_they_are_read_in_every_scene() -> None:

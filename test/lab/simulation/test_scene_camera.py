@@ -15,8 +15,8 @@ from foretouch.camera.schedule import ScheduleConfig
 from foretouch.errors import ConfigError, FileError, MissingDependencyError
 from foretouch_lab.simulation import random_scene
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
+from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
 from foretouch_lab.simulation.scene_camera import FrameMaker, _SceneImages, scene_camera, swinging_frames
-from foretouch_lab.simulation.scheduled import centre_of_objects, scheduled_scene
 
 START = 1_763_000_000_000_000_000
 SMALL = {"width": 212, "height": 160}

@@ -14,7 +14,7 @@ from foretouch.errors import ConfigError
 from foretouch.tactile.description import load_sensor, packaged_sensor, sensor_of
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.pad import PadConfig
-from foretouch_lab.simulation.effect import SampleState
+from foretouch_lab.simulation.engine import SampleState
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.taxels import CrosstalkConfig, TaxelArray, TaxelConfig
 from foretouch_lab.simulation.world import World
@@ -158,21 +158,6 @@ def test_the_shape_of_a_curved_pad_is_that_of_its_taxels() -> None:
     assert z.sum() == pytest.approx(1.0, abs=0.06)  # taxels beside the middle face away
     assert z.argmax() == 12  # the middle of 5 x 5
     assert not array_of().curvature.any()
-
-
-def test_a_curved_pad_touches_a_box_along_its_middle(tmp_path: Path) -> None:
-    sensor = packaged_sensor("xela_uskin_4x4").to_mapping() | curved(0.012)
-    points, normals, _ = sensor["taxels"]
-    rows = [f"{k},{','.join(map(repr, [*p, *n]))}" for k, (p, n) in enumerate(zip(points, normals, strict=True))]
-    (tmp_path / "bent.csv").write_text("\n".join(["index,x,y,z,nx,ny,nz", *rows]))
-    del sensor["array"]
-    (tmp_path / "bent.yaml").write_text(yaml.safe_dump(sensor | {"taxels": "bent.csv", "name": "bent"}))
-    box = {"name": "box", "shape": "box", "size_m": [0.06, 0.08, 0.12]}
-    fingers = USKIN | {"sensor": str(tmp_path / "bent.yaml")}
-    config = scene(box, fingers=fingers, grasps={"insertion_m": 0.03, "thumb": {"force_n": [1.5, 1.5]}})
-    found = forces(config, run(config, "readings"))["Z_TH"].reshape(5, 5)  # rows along y, columns along the bent x
-    assert found.sum(axis=0).argmax() == 2
-    assert found[:, 2].sum() > 3.0 * found[:, 0].sum()
 
 
 def test_values_are_those_of_the_channel() -> None:

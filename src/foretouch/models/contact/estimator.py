@@ -7,7 +7,7 @@
 
 Forests predict best on objects that were trained on, and worse than the mean of the training labels on others.
 The kernel's parameters are selected on objects left out, so that it predicts only what generalises, and its estimate is
-multiplied by the generalisation gain λ, the share of it that held on them (`learning.training.generalisation`).
+multiplied by the generalisation gain λ, the share of it that held on them (`learning.training.contact`).
 
 Its weights hold forests, kernel and novelty detector.
 """

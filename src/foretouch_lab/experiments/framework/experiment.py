@@ -12,7 +12,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, none_of
@@ -20,14 +20,6 @@ from foretouch.errors import ConfigError, none_of
 _PACKAGE: Final = "foretouch_lab.experiments"
 
 Row = dict[str, Any]  # plain JSON data by column
-
-
-class HashedData(Protocol):
-    """Data that an experiment runs on."""
-
-    @property
-    def sha256(self) -> str:
-        """Hash of the content; a cell refuses data with another hash than the sweep's."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +40,7 @@ class Table:
     notes: Sequence[str] = ()
 
 
-S = TypeVar("S", bound=Settings)
-D = TypeVar("D", bound=HashedData)
-
-
-def require_data(_settings: Settings, source: Path | None, _out: Path) -> Path:
+def require_data(_settings: Any, source: Path | None, _out: Path) -> Path:
     """Default `prepare`: use the given data, or raise a `ConfigError` if there are none."""
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
@@ -60,8 +48,8 @@ def require_data(_settings: Settings, source: Path | None, _out: Path) -> Path:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Experiment(Generic[S, D]):
-    """Declaration of one experiment.
+class Experiment:
+    """Declaration of one experiment; its functions take its settings, and its data as `load` returns them.
 
     Attributes:
         name: Name on the command line and in the manifest.
@@ -69,7 +57,8 @@ class Experiment(Generic[S, D]):
         module: Module from which other processes import the experiment: `__name__`.
         settings: Class of its settings.
         presets: By name, the settings that differ from the defaults; `full` is what is reported.
-        load: (settings, path of the data) to the data; called once in each process.
+        load: (settings, path of the data) to the data, whose `sha256` is the hash of their content; called once in each
+            process.
         cells: All tasks, in a fixed order.
         run: Rows of one cell. Pure: no file, no clock, no global randomness.
         tabulate: Rows of the finished cells, each with its cell's values and in order of the cells, to `results.csv`.
@@ -87,15 +76,15 @@ class Experiment(Generic[S, D]):
     name: str
     question: str
     module: str
-    settings: type[S]
+    settings: type[Settings]
     presets: Mapping[str, Mapping[str, Any]]
-    load: Callable[[S, Path], D]
-    cells: Callable[[S, D], Sequence[Cell]]
-    run: Callable[[Cell, S, D], list[Row]]
-    tabulate: Callable[[S, Sequence[Row]], list[Row]]
+    load: Callable[[Any, Path], Any]
+    cells: Callable[[Any, Any], Sequence[Cell]]
+    run: Callable[[Cell, Any, Any], list[Row]]
+    tabulate: Callable[[Any, Sequence[Row]], list[Row]]
     summarise: Callable[[Sequence[Row]], Sequence[Table]]
     figure: Callable[[Sequence[Row], Path], list[Path]] | None = None
-    prepare: Callable[[S, Path | None, Path], Path] = require_data
+    prepare: Callable[[Any, Path | None, Path], Path] = require_data
     resumable_settings: Sequence[str] = ()
     data_folder: str | None = None
     order: int = 1000
@@ -106,7 +95,7 @@ class Experiment(Generic[S, D]):
         """Words that run it."""
         return f"foretouch experiment {self.name}"
 
-    def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
+    def resolve(self, preset: str, overrides: Mapping[str, Any]) -> Any:
         """Settings of a preset with overrides; a `ConfigError` if one is unknown or out of its bounds."""
         if preset not in self.presets:
             raise ConfigError(f"{self.name}: preset: {none_of(preset, self.presets)}")
@@ -114,7 +103,7 @@ class Experiment(Generic[S, D]):
         return base.updated(overrides, self.name)
 
     def finish(
-        self, _settings: S, _data: D, rows: list[Row], _out: Path, _progress: Callable[[int, int], None], /
+        self, _settings: Any, _data: Any, rows: list[Row], _out: Path, _progress: Callable[[int, int], None], /
     ) -> list[Row]:
         """Complete the rows of `tabulate` in this process, once all cells have run: here, with nothing.
 
@@ -135,12 +124,12 @@ class Experiment(Generic[S, D]):
         return self.figure(rows, folder) if self.figure is not None and rows else []
 
 
-def list_experiments() -> list[Experiment[Any, Any]]:
+def list_experiments() -> list[Experiment]:
     """The experiments of this package, in order of lists."""
     return sorted([one for module in _modules() for one in _held_by(module)], key=lambda one: (one.order, one.name))
 
 
-def find_experiment(name: str) -> Experiment[Any, Any]:
+def find_experiment(name: str) -> Experiment:
     """Find an experiment by name, or by the dotted name of a user's module that holds it.
 
     A module that holds several is followed by a colon and the name: `my_lab.stiffness:rubber`.
@@ -171,7 +160,7 @@ def _modules() -> list[str]:
     return [f"{_PACKAGE}.{one.name}" for one in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)]
 
 
-def _held_by(module: str) -> list[Experiment[Any, Any]]:
+def _held_by(module: str) -> list[Experiment]:
     """Experiments of a module; none if it is not an experiment."""
     held = importlib.import_module(module)
     found = getattr(held, "EXPERIMENTS", [getattr(held, "EXPERIMENT", None)])

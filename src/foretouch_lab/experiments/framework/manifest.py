@@ -27,11 +27,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.config import Settings, flattened
+from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.files import COUNT, TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
 from foretouch.models.timing import cpu_name
-from foretouch_lab.experiments.framework.executors import CellResult
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 
 MANIFEST_FILE: Final = "manifest.json"
@@ -39,7 +38,6 @@ RESULTS_FILE: Final = "results.csv"
 SUMMARY_FILE: Final = "summary.md"
 
 _CELLS: Final = "cells"
-_TIMES: Final = "Times: "
 _KEY: Final = re.compile(r"[\w.+-]{1,200}")
 _LIBRARIES: Final = ("numpy", "scipy", "scikit-learn", "torch", "ray")
 
@@ -106,10 +104,9 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     write_text(out / MANIFEST_FILE, json.dumps(manifest, indent=1, ensure_ascii=False) + "\n")
 
 
-def write_cell(out: Path, result: CellResult) -> None:
-    """Store the rows of a finished cell."""
-    cell = result.cell
-    record = {"key": cell.key, "values": cell.values, "seconds": result.seconds, "rows": result.rows}
+def write_cell(out: Path, cell: Cell, rows: Sequence[Row], seconds: float) -> None:
+    """Store the rows of a finished cell, which took some processor time [s]."""
+    record = {"key": cell.key, "values": cell.values, "seconds": seconds, "rows": rows}
     write_text(_cell_file(out, cell), json.dumps(record) + "\n")
 
 
@@ -162,65 +159,44 @@ def read_results(path: Path) -> list[Row]:
         raise FileError(path, str(err)) from err
 
 
-def write_summary(
-    out: Path, experiment: Experiment[Any, Any], tables: Sequence[Table], times: str | None = None
-) -> None:
+def write_summary(out: Path, experiment: Experiment, tables: Sequence[Table]) -> None:
     """Write `summary.md`: the question, how the results were made and which cells they lack, tables and their notes.
-
-    Args:
-        out: The folder.
-        experiment: Whose results they are.
-        tables: The tables.
-        times: `times_line` if times alone were measured again, "" if all was; None keeps the line that is there.
 
     Raises:
         FileError: If it cannot be written, or the manifest is damaged.
     """
-    file = out / SUMMARY_FILE
-    lines = [f"# {experiment.question}", "", *_origin(out, experiment, times)]
+    lines = [f"# {experiment.question}", "", *_origin(out, experiment)]
     for table in tables:
         lines += [f"## {table.title}", ""]
         if table.rows:
             header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
             lines += [*(f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]), ""]
         lines += [*(f"- {note}" for note in table.notes), *[""] * bool(table.notes)]
-    write_text(file, "\n".join(lines[:-1]) + "\n")
+    write_text(out / SUMMARY_FILE, "\n".join(lines[:-1]) + "\n")
 
 
-def times_line(experiment: Experiment[Any, Any], preset: str, settings: Settings) -> str:
-    """Line of `summary.md` on times that were measured now, without the skills beside them."""
-    command = _command({"preset": preset, "settings": settings.to_mapping()}, experiment)
-    return f"{_TIMES}`{command} --times`; {_version(environment(1, None))}"
-
-
-def _origin(out: Path, experiment: Experiment[Any, Any], times: str | None) -> list[str]:
+def _origin(out: Path, experiment: Experiment) -> list[str]:
     """Lines on the command, version, data and missing cells, by the manifest; without one, those written before."""
     file, written = out / MANIFEST_FILE, out / SUMMARY_FILE
-    before = written.read_text(encoding="utf-8").splitlines()[2:] if written.exists() else []
-    before = before[: next((k for k, line in enumerate(before) if line.startswith("## ")), len(before))]
-    lines = [line for line in before if line and not line.startswith(_TIMES)]
-    if times is None:
-        times = next((line for line in before if line.startswith(_TIMES)), "")
-    if file.exists():
-        manifest, lines = _read_manifest(file), []
-        if manifest["sessions"]:
-            data = f"sha256 of the data `{manifest['data']['sha256'][:16]}`"
-            lines.append(f"`{_command(manifest, experiment)}`; {_version(manifest['sessions'][-1])}; {data}")
-        cells = manifest.get("cells", {})
-        if cells and cells["finished"] != cells["all"]:
-            lines.append(
-                f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone."
-            )
-    elif not lines and times:
-        lines = ["How the skills were measured is not known: they are those of a table without its summary."]
-    return [part for line in (*lines, times) if line for part in (line, "")]
+    if not file.exists():
+        before = written.read_text(encoding="utf-8").splitlines()[2:] if written.exists() else []
+        return before[: next((k for k, line in enumerate(before) if line.startswith("## ")), len(before))]
+    manifest, lines = _read_manifest(file), []
+    if manifest["sessions"]:
+        data = f"sha256 of the data `{manifest['data']['sha256'][:16]}`"
+        lines += [f"`{_command(manifest, experiment)}`; {_version(manifest['sessions'][-1])}; {data}", ""]
+    cells = manifest.get("cells", {})
+    if cells and cells["finished"] != cells["all"]:
+        finished = f"**{cells['finished']} of {cells['all']} cells are finished.**"
+        lines += [f"{finished} The tables contain these alone.", ""]
+    return lines
 
 
 def _version(session: Mapping[str, Any]) -> str:
     return f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}, {session['cpu']}"
 
 
-def _command(manifest: Mapping[str, Any], experiment: Experiment[Any, Any]) -> str:
+def _command(manifest: Mapping[str, Any], experiment: Experiment) -> str:
     """Command of a sweep with the settings that differ from those of its preset."""
     preset = manifest.get("preset", "")
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()

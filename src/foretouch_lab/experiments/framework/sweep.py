@@ -1,18 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the cells of an experiment, store each as it finishes, and build the table of all."""
+"""Run the cells of an experiment, in processes or as tasks of a Ray cluster, store each as it finishes, and build the table.
 
-from collections.abc import Callable
+A cell takes plain data and returns plain data, so the rows do not depend on where it runs; an exception becomes a failed
+result with its reason. Each process has one thread, so that sums have a fixed order and cells share the cores.
+"""
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from foretouch.config import Settings
-from foretouch.errors import ConfigError, FileError
+from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, described
+from foretouch.processes import one_thread_each, process_pool
 from foretouch_lab.experiments.framework import manifest as manifests
-from foretouch_lab.experiments.framework.executors import CellResult, Job, in_processes, on_ray
-from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
+from foretouch_lab.ray_cluster import DIED, ray_results
 
-Progress = Callable[[CellResult, int, int], None]
+
+class Job(NamedTuple):
+    """Parameters that all cells of a sweep share."""
+
+    experiment: str  # its module and name, as `find_experiment` takes them
+    settings: str  # resolved settings as JSON
+    data: str  # path of the data; the same on every machine that takes part
+    sha256: str  # hash of the data
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """Result of one cell."""
+
+    cell: Cell  # the cell
+    rows: list[Row] | None  # its rows; None if it failed
+    error: str = ""  # reason of the failure in one line, or ""
+    seconds: float = 0.0  # processor time [s]
 
 
 @dataclass(kw_only=True)
@@ -28,7 +56,7 @@ class SweepResult:
 
 
 def run_sweep(
-    experiment: Experiment[Any, Any],
+    experiment: Experiment,
     settings: Settings,
     out: Path,
     *,
@@ -38,7 +66,7 @@ def run_sweep(
     only_finished: bool = False,
     workers: int = 1,
     address: str | None = None,
-    progress: Progress = lambda *_: None,
+    progress: Callable[[CellResult, int, int], None] = lambda *_: None,
     finishing: Callable[[int, int], None] = lambda *_: None,
 ) -> SweepResult:
     """Run the unfinished cells of an experiment and write its table.
@@ -63,11 +91,9 @@ def run_sweep(
         FileError: If `out` exists and `resume` is off, or cannot be written; with `only_finished`, if it holds no sweep.
         ConfigError: If the sweep in `out` has other settings or data, or two cells have the same key.
     """
-    if only_finished:
-        if not (out / manifests.MANIFEST_FILE).exists():
-            raise FileError(out, f"contains no {manifests.MANIFEST_FILE}: no sweep was started there")
-        resume = True
-    if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
+    if only_finished and not (out / manifests.MANIFEST_FILE).exists():
+        raise FileError(out, f"contains no {manifests.MANIFEST_FILE}: no sweep was started there")
+    if out.exists() and not (resume or only_finished) and (not out.is_dir() or any(out.iterdir())):
         raise FileError(out, "already exists; --resume continues a sweep")
     path = experiment.prepare(settings, source, out)
     data = experiment.load(settings, path)
@@ -79,22 +105,23 @@ def run_sweep(
         done = manifests.read_cells(out, cells)
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         manifest["preset"] = preset
-        open_cells = [cell for cell in cells if cell.key not in done]
+        left = [cell for cell in cells if cell.key not in done]
         if only_finished:
             failed = manifest.get("cells", {}).get("failed", {})
-            result.failures = {cell.key: failed[cell.key] for cell in open_cells if cell.key in failed}
-            open_cells = []
+            result.failures = {cell.key: failed[cell.key] for cell in left if cell.key in failed}
+            left = []
         else:
             manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
             manifests.write_manifest(out, manifest)
-        job = Job.make(experiment, plain, path.absolute(), data.sha256)
-        found = in_processes(job, open_cells, workers) if address is None else on_ray(job, open_cells, address, workers)
-        for number, cell_result in enumerate(found if open_cells else (), len(done) + 1):
-            if cell_result.rows is None:
-                result.failures[cell_result.cell.key] = cell_result.error
+        name = f"{experiment.module}:{experiment.name}"
+        job = Job(name, json.dumps(plain, sort_keys=True), str(path.absolute()), data.sha256)
+        found = in_processes(job, left, workers) if address is None else _on_ray(job, left, address, workers)
+        for number, one in enumerate(found if left else (), len(done) + 1):
+            if one.rows is None:
+                result.failures[one.cell.key] = one.error
             else:
-                manifests.write_cell(out, cell_result)
-            progress(cell_result, number, len(cells))
+                manifests.write_cell(out, one.cell, one.rows, one.seconds)
+            progress(one, number, len(cells))
         finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.finished = len(finished)
         rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
@@ -107,10 +134,72 @@ def run_sweep(
     return result
 
 
-def _cells(experiment: Experiment[Any, Any], settings: Settings, data: Any) -> list[Cell]:
+def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:
     cells = list(experiment.cells(settings, data))
     keys = [cell.key for cell in cells]
     duplicates = {key for key in keys if keys.count(key) > 1}
     if duplicates or not cells:
         raise ConfigError(f"{experiment.name}: cells: " + (f"{min(duplicates)} occurs twice" if duplicates else "none"))
     return cells
+
+
+def run_cell(job: Job, cell: Cell) -> CellResult:
+    """Run one cell; the process keeps the data for the next one."""
+    start = time.process_time()
+    try:
+        experiment, settings, data = _loaded(job)
+        start = time.process_time()  # reading the data does not count
+        return CellResult(cell, experiment.run(cell, settings, data), "", time.process_time() - start)
+    except ForetouchError as err:
+        error = str(err)
+    except Exception as err:  # noqa: BLE001 - a defect in one cell must not end the sweep; it is reported
+        error = described(err)
+    return CellResult(cell, None, error, time.process_time() - start)
+
+
+@lru_cache(maxsize=1)
+def _loaded(job: Job) -> tuple[Experiment, Any, Any]:
+    experiment = find_experiment(job.experiment)
+    settings = experiment.settings.from_mapping(json.loads(job.settings), experiment.name)
+    data = experiment.load(settings, Path(job.data))
+    if data.sha256 != job.sha256:
+        raise DatasetError(f"{job.data}: sha256: {data.sha256} is not {job.sha256}, with which the sweep started")
+    return experiment, settings, data
+
+
+def _on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
+    """Run cells as Ray tasks (see `ray_results`); the data of the job must have the same path on every node."""
+    for cell, result, error in ray_results(partial(run_cell, job), cells, address, workers):
+        yield result or CellResult(cell, None, error)
+
+
+def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
+    """Run cells in processes of this machine and yield each result as it arrives.
+
+    If a process dies, the cells that were running are tried once more, each alone; one that kills its process again has
+    failed.
+    """
+    queue = deque(cells)
+    with one_thread_each():
+        while queue:
+            suspects = yield from _until_broken(job, queue, workers)
+            for cell in suspects:
+                again = yield from _until_broken(job, deque([cell]), 1)
+                yield from (CellResult(failed, None, DIED) for failed in again)
+
+
+def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
+    """Run cells until the queue is empty or a process dies; returns the cells that were running then."""
+    running: dict[Future[CellResult], Cell] = {}
+    with process_pool(workers) as pool:
+        try:
+            while queue or running:
+                while queue and len(running) < workers:  # so that few have to be run again
+                    running[pool.submit(run_cell, job, queue[0])] = queue[0]
+                    queue.popleft()
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield done.result()
+                    del running[done]
+        except BrokenProcessPool:
+            return list(running.values())
+    return []

@@ -2,13 +2,16 @@
 """Areas of `foretouch tradeoff`: experiments that measure skills of many variants of one component, and time them.
 
 Cells measure skills, each in its own process. Once they have run, all variants are timed in one process and in one
-random order, and the answers of each are compared with those of the shipped one. The table, `tradeoff.csv`, has a row
-for each variant, size of request and state of the machine, idle or loaded; a variant that cannot run here has one row
-with the reason. To add an area, add a module `tradeoff_<area>` to `foretouch_lab.experiments` that holds an `EXPERIMENT`.
+random order. The table, `tradeoff.csv`, has a row for each variant, size of request and state of the machine, idle or
+loaded; a variant that cannot run here has one row with the reason. To add an area, add a module `tradeoff_<area>` to
+`foretouch_lab.experiments` that holds an `EXPERIMENT`.
+
+On the frontier of skill and time are the variants that no other beats in both. Where variants were compared in pairs,
+those that do not differ significantly from the same most skilful one count as equal: of these, the fastest is on it.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,27 +20,21 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError, none_of
 from foretouch.models.timing import MachineLoad, cpu_name, time_calls
-from foretouch.types import Float64, Floating
-from foretouch_lab.experiments.framework import frontier
+from foretouch.report.panels import Axes, new_figure, save_small
 from foretouch_lab.experiments.framework.experiment import (
     Cell,
-    D,
     Experiment,
     Row,
-    S,
     Table,
     find_experiment,
     list_experiments,
 )
-from foretouch_lab.experiments.framework.manifest import read_results, require_experiment, write_results
+from foretouch_lab.experiments.framework.manifest import read_results
 
 _PREFIX: Final = "tradeoff_"
-_COMPARED: Final = 10  # size of the requests whose answers are compared, or the next smaller one
-_TIMES: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
-_HOT: Final = "hot_cpu_ms"  # median processor time in a loop without pauses, where there are pauses
-_HOT_SHARE: Final = 0.2  # of the time of all timings, for calls without a pause
-
-Answer = Floating
+_TIMES: Final = {"ms_p50": "p50 [ms]", "ms_p95": "p95 [ms]", "ms_p99": "p99 [ms]", "cpu_ms": "CPU [ms]"}
+_LINE: Final = 0.05  # height of a label, as a share of the axes
+_LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,27 +49,29 @@ class TradeoffSettings(Settings):
     detail: str = setting("all", "few: the main variants; all: all variants and pairs", choices=("few", "all"))
 
 
-@dataclass(frozen=True)
-class Variant:
+class Variant(NamedTuple):
     """One setting of the component that is measured: the shipped one, or one that differs from it."""
 
     name: str  # unique, and short: it is written beside its point in the picture
-    factor: str  # what differs: `shipped` (one for each panel's skill), `reference`, the name of one setting, or two joined by ` x `
-    values: Mapping[str, Any] = field(default_factory=dict)  # plain JSON data from which the area makes it
-    compared_with: str = ""  # variant whose answers its own shall equal; "" for the shipped one
-    reference: str = ""  # variant to whose time its ratio is taken; "" for that of the area
+    factor: str  # what differs: `shipped`, `reference`, the name of one setting, or two joined by ` x `
+    values: Mapping[str, Any]  # plain JSON data from which the area makes it
 
 
-class Timed(NamedTuple):
-    """A variant that is ready to be timed."""
+class Panel(NamedTuple):
+    """One diagram of the picture: the skill in a column against the time of requests of one size."""
 
-    answer: Callable[[int], Answer]  # from the size of a request to an answer that is comparable with other variants'
-    size_mb: float | None = None  # on disk [MB]; None if that has no meaning
-    whole: float = 1.0  # number of such calls that make the whole, as steps make a training; times are multiplied by it
+    skill: str
+    request: int
+    title: str
+
+
+Timed = tuple[
+    Callable[[int], object], float
+]  # a call with the size of a request, and how many such calls make the whole
 
 
 @dataclass(frozen=True, kw_only=True)
-class Area(Experiment[S, D]):
+class Area(Experiment):
     """Declaration of one area. Its settings are `TradeoffSettings`, and its presets are `small` and `full`.
 
     `tabulate` returns one row for each variant with the columns `variant` and, for each of `skills`, `<skill>`,
@@ -81,20 +80,16 @@ class Area(Experiment[S, D]):
 
     Attributes:
         variants: All variants of a preset's settings.
-        timed: Makes a variant ready to be timed; called once for each. Raises a `ForetouchError` if it cannot run here,
-            such as for a library that is not installed.
-        shipped: Name of the variant that users have without asking.
-        reference: Name of the variant that ratios of times are taken to.
+        timed: (variant, settings, data) to a call that is timed, and the factor of its time; called once for each. Raises a
+            `ForetouchError` if the variant cannot run here, such as for a library that is not installed.
         skills: Columns of skills, each with its meaning.
         panels: Diagrams of the picture.
     """
 
-    variants: Callable[[S], Iterable[Variant]]
-    timed: Callable[[Variant, S, D], Timed]
-    shipped: str
-    reference: str
+    variants: Callable[[Any], Iterable[Variant]]
+    timed: Callable[[Variant, Any, Any], Timed]
     skills: Mapping[str, str]
-    panels: Sequence[frontier.Panel]
+    panels: Sequence[Panel]
     summarise: Callable[[Sequence[Row]], Sequence[Table]] = lambda _: ()
     results: str = "tradeoff.csv"
     order: int = 900
@@ -109,20 +104,16 @@ class Area(Experiment[S, D]):
         """Words that run it."""
         return f"foretouch tradeoff {self.area}"
 
-    def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
-        """As `Experiment.resolve`; a `ConfigError` too if two variants have the same name, or a named one is absent."""
+    def resolve(self, preset: str, overrides: Mapping[str, Any]) -> Any:
+        """As `Experiment.resolve`; a `ConfigError` too if two variants have the same name."""
         settings = super().resolve(preset, overrides)
-        variants = list(self.variants(settings))
-        names = [one.name for one in variants]
+        names = [one.name for one in self.variants(settings)]
         if len(set(names)) < len(names):
             raise ConfigError(f"{self.name}: variants: {max(names, key=names.count)!r} occurs twice")
-        wanted = {self.shipped, self.reference, *(n for one in variants for n in (one.compared_with, one.reference))}
-        if absent := wanted - {"", *names}:
-            raise ConfigError(f"{self.name}: variants: {min(absent)!r} is absent")
         return settings
 
     def finish(
-        self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None], /
+        self, settings: Any, data: Any, rows: list[Row], out: Path, progress: Callable[[int, int], None], /
     ) -> list[Row]:
         """Add the times. Rows of an earlier run in the other state of the machine are kept."""
         found = {row["variant"]: row for row in rows}
@@ -139,7 +130,7 @@ class Area(Experiment[S, D]):
 
     def facts(self, rows: Sequence[Row], /) -> dict[str, Any]:
         """Variants that could not run, with the reasons, and those on the frontier of each panel."""
-        lines = {one.title: frontier.frontier(frontier.of_request(rows, one.request), one.skill) for one in self.panels}
+        lines = {one.title: frontier(_of_request(rows, one.request), one.skill) for one in self.panels}
         return {
             "area": self.area,
             "skipped": {row["variant"]: row["skipped"] for row in rows if row["skipped"]},
@@ -148,21 +139,36 @@ class Area(Experiment[S, D]):
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
         """What the area summarises, frontiers, and the machine: the idle one if it was idle once."""
-        rows = frontier.best_state(rows)
-        machine = Table("Machine", [], [], frontier.machine_notes(rows))
-        return [*self.summarise(rows), *frontier.tables(self.panels, rows), machine]
+        rows = _best_state(rows)
+        return [*self.summarise(rows), *frontier_tables(self.panels, rows), _machine(rows)]
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
-        """Draw `tradeoff.png`, and the figure of the area's own."""
-        return [*frontier.draw(self.panels, self.skills, rows, folder), *super().draw(rows, folder)]
+        """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier beside it."""
+        panels = [one for one in self.panels if frontier(_of_request(rows, one.request), one.skill)]
+        if not panels:
+            return []
+        factors = list(dict.fromkeys(row["factor"] for row in rows))
+        wide = min(len(panels), 2)
+        tall = -(-len(panels) // wide)
+        figure = new_figure(7.6 * wide, 0.5 + 4.4 * tall)
+        grid = figure.subplots(tall, wide, squeeze=False).ravel()
+        for axes, panel in zip(grid, panels, strict=False):
+            _draw_panel(axes, panel, self.skills[panel.skill], _of_request(rows, panel.request), factors)
+        for axes in grid[len(panels) :]:
+            axes.set_axis_off()
+        handles = {
+            label: handle for axes in grid for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=7, fontsize=8)
+        return [save_small(figure, folder / "tradeoff.png")]
 
 
-def list_areas() -> list[Area[Any, Any]]:
+def list_areas() -> list[Area]:
     """The areas of this package, sorted by name."""
     return sorted((one for one in list_experiments() if isinstance(one, Area)), key=lambda one: one.name)
 
 
-def find_area(name: str) -> Area[Any, Any]:
+def find_area(name: str) -> Area:
     """Find an area by name, or by the dotted name of a user's module that holds an `EXPERIMENT`.
 
     Raises:
@@ -170,95 +176,171 @@ def find_area(name: str) -> Area[Any, Any]:
     """
     if "." in name and isinstance(found := find_experiment(name), Area):
         return found
-    areas = list_areas()
-    if named := [one for one in areas if one.area == name]:
-        return named[0]
-    raise ConfigError(f"tradeoff: {none_of(name, [one.area for one in areas])}")
+    areas = {one.area: one for one in list_areas()}
+    if name not in areas:
+        raise ConfigError(f"tradeoff: {none_of(name, areas)}")
+    return areas[name]
 
 
-def variant_cells(variants: Callable[[S], Iterable[Variant]]) -> Callable[[S, Any], list[Cell]]:
+def variant_cells(variants: Callable[[Any], Iterable[Variant]]) -> Callable[[Any, Any], list[Cell]]:
     """`cells` of an area with a cell for each variant."""
     return lambda settings, _: [
         Cell(f"{k:03}", {"variant": one.name, **one.values}) for k, one in enumerate(variants(settings))
     ]
 
 
-def measure_times(
-    area: Area[Any, Any], settings: Any, out: Path, source: Path | None, progress: Callable[[int, int], None]
-) -> list[Row]:
-    """Time all variants again, with the skills of a table, and write it.
-
-    Raises:
-        FileError: If there is no table.
-        ConfigError: If it is of another area.
-    """
-    require_experiment(out, area.name)
-    before = read_results(out / area.results)
-    names = [name for name in next(iter(before), {}) if name != "factor"]
-    skilled = [{name: row[name] for name in names[: names.index("request")]} for row in before]
-    data = area.load(settings, area.prepare(settings, source, out))
-    return write_results(out, area.finish(settings, data, skilled, out, progress), area.results)
-
-
 def _time_variants(
-    area: Area[S, D], settings: Any, data: D, progress: Callable[[int, int], None]
-) -> Iterator[tuple[Variant, Row]]:
-    """Make each variant ready, compare its answers, then time all together: a row for each variant and size."""
+    area: Area, settings: Any, data: Any, progress: Callable[[int, int], None]
+) -> list[tuple[Variant, Row]]:
+    """Make each variant ready, then time all together: a row for each variant and size."""
     from threadpoolctl import threadpool_limits
 
-    requests = sorted(settings.requests)
-    compared = max((one for one in requests if one <= _COMPARED), default=requests[0])
-    variants = list(area.variants(settings))
     ready: dict[str, Timed] = {}
-    answers: dict[str, Answer] = {}
     skipped: dict[str, str] = {}
+    variants = list(area.variants(settings))
     with threadpool_limits(1):
         for variant in variants:
             try:
-                made = area.timed(variant, settings, data)
-                answers[variant.name] = np.array(made.answer(compared))
-                ready[variant.name] = made
+                ready[variant.name] = area.timed(variant, settings, data)
             except ForetouchError as err:
                 skipped[variant.name] = str(err)
         load = MachineLoad()
-        calls = {name: one.answer for name, one in ready.items()}
-        hot = time_calls(calls, requests, _HOT_SHARE * settings.timing_s, progress) if settings.pause_s else {}
-        share = 1.0 - _HOT_SHARE if hot else 1.0
-        times = time_calls(calls, requests, share * settings.timing_s, progress, settings.pause_s)
+        calls = {name: call for name, (call, _) in ready.items()}
+        times = time_calls(calls, sorted(settings.requests), settings.timing_s, progress, settings.pause_s)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
-    found = {key: _quantiles(calls, ready[key[0]].whole) for key, calls in times.items()}
-    for key, row in found.items():
-        row[_HOT] = 1e3 * float(np.median(hot[key][:, 1])) if key in hot else None
+    rows: list[tuple[Variant, Row]] = []
     for variant in variants:
-        other, reference = variant.compared_with or area.shipped, variant.reference or area.reference
-        facts = {
-            "reference": reference,
-            "size_mb": ready[variant.name].size_mb if variant.name in ready else None,
-            "compared_with": other,
-            "difference": _largest_difference(answers.get(variant.name), answers.get(other)),
-            **machine,
-            "skipped": skipped.get(variant.name),
-        }
-        for request in requests if variant.name in ready else ():
-            if (own := found.get((variant.name, request))) is not None:
-                against = found.get((reference, request))
-                ratio = None if against is None else against["cpu_ms"] / own["cpu_ms"]
-                yield (
-                    variant,
-                    {"request": request, "calls": len(times[variant.name, request]), **own, "ratio": ratio, **facts},
-                )
+        facts = {**machine, "skipped": skipped.get(variant.name)}
+        for request in sorted(settings.requests):
+            if (own := times.get((variant.name, request))) is not None:
+                values = [*np.percentile(own[:, 0], (50, 95, 99)), np.median(own[:, 1])]
+                measured = 1e3 * ready[variant.name][1] * np.array(values)
+                row = {"request": request, "calls": len(own), **dict(zip(_TIMES, measured.tolist(), strict=True))}
+                rows.append((variant, {**row, **facts}))
         if variant.name in skipped:
-            yield variant, {**dict.fromkeys(("request", "calls", *_TIMES, _HOT, "ratio")), **facts}
+            rows.append((variant, {**dict.fromkeys(("request", "calls", *_TIMES)), **facts}))
+    return rows
 
 
-def _quantiles(times: Float64, whole: float) -> Row:
-    values = [*np.percentile(times[:, 0], (50, 95, 99)), np.median(times[:, 1])]
-    return {name: 1e3 * whole * float(value) for name, value in zip(_TIMES, values, strict=True)}
+# The frontier.
 
 
-def _largest_difference(answer: Answer | None, other: Answer | None) -> float | None:
-    """Of two answers; None if they cannot be compared."""
-    if answer is None or other is None or answer.shape != other.shape:
-        return None
-    return float(np.abs(answer.astype(np.float64) - other.astype(np.float64)).max(initial=0.0))
+def _best_state(rows: Sequence[Row]) -> list[Row]:
+    """Rows of the idle machine, if it was idle once, else of the loaded one."""
+    return [row for row in rows if row["state"] == "idle"] or list(rows)
+
+
+def _of_request(rows: Sequence[Row], request: int) -> list[Row]:
+    """Rows of one size of request, of the best state of the machine."""
+    return [row for row in _best_state(rows) if row["request"] == request]
+
+
+def time_column(rows: Sequence[Row]) -> str:
+    """Wall time if the machine was idle, else processor time, which other processes disturb less."""
+    return "ms_p50" if all(row["state"] == "idle" for row in rows) else "cpu_ms"
+
+
+def frontier(rows: Sequence[Row], skill: str) -> list[Row]:
+    """Rows that no other beats in both skill and time, by ascending time.
+
+    Args:
+        rows: Of one size of request and one state of the machine.
+        skill: Column; rows without it are ignored.
+    """
+    column, found = time_column(rows), [row for row in rows if row.get(skill) is not None]
+
+    def level(row: Row) -> float:
+        """Skill of the most skilful one that it equals; its own where they were not compared."""
+        best = row.get(f"{skill}_equals")
+        return float(next((one[skill] for one in found if one["variant"] == best), row[skill]))
+
+    result: list[Row] = []
+    for row in sorted(found, key=lambda one: (one[column], -level(one))):
+        if not result or level(row) > level(result[-1]):
+            result.append(row)
+    return result
+
+
+def frontier_tables(panels: Sequence[Panel], rows: Sequence[Row]) -> list[Table]:
+    """For each panel that has rows, the settings on the frontier with their skill and times; a `*` marks the shipped one."""
+    found = []
+    for panel in panels:
+        body = [
+            [
+                row["variant"] + " *" * (row["factor"] == "shipped"),
+                interval(row, panel.skill),
+                *(f"{row[name]:.3g}" for name in _TIMES),
+            ]
+            for row in frontier(_of_request(rows, panel.request), panel.skill)
+        ]
+        if body:
+            found.append(Table(panel.title, ["frontier", "skill", *_TIMES.values()], body))
+    return found
+
+
+def interval(row: Row, name: str) -> str:
+    """A skill with its interval, such as `-0.021 [-0.05, 0.01]`; nothing where it was not measured."""
+    if row.get(name) is None:
+        return ""
+    low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
+    return f"{row[name]:.3f}" + ("" if low is None or high is None else f" [{low:.2f}, {high:.2f}]")
+
+
+def _machine(rows: Sequence[Row]) -> Table:
+    """Which settings could not run, and on what machine the others were timed."""
+    first, wall = rows[0], time_column([row for row in rows if not row["skipped"]]) == "ms_p50"
+    machine = f"{first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores"
+    skipped = [f"Skipped: {row['variant']}: {row['skipped']}." for row in rows if row["skipped"]]
+    notes = [*skipped, f"Measured on {machine}. Frontiers are of the median {'wall' if wall else 'processor'} time."]
+    return Table("Machine", [], [], notes)
+
+
+def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], factors: Sequence[str]) -> None:
+    column, skill = time_column(rows), panel.skill
+    skilled, line = [row for row in rows if row.get(skill) is not None], frontier(rows, skill)
+    skills = [row[skill] for row in skilled]
+    named = sorted(
+        (row for row in skilled if row in line or row["factor"] == "shipped"), key=lambda row: float(row[skill])
+    )
+    low, high = named[0][skill], max(skills)
+    span = max(high - low, _LOWEST * min(max(skills) - min(skills), 0.2)) or 0.05
+    floor = low - _LOWEST * span
+    axes.step([row[column] for row in line], [row[skill] for row in line], where="post", color="black", linewidth=1)
+    for row in skilled:
+        number, on_line, shipped = factors.index(row["factor"]), row in line, row["factor"] == "shipped"
+        marker = "v" if row[skill] < floor else "*" if shipped else "os^Dv"[number // 10 % 5]
+        style: dict[str, Any] = {"alpha": 1.0, "zorder": 3} if on_line else {"alpha": 0.55, "zorder": 2}
+        axes.plot(row[column], max(row[skill], floor), linestyle="", marker=marker, color=f"C{number % 10}",
+                  markersize=11 if shipped else 5, label=row["factor"], **style)  # fmt: skip
+        if on_line and (lower := row.get(f"{skill}_low")) is not None:
+            ends = [max(lower, floor), row[f"{skill}_high"]]
+            axes.plot([row[column]] * 2, ends, color=f"C{number % 10}", linewidth=0.6)
+    axes.set_xscale("log")
+    axes.set_ylim(floor - 0.1 * span, high + 0.12 * span)
+    for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
+    axes.grid(visible=True, which="both", alpha=0.2)
+    wall = column == "ms_p50"
+    axes.set_xlabel("wall time, median [ms]" if wall else "processor time, median (loaded machine) [ms]")
+    axes.set_ylabel(meaning)
+    axes.set_title(panel.title, fontsize=10)
+    # Names right of the axes, one below the other in the order of the points, so that neither names nor lines cross.
+    bottom, top = axes.get_ylim()
+    places = spread([(row[skill] - bottom) / (top - bottom) for row in named], _LINE)
+    for row, place in zip(named, places, strict=True):
+        axes.annotate(
+            f"{row['variant']}  {row[column]:.3g} ms", (row[column], row[skill]), (1.04, place), va="center",
+            textcoords="axes fraction", fontsize=7.5, annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 3, "relpos": (0.0, 0.5)},
+        )  # fmt: skip
+
+
+def spread(wanted: Sequence[float], gap: float) -> list[float]:
+    """Places near the wanted ascending ones in [0, 1] that are at least a gap apart, if they fit."""
+    from sklearn.isotonic import isotonic_regression
+
+    count = len(wanted)
+    offsets = min(gap, 1.0 / max(count - 1, 1)) * np.arange(count)
+    nearest = isotonic_regression(np.asarray(wanted, np.float64) - offsets)  # with least squares
+    return [float(place) for place in np.clip(nearest, 0.0, 1.0 - offsets[-1]) + offsets]

@@ -25,7 +25,6 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.hold_out import results, splits
 from foretouch_lab.experiments.hold_out.splits import HoldOutSettings, Splitter, TouchSettings
 from foretouch_lab.experiments.hold_out.transfer import TRANSFER_METHODS, fit_transfer
-from foretouch_lab.experiments.shared.figures import draw_skill_figure
 from foretouch_lab.experiments.shared.folds import touch_draws
 from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, Fitted, find_predictor
 from foretouch_lab.experiments.shared.scores import error_rows, load, score_table
@@ -105,9 +104,9 @@ def _experiment(
     resumable: Sequence[str] = (),
     data_folder: str | None = "vision2tactile",
     **others: Any,
-) -> Experiment[Any, Any]:
+) -> Experiment:
     """One way to split; `base` are settings of every preset, `resumable` further settings that no cell depends on."""
-    how = {"load": load, "summarise": skill_tables, "figure": draw_skill_figure}
+    how = {"load": load, "summarise": skill_tables}
     return Experiment(
         name=name,
         question=question,
@@ -158,7 +157,6 @@ EXPERIMENTS: Final = (
         settings=splits.CrossTypeSettings,
         tabulate=results.tabulate_types,
         summarise=results.summarise_types,
-        figure=results.draw_types,
     ),
     _experiment(
         "unseen_object",
@@ -186,7 +184,6 @@ EXPERIMENTS: Final = (
         base={**_TOUCHED, "samples": 1200, "predictors": ["training_mean", "geometry_trees", "contact"]},
         tabulate=results.tabulate_lookalikes,
         summarise=results.summarise_lookalikes,
-        figure=results.draw_lookalikes,
         load=load_simulated,
         prepare=prepare_simulated,
         data_folder=None,
@@ -228,7 +225,6 @@ EXPERIMENTS: Final = (
         columns=("condition", "size"),
         resumable=("test_conditions", "grasps", "objects"),
         summarise=results.summarise_sizes,
-        figure=results.draw_sizes,
         load=load_both,
         prepare=prepare_both,
     ),

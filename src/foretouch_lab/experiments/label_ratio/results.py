@@ -31,7 +31,7 @@ from foretouch.types import Float64
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.label_ratio.training import MODELS, TRIALS, kind_of
 from foretouch_lab.experiments.shared.figures import Line, save_panels
-from foretouch_lab.experiments.shared.tables import SIGNS, findings, grouped, pivot, select, unique
+from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, unique
 
 # Value of the column `model` for the baseline that is trained on the labelled samples alone.
 TREES: Final = "geometry_trees"
@@ -46,9 +46,6 @@ P2_CHANGES: Final = {
 
 # P2, section IV: lowest RMSE [% of the range], always P30, the PointNet at T30.
 P2_LOWEST: Final = {"PDC_TH": 6.37, "E_TH": 5.17, "PDC_MF": 4.83, "E_MF": 6.06}
-
-# P2, section IV: number of the five ratios at which the SR-GAN's mean error is lower.
-P2_AVERAGES: Final = {"PDC_TH": 4, "PDC_MF": 4, "E_TH": 3, "E_MF": 1}
 
 # Value of the column `srgan` for the trial that was chosen on held-out samples; the others are readings by name.
 CHOSEN: Final = "chosen"
@@ -149,14 +146,7 @@ def _sizes(runs: Sequence[tuple[Row, Row]]) -> list[int]:
 
 
 def summarise_models(rows: Sequence[Row]) -> list[Table]:
-    """Sentences, a table of errors and one of differences from the PointNet, with a line for each SR-GAN at each ratio."""
-    sentences = [_counts_of(name, own) for name, own in grouped(rows, "srgan")]
-    own = select(rows, srgan=rows[0]["srgan"])
-    lower = sum((row["trees_rmse"] or np.inf) < row["pointnet_rmse"] for row in own)
-    sentences.append(
-        f"PointNet: below the mean of the labels in {_below(own, 'pointnet')} of {len(own)} cells; trees on geometry are below "
-        f"the PointNet in {lower}"
-    )
+    """A table of errors and one of differences from the PointNet, with a line for each SR-GAN at each ratio."""
     errors: list[list[str]] = []
     changes: list[list[str]] = []
     for ratio, own in grouped(sorted(rows, key=lambda row: row["ratio"]), "ratio"):
@@ -171,24 +161,9 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
     ]
     columns = ["", *MODALITIES]
     return [
-        findings(sentences),
         Table("RMSE in counts, mean ± standard deviation over the runs", columns, errors),
         Table("SR-GAN against PointNet [%]", columns, changes, notes),
     ]
-
-
-def _counts_of(name: str, rows: Sequence[Row]) -> str:
-    better, tie, worse = (sum(row["verdict"] == verdict for row in rows) for verdict in ("better", "tie", "worse"))
-    return (
-        f"SR-GAN `{name}` in {len(rows)} cells: significantly better than the PointNet in {better}, significantly worse in "
-        f"{worse}, no significant difference in {tie}; lower mean error in {sum(row['change'] < 0.0 for row in rows)} "
-        f"(P2: {sum(P2_AVERAGES.values())} of 20), below the mean of the labels in {_below(rows, 'srgan')}"
-    )
-
-
-def _below(rows: Sequence[Row], model: str) -> int:
-    """Number of cells in which a model has a lower error than the mean of the labels."""
-    return sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows)
 
 
 def _error(name: str, row: Row, *_: Row) -> str:

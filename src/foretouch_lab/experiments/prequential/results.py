@@ -21,13 +21,10 @@ from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.experiments.shared.tables import (
     ALL_OBJECTS,
     SIGNS,
-    findings,
     grouped,
-    listed,
     pivot,
     select,
     short,
-    span,
     unique,
     with_notes,
 )
@@ -245,7 +242,7 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
         "history: the state of the sensors from readings on other objects; touches: of this object, in this run",
         "interval score [counts]: width, plus 20 times the distance of readings outside; the lower the better",
     ]
-    tables = [findings(_sentences(together))]
+    tables = []
     for regime in REGIMES:
         own = select(together, regime=regime)
         title = f"{regime}: {own[0]['grasps']} grasps"
@@ -278,24 +275,6 @@ def _with_lines(rows: Rows) -> list[Row]:
     """Rows with the name of their `line` in tables and figure, those of each of the sources together."""
     named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
     return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
-
-
-def _sentences(rows: Sequence[Row]) -> list[str]:
-    """Skills with everything, with and without vision, in each regime."""
-    found = []
-    for (regime, vision), own in grouped(rows, "regime", "vision"):
-        known = dict(grouped(own, "sources"))
-        best = known[max(known, key=SOURCES.index)]
-        words = "the mean of earlier readings" if vision == CONSTANT else f"vision ({vision})"
-        text = f"{regime}, with {words}: {listed(known[NOTHING], 'skill')} alone, {listed(best, 'skill')} with {best[0]['sources']}"
-        found.append(text)
-    for vision, own in grouped([row for row in rows if row["vs_constant_verdict"]], "vision"):
-        better, worse = (select(own, vs_constant_verdict=verdict) for verdict in ("better", "worse"))
-        found.append(
-            f"vision ({vision}) is significantly better than the mean of earlier readings in {len(better)} of {len(own)} "
-            f"comparisons and worse in {len(worse)}; it gains {span(row['vs_constant'] for row in own)}"
-        )
-    return found
 
 
 def _estimate(row: Row, column: str = "skill") -> str:

@@ -2,15 +2,12 @@
 """Figures of experiments: panels for the modalities, lines over a column, and intervals one below the other."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from foretouch.report.panels import Axes, Rows, new_figure, save_small
 from foretouch.tactile import MODALITIES
-from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped, select, unique
-
-_LOWEST_SKILL: Final = -1.5  # lower values are drawn as an arrow with their number at this edge of the figure
+from foretouch_lab.experiments.shared.tables import select, unique
 
 
 class Line(NamedTuple):
@@ -57,7 +54,6 @@ def draw_series(
     places: Sequence[Any] | None = None,
     spread: float = 0.0,
     lowest: float | None = None,
-    styles: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
     """Draw a line for each name of a column, with intervals; an arrow marks values below `lowest`.
 
@@ -71,22 +67,18 @@ def draw_series(
         places: Values of `x` in order; by default those of the rows, sorted.
         spread: Distance between markers at one place, so that intervals do not hide each other.
         lowest: Lower end of the vertical axis.
-        styles: Arguments of matplotlib's `plot` for a name, and for `every` name.
     """
     places = sorted(set(unique(rows, x))) if places is None else places
-    styles = styles or {}
-    common = styles.get("every", {})
     for number, name in enumerate(names):
         own = sorted(select(rows, **{series: name}), key=lambda row: places.index(row[x]))
-        style = {"color": f"C{number}", "marker": "o", "markersize": 4, **common, **styles.get(name, {})}
         centres = [places.index(row[x]) + spread * (number - (len(names) - 1) / 2) for row in own]
-        axes.plot(centres, [row[values] for row in own], label=name, **style)
+        axes.plot(centres, [row[values] for row in own], label=name, color=f"C{number}", marker="o", markersize=4)
         for centre, row in zip(centres, own, strict=True):
             if lowest is not None and row[values] < lowest:
-                axes.plot(centre, lowest, marker="v", color=style["color"], clip_on=False)
+                axes.plot(centre, lowest, marker="v", color=f"C{number}", clip_on=False)
             if row.get(f"{values}_low") is not None:
                 ends = [row[f"{values}_low"], row[f"{values}_high"]]
-                axes.plot([centre, centre], ends, color=style["color"], linewidth=1)
+                axes.plot([centre, centre], ends, color=f"C{number}", linewidth=1)
     axes.axhline(0.0, color="grey", linewidth=0.8)
     axes.set_xticks(range(len(places)), [str(place) for place in places])
     if lowest is not None:
@@ -95,18 +87,12 @@ def draw_series(
 
 
 def draw_intervals(
-    axes: Axes,
-    rows: Rows,
-    column: str,
-    names: Sequence[str],
-    *,
-    lowest: float = _LOWEST_SKILL,
-    colour: Callable[[Mapping[str, Any]], str] | None = None,
+    axes: Axes, rows: Rows, column: str, names: Sequence[str], lowest: float, colour: Callable[[Mapping[str, Any]], str]
 ) -> None:
-    """Draw skill and interval of each row, the names of a column one below the other."""
+    """Draw skill and interval of each row, the names of a column one below the other; an arrow marks those below `lowest`."""
     for row in rows:
         y, value = names.index(row[column]), row["skill"]
-        shown = colour(row) if colour else f"C{y % 10}"
+        shown = colour(row)
         if value < lowest:
             text = f"{value:.2f}" if abs(value) < 1.0 else f"{value:.1f}"
             axes.plot(lowest, y, marker="<", color=shown, clip_on=False)
@@ -119,17 +105,3 @@ def draw_intervals(
     axes.set_yticks(range(len(names)), names, fontsize=8)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.grid(visible=True, axis="x", alpha=0.3)
-
-
-def draw_skill_figure(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `skill.png`: tables below each other, modalities side by side."""
-    # The training mean has a skill of 0 by definition: it is the vertical line.
-    together = [row for row in select(rows, object=ALL_OBJECTS) if row["predictor"] != "training_mean"]
-    shown = [row for row in together if row["skill"] is not None]
-    predictors = unique(shown, "predictor")
-    draw = partial(draw_intervals, column="predictor", names=predictors)
-    lines = [
-        Line(0.9 + 0.25 * len(predictors), own, draw, table, "skill (0: training mean)")
-        for table, own in grouped(shown, "table")
-    ]
-    return save_panels(folder / "skill.png", 12.0, lines, sharex=True, sharey=True)

@@ -79,13 +79,6 @@ def listed(rows: Iterable[Mapping[str, Any]], column: str) -> str:
     return " ".join(short(row[column]) for row in rows)
 
 
-def span(values: Iterable[float]) -> str:
-    """The least and the largest number."""
-    ordered = sorted(values)
-    low, high = short(ordered[0]), short(ordered[-1])
-    return low if low == high else f"{low} to {high}"
-
-
 def findings(sentences: Sequence[str]) -> Table:
     """Sentences above the tables."""
     return Table("Findings", (), (), sentences)
@@ -96,10 +89,10 @@ def with_notes(tables: Sequence[Table], notes: Sequence[str]) -> list[Table]:
     return [*tables[:-1], replace(tables[-1], notes=notes)]
 
 
-def skill_tables(rows: Sequence[Row], notes: Sequence[str] = (), sentences: Sequence[str] = ()) -> list[Table]:
-    """Sentences, and a table of skills for each `table` of the results, with a sign for each comparison."""
+def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
+    """A table of skills for each `table` of the results, with a sign for each comparison."""
     references = [name[3:-8] for name in rows[0] if name.startswith("vs_") and name.endswith("_verdict")]
-    found, tables, by_object = [], [], []
+    tables, by_object = [], []
     names = SKILL_COLUMNS[1:]
     for table, own in grouped(rows, "table"):
         together = select(own, object=ALL_OBJECTS)
@@ -110,23 +103,8 @@ def skill_tables(rows: Sequence[Row], notes: Sequence[str] = (), sentences: Sequ
         if single:
             body = pivot(single, "object", lambda row: short(row["skill"]), names=names)
             by_object.append(Table(f"{table}: {MODEL}, by object", SKILL_COLUMNS, body))
-        predictors = unique(together, "predictor")
-        shown = MODEL if MODEL in predictors else predictors[-1]
-        found.append(_sentence(f"{table}: `{shown}`", select(together, predictor=shown), references))
     legend = [_LEGEND] + [_VERDICTS.format(references=", then from ".join(references))] * bool(references)
-    return [findings([*found, *sentences]), *with_notes([*tables, *by_object], [*legend, *notes])]
-
-
-def _sentence(start: str, rows: Sequence[Row], references: Sequence[str]) -> str:
-    """The skills of a predictor, and where they differ significantly from those of the references."""
-    parts = [f"{start} has skills of {listed(rows[: len(MODALITIES)], 'skill')} ({', '.join(MODALITIES)})"]
-    for other in references:
-        verdicts = {row["modality"]: row[f"vs_{other}_verdict"] for row in rows}
-        where = {one: [k.replace(MEAN, "the mean") for k, v in verdicts.items() if v == one] for one in SIGNS}
-        named = {one: f"significantly {one} than `{other}` in {', '.join(where[one])}" for one in ("better", "worse")}
-        parts += [text for one, text in named.items() if where[one]]
-        parts += [f"not significantly different from `{other}`"] * (len(where["tie"]) == len(rows))
-    return "; ".join(parts)
+    return with_notes([*tables, *by_object], [*legend, *notes])
 
 
 def _cell(row: Row, references: Sequence[str], of_table: Sequence[Row]) -> str:

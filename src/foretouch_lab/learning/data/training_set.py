@@ -1,16 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples prepared once for a network; the points of each cloud are drawn again for every batch."""
+"""Samples prepared once for a network; the points of each cloud are drawn again for every batch.
+
+Prepared clouds are on the disk: those of a large dataset exceed memory, and an epoch uses them in any order.
+"""
 
 from __future__ import annotations
 
+import os
+import tempfile
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
+from foretouch.files import open_regular, system_errors
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import (
@@ -24,8 +32,53 @@ from foretouch.tactile import TOUCH_SIZE, touch_faults
 from foretouch.tactile.description import require_same
 from foretouch.types import Float32, Float64, GraspSample, Integer
 from foretouch.types.channels import Channels
-from foretouch_lab.learning.data.cloud_file import CloudFile
 from foretouch_lab.learning.data.folds import Indices
+
+
+class CloudFile(Sequence[Float32]):
+    """Clouds (N_i, C) float32 in a temporary file without a name, which is removed with the last process that reads it.
+
+    They are read, not mapped: the pages of a mapping count as memory of the process. A pickle of it is for processes of
+    this machine while this one lives.
+
+    Raises:
+        FileError: If the folder of temporary files (`TMPDIR`) has no room.
+    """
+
+    def __init__(self) -> None:
+        with system_errors(Path("TMPDIR"), "names no folder that can be written"):
+            self._folder = Path(tempfile.gettempdir())
+            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  open as long as this object
+        weakref.finalize(self, self._file.close)
+        self._ends = [0]  # in values
+        self._columns = 0
+
+    def append(self, cloud: Float32) -> None:
+        """Write one more cloud, of the same C."""
+        with system_errors(self._folder, "cannot hold the prepared clouds; set TMPDIR to a folder with more space"):
+            rest = np.ascontiguousarray(cloud).data.cast("B")
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        self._ends.append(self._ends[-1] + cloud.size)
+        self._columns = cloud.shape[1]
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1
+
+    def __getitem__(self, index: Any) -> Any:
+        """One cloud, read-only; slices are not supported."""
+        k = range(len(self))[index]
+        start, end = self._ends[k : k + 2]
+        content = os.pread(self._file.fileno(), 4 * (end - start), 4 * start)
+        return np.frombuffer(content, np.float32).reshape(-1, self._columns)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_file": f"/proc/{os.getpid()}/fd/{self._file.fileno()}"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({**state, "_file": open_regular(state["_file"])})
+        weakref.finalize(self, self._file.close)
+
 
 if TYPE_CHECKING:
     from foretouch_lab.learning.network.networks import TouchNet

@@ -210,13 +210,13 @@ class NetworkLearner(Learner):
         return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])
 
     def _train(self, trainer: Trainer, run: RunFolder) -> None:
-        """Train to the last epoch, or until there was no better validation for the epochs of the patience."""
+        """Train to the last epoch, from the state in the folder."""
         if run.resumed:
             weights, facts = run.restore(trainer)
             if weights:
                 self._best = _Best(facts["epoch"], facts["error"], weights)
         run.keep_log(trainer.epoch)
-        while trainer.epoch < trainer.epochs and not self._patience_over(trainer):
+        while trainer.epoch < trainer.epochs:
             losses = trainer.run_epoch()
             record: dict[str, Any] = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
             if len(self.split.validation):
@@ -237,7 +237,3 @@ class NetworkLearner(Learner):
             weights = {name: tensor.to("cpu", copy=True) for name, tensor in net.state_dict().items()}
             self._best = _Best(trainer.epoch - 1, value, weights)
         return value
-
-    def _patience_over(self, trainer: Trainer) -> bool:
-        patience, best = self.config.patience, self._best.epoch
-        return patience is not None and best >= 0 and trainer.epoch - 1 - best >= patience

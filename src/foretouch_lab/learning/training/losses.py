@@ -54,15 +54,6 @@ class SrganLossConfig(Settings):
     weight_fake: float = setting(0.1, "w_F", bounds=(0.0, 1e6))
 
 
-@dataclass(frozen=True, eq=False)
-class Features:
-    """Features f(x) of the three sources, (B, F) each."""
-
-    labeled: Tensor
-    unlabeled: Tensor
-    fake: Tensor | None = None  # not needed for the variant `as_printed`
-
-
 def _safe_root(mean_square: Tensor) -> Tensor:
     """The square root, with a finite slope at zero.
 
@@ -98,19 +89,20 @@ def labeled_loss(
     return (torch.sqrt(stacked + epsilon) if epsilon > 0.0 else _safe_root(stacked)).mean()
 
 
-def discriminator_loss(labeled: Tensor, features: Features, config: SrganLossConfig) -> dict[str, Tensor]:
+def discriminator_loss(labeled: Tensor, features: Sequence[Tensor], config: SrganLossConfig) -> dict[str, Tensor]:
     """The parts of eq. 1 by name, before their weights, and their `total`.
 
     Args:
         labeled: Result of `labeled_loss`.
-        features: Features of the discriminator; those of the fake clouds detached from the generator.
+        features: (B, F) features f(x) of the labelled, the unlabelled and, but for the variant `as_printed`, the fake clouds;
+            the last detached from the generator.
         config: Variant and weights.
 
     Raises:
         DatasetError: If samples are compared in pairs and the batches differ in size.
     """
-    unlabeled = matching_loss(features.labeled, features.unlabeled, config)
-    fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features, config)  # eq. 4 is eq. 3
+    unlabeled = matching_loss(features[0], features[1], config)
+    fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features[1:], config)  # eq. 4 is eq. 3
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
     return {**parts, "total": total}
@@ -129,11 +121,11 @@ def matching_loss(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
     return delta.square().sum(dim=1).mean()
 
 
-def _contrast(features: Features, config: SrganLossConfig) -> Tensor:
+def _contrast(features: Sequence[Tensor], config: SrganLossConfig) -> Tensor:
     """Contrast of unlabelled and fake features; its slope in each feature is at most one."""
-    if features.fake is None:
+    if len(features) < 2:
         raise DatasetError(f"losses: the variant {config.loss_variant} requires the features of fake clouds")
-    return -(_difference(features.unlabeled, features.fake, config).abs() + 1.0).sqrt().mean()
+    return -(_difference(features[0], features[1], config).abs() + 1.0).sqrt().mean()
 
 
 def _difference(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:

@@ -35,7 +35,7 @@ class RunConfig(Settings):
     """Settings of every `foretouch train`.
 
     Raises:
-        ConfigError: If a setting is out of bounds or has no effect on the method, patience is set without validation,
+        ConfigError: If a setting is out of bounds or has no effect on the method,
             validation is set for a method without epochs, a release is set to train on a part of the samples, or a
             network with only some of the modalities is to be calibrated or released.
     """
@@ -56,7 +56,6 @@ class RunConfig(Settings):
     validation: float = setting(
         0.0, "Share of the labelled samples set aside to choose the best epoch", bounds=(0.0, 0.5)
     )
-    patience: int | None = setting(None, "Stop after this many epochs without a better validation error", minimum=1)
     calibrate: bool | None = setting(
         None,
         "Calibrate intervals on held-out predictions, for which the model is fitted again on each of up to 15 folds; "
@@ -83,8 +82,6 @@ class RunConfig(Settings):
             changed = [key for key in given if given[key] != default[key]]
             if self.method not in methods and changed:
                 raise ConfigError(f"{group}.{changed[0]}: has no effect on method {self.method!r}")
-        if self.patience is not None and self.validation == 0.0:
-            raise ConfigError("patience: needs validation above 0, for nothing else may stop a training")
         if self.validation > 0.0 and not self.has_network:
             raise ConfigError(f"validation: a {self.method} model has no epochs to choose from; leave it at 0")
         if self.release and (self.split is not None or self.validation > 0.0):
@@ -125,11 +122,9 @@ class RunConfig(Settings):
 
     @property
     def _own(self) -> TrainConfig | SrganConfig | ContactTrainingConfig:
-        own: dict[str, TrainConfig | SrganConfig | ContactTrainingConfig] = {
-            "supervised": self.train,
-            "srgan": self.srgan,
-        }
-        return own.get(self.method, self.contact)
+        if self.method == "contact":
+            return self.contact
+        return self.train if self.method == "supervised" else self.srgan
 
 
 def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunConfig:

@@ -15,8 +15,7 @@ Departures from P2, which specifies neither:
   are a function of the cloud alone, in training as in prediction. `per_source`: each source is normalised
   by its own batch, and prediction by running statistics of the labelled clouds; kept to show the difference.
 - An epoch is one pass over the labelled samples, so that a supervised network with the same batches takes as many
-  steps; or over the unlabelled ones (`epoch_over`). The others are shuffled again in each epoch, and repeated where
-  they are fewer.
+  steps. The unlabelled ones are shuffled again in each epoch, and repeated where they are fewer.
 
 Shapes: B samples, N points, C channels, F features.
 """
@@ -50,11 +49,6 @@ class SrganConfig(EpochsConfig):
     """
 
     epochs: int = other_default("epochs", 30)
-    epoch_over: str = setting(
-        "labelled",
-        "Samples of which an epoch is one pass, which P2 does not specify; the others are repeated or cut to as many batches",
-        choices=("labelled", "unlabelled"),
-    )
     batch_size: int = other_default("batch_size", 10)
     optimiser: str = other_default("optimiser", "adam")
     learning_rate: float = other_default("learning_rate", 0.01)
@@ -113,19 +107,18 @@ class SrganTrainer(Trainer):
             self.net.train()
 
     def _count_batches(self) -> int:
-        counted = self._labelled if self.config.epoch_over == "labelled" else self._unlabelled
-        return len(counted) // self.config.batch_size
+        return len(self._labelled) // self.config.batch_size
 
     def _regressor_step(self, number: int, labelled: Indices, unlabelled: Indices, real: Tensor) -> dict[str, float]:
         with torch.no_grad():
             fake = self._fake(len(unlabelled))
         features = self._all_features(self._clouds(labelled), real, fake)
-        scaled = self.net.regress(features.labeled, self._grasps(labelled))
-        error = scaled - self.net.to_scaled(self._labels[labelled].to(self.training_device.device))
+        scaled = self.net.regress(features[0], self._grasps(labelled))
+        error = scaled - self.net.to_scaled(self._labels[labelled].to(self.device))
         labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes)
         losses = loss_terms.discriminator_loss(labeled, features, self.config.loss)
-        self.require_finite({"labeled": labeled}, number, labelled, error, features.labeled)
-        self.require_finite(losses, number, unlabelled, features.unlabeled)
+        self.require_finite({"labeled": labeled}, number, labelled, error, features[0])
+        self.require_finite(losses, number, unlabelled, features[1])
         self.optimisers["net"].step(losses["total"])
         return {name: float(value.detach()) for name, value in losses.items()}
 
@@ -139,7 +132,7 @@ class SrganTrainer(Trainer):
             self.optimisers["generator"].step(loss)
         return {"generator": float(loss.detach())}
 
-    def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> loss_terms.Features:
+    def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> list[Tensor]:
         """f(x) of the three sources; in one pass, which is faster, where that gives the same features.
 
         Where fake clouds enter no loss (`as_printed`), their features are not computed.
@@ -147,22 +140,22 @@ class SrganTrainer(Trainer):
         used = [labelled, unlabelled, *([fake] if self.config.loss.loss_variant != "as_printed" else [])]
         features = self.net.features
         if self.config.batch_norm == "frozen" and all(one.shape[1:] == labelled.shape[1:] for one in used):
-            return loss_terms.Features(*features(torch.cat(used)).chunk(len(used)))
+            return list(features(torch.cat(used)).chunk(len(used)))
         known = features(labelled)
         with statistics_kept(self.net):
-            return loss_terms.Features(known, *(features(one) for one in used[1:]))
+            return [known, *(features(one) for one in used[1:])]
 
     def _fake(self, count: int) -> Tensor:
         noise = draw_noise(count, self.config.generator, torch.default_generator)
-        return self.generator.clouds(noise.to(self.training_device.device))
+        return self.generator.clouds(noise.to(self.device))
 
     def _clouds(self, batch: Indices) -> Tensor:
-        return self._points(batch).to(self.training_device.device)
+        return self._points(batch).to(self.device)
 
     def _grasps(self, batch: Indices) -> Tensor | None:
         if not self.data.config.use_grasp:
             return None
-        return self._grasp_inputs[batch].to(self.training_device.device)
+        return self._grasp_inputs[batch].to(self.device)
 
     def _calibration(self) -> Iterator[Inputs]:
         """Batches of real clouds, labelled or not."""

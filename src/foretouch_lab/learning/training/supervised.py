@@ -99,7 +99,7 @@ class SupervisedTrainer(Trainer):
         partial = self.config.partial_batches
         for batch in shuffled_batches(self._index, self.config.batch_size, self.rng, partial=partial):
             points, grasps = self._inputs(batch)
-            yield batch, points, grasps, self.net.to_scaled(self._labels[batch].to(self.training_device.device))
+            yield batch, points, grasps, self.net.to_scaled(self._labels[batch].to(self.device))
 
     def _inputs(self, batch: Indices) -> tuple[Tensor, Tensor]:
         points = self._points(batch)
@@ -107,7 +107,7 @@ class SupervisedTrainer(Trainer):
         if self.config.turn_deg > 0.0:
             rotations = viewing_axis_rotations(len(batch), self.config.turn_deg, self.rng).astype(np.float32)
             points, grasps = turn(points, grasps, torch.from_numpy(rotations), self.data.config)
-        return points.to(self.training_device.device), grasps.to(self.training_device.device)
+        return points.to(self.device), grasps.to(self.device)
 
 
 def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> TouchNet:

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training loop shared by all networks: epochs, private random numbers, and a state that resumes bit for bit."""
+"""Training loop shared by all networks: epochs, private random numbers, and a state that resumes bit for bit.
+
+The same seed gives the same bits on the same device with the same number of threads. A GPU adds in no fixed order, so
+its results agree with each other and with a CPU's only up to rounding.
+"""
 
 import dataclasses
 from abc import ABC, abstractmethod
@@ -12,15 +16,15 @@ import torch
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
 
-from foretouch.config import setting
-from foretouch.errors import DatasetError, ModelError
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError, DatasetError, ModelError
 from foretouch.models.files import under
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float64
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import TouchNet
-from foretouch_lab.learning.training.device import DeviceConfig, TrainingDevice
+from foretouch_lab.learning.network.pointnet import InputTransform, PointNetFeatures
 
 _LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
 _OPTIMISERS: Final[dict[str, type[torch.optim.Optimizer]]] = {
@@ -31,11 +35,20 @@ _OPTIMISERS: Final[dict[str, type[torch.optim.Optimizer]]] = {
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EpochsConfig(DeviceConfig):
+class EpochsConfig(Settings):
     """Settings of every training in epochs."""
 
+    device: str = setting(
+        "auto", "Device to train on; auto uses a GPU if there is one", choices=("auto", "cpu", "cuda")
+    )
+    precision: str = setting(
+        "float32",
+        "Precision of the search for the points that win the maximum. With bfloat16 a nearly equal point may win; weights, "
+        "values and gradients stay float32",
+        choices=("float32", "bfloat16"),
+    )
     epochs: int = setting(
-        100, "Passes over the training samples, with srgan over those of `epoch_over`", bounds=(1, 100_000)
+        100, "Passes over the training samples, with srgan over the labelled ones", bounds=(1, 100_000)
     )
     batch_size: int = setting(32, "Samples per step, with srgan of each source", bounds=(2, 4096))
     optimiser: str = setting("adamw", "Optimiser", choices=tuple(_OPTIMISERS))
@@ -51,6 +64,14 @@ class EpochsConfig(DeviceConfig):
         None, "Points per cloud in training, drawn again each time; by default as in prediction", minimum=8
     )
     seed: int = setting(0, "Seed of weights, order, points and noise", minimum=0)
+
+    @property
+    def resolved_device(self) -> str:
+        """`cpu` or `cuda`; a `ConfigError` if a GPU is configured and there is none."""
+        found = torch.cuda.is_available()
+        if self.device == "cuda" and not found:
+            raise ConfigError("device: cuda: torch finds no GPU; choose auto or cpu")
+        return "cuda" if found and self.device != "cpu" else "cpu"
 
 
 def other_default(name: str, default: Any) -> Any:
@@ -129,7 +150,7 @@ class Trainer(ABC):
     def __init__(self, data: TrainingSet, index: Indices, config: EpochsConfig) -> None:
         self._require_batch(index, config.batch_size)
         self.data = data
-        self.training_device = TrainingDevice.of(config)
+        self.device = torch.device(config.resolved_device)
         self.epochs = config.epochs
         self.epoch = 0
         self._randomness: dict[str, Tensor] = {}
@@ -144,7 +165,8 @@ class Trainer(ABC):
         outputs = BIOTAC.columns(data.config.outputs)
         _set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
         for module in self.modules.values():
-            self.training_device.prepare(module)
+            module.to(self.device)
+            set_precision(module, config.precision)
         steps = config.epochs * self.batch_count
         self.optimisers = {name: _ScheduledOptimiser(module, config, steps) for name, module in self.modules.items()}
         self.sizes = [len(BIOTAC.columns([name])) for name in data.config.outputs]
@@ -232,8 +254,7 @@ class Trainer(ABC):
     @contextmanager
     def _own_randomness(self) -> Iterator[None]:
         """Within, torch's generators continue from this trainer's state; outside, they are unchanged."""
-        device = self.training_device.device
-        cuda = device if device.type == "cuda" else None
+        cuda = self.device if self.device.type == "cuda" else None
         with torch.random.fork_rng(devices=[] if cuda is None else [cuda]):
             if self._randomness:
                 torch.set_rng_state(self._randomness[_TORCH_RNG])
@@ -256,6 +277,13 @@ class Trainer(ABC):
     def _points(self, batch: Indices) -> Tensor:
         """Points of a batch of clouds, not yet on the device."""
         return torch.from_numpy(self.data.points(batch, self.rng, self._drawn_points))
+
+
+def set_precision(module: nn.Module, precision: str) -> None:
+    """Set the precision of a network's searches for winning points; its weights do not change."""
+    for part in module.modules():
+        if isinstance(part, PointNetFeatures | InputTransform):
+            part.precision = torch.bfloat16 if precision == "bfloat16" else torch.float32
 
 
 def shuffled_batches(

@@ -26,8 +26,13 @@ import numpy as np
 from foretouch.errors import ContactError, ConvergenceError
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.layer import solve_layer
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ContactSolution, ElasticLayer
-from foretouch_lab.simulation.contact.winkler import solve_winkler
+from foretouch_lab.simulation.contact.problem import (
+    Command,
+    ContactProblem,
+    ContactSolution,
+    ElasticLayer,
+    solve_winkler,
+)
 
 _SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]] = {
     "winkler": solve_winkler,

@@ -44,10 +44,10 @@ from foretouch_lab.simulation.contact.problem import (
     ContactProblem,
     ContactSolution,
     ElasticLayer,
+    bed_stiffness,
     no_contact,
     refuse_overload,
 )
-from foretouch_lab.simulation.contact.winkler import bed_stiffness
 
 Complex128 = npt.NDArray[np.complex128]
 

@@ -4,8 +4,8 @@
 import numpy as np
 
 from foretouch.tactile import ELECTRODES
-from foretouch_lab.simulation.campaign import Campaign
-from foretouch_lab.simulation.disturbances import (
+from foretouch_lab.simulation.engine import Effect, Job, SampleState
+from foretouch_lab.simulation.fingertip import (
     TAC_PER_KELVIN_S,
     TAC_REST,
     TDC_PER_KELVIN,
@@ -15,23 +15,23 @@ from foretouch_lab.simulation.disturbances import (
     temperature_drift,
     warming,
 )
-from foretouch_lab.simulation.effect import Effect, Job, SampleState
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.campaign import (
+    CONTACT_S,
     CampaignConfig,
     DriftTermConfig,
     ExchangeConfig,
-    FluidLossConfig,
     ThermistorConfig,
 )
 from foretouch_lab.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.world import Campaign
 
 _CONTACT_HZ = 1.0  # without a timeline, the touch is read a second after contact
 
 
 def _campaign(job: Job) -> Campaign:
-    assert job.campaign is not None  # noqa: S101  # the scene calls for these effects only with a campaign
-    return job.campaign
+    assert job.world.campaign is not None  # noqa: S101  # the scene calls for these effects only with a campaign
+    return job.world.campaign
 
 
 def _calendar(job: Job, state: SampleState) -> None:
@@ -66,19 +66,13 @@ def _finger_temperature(job: Job, state: SampleState) -> None:
     assert warm_up is not None  # noqa: S101  # it holds the settings
     start_k, object_k = campaign.kelvin(config, now.session, job.key.slot // campaign.config.grasps)
     rate_hz = _CONTACT_HZ if timeline is None else timeline.rate_hz
-    cooled = creep(state.load, rate_hz, share=1.0, time_s=config.contact_s)
+    cooled = creep(state.load, rate_hz, share=1.0, time_s=CONTACT_S)
     common_k = warming(warm_up, now.powered_s + now.speed * state.times) + object_k * cooled
     change = TDC_PER_KELVIN * (common_k[:, None] + start_k)  # (T, 2)
-    flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / config.contact_s
+    flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / CONTACT_S
     tac = np.broadcast_to((TAC_REST + flow)[:, None], change.shape)
     state.others[..., 2:] = np.stack([tac, change + TDC_REST], axis=2)
-    state.level[..., 1:] += change[..., None] * campaign.slopes(config, now.session)
-
-
-def _fluid_loss(job: Job, state: SampleState) -> None:
-    config: FluidLossConfig = job.settings
-    fall = np.array([config.pdc_per_day, *[config.electrodes_per_day] * ELECTRODES])
-    state.level -= np.outer(_campaign(job).mounted_days(state.campaign_time), fall)
+    state.level[..., 1:] += change[..., None] * campaign.slopes(now.session)
 
 
 def _shift(_job: Job, state: SampleState) -> None:
@@ -121,7 +115,7 @@ def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
 
 
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, FINGER_TEMPERATURE, _FLUID_LOSS))
+    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, FINGER_TEMPERATURE))
     return next(filter(None, reasons), None)
 
 
@@ -130,7 +124,7 @@ def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     return None if kept == "grasp" else f"campaign.tares: {kept}"
 
 
-_NO_DRIFT = "no campaign.drift, campaign.warm_up or campaign.fluid_loss"
+_NO_DRIFT = "no campaign.drift or campaign.warm_up"
 
 _DRIFT = Effect(
     "level_drift",
@@ -155,7 +149,6 @@ FINGER_TEMPERATURE = Effect(
     reads=("campaign_time", "times", "load"),
     changes=("others", "level"),
 )
-_FLUID_LOSS = Effect("fluid_loss", _fluid_loss, "campaign.fluid_loss", reads=("campaign_time",), changes=("level",))
 
 #: Which sensors are mounted.
 MOUNTING = (
@@ -176,7 +169,6 @@ DRIFT = (
     _DRIFT,
     _WARM_UP,
     FINGER_TEMPERATURE,
-    _FLUID_LOSS,
     Effect("level_shift", _shift, _needs_level, reads=("level",), changes=("series",), off=_NO_DRIFT),
 )
 

@@ -11,30 +11,30 @@ from foretouch.types import Float64, Int64, Touch
 from foretouch.types.channels import Channels
 from foretouch_lab.simulation.contact.grip import solve_contact
 from foretouch_lab.simulation.contact.pad import ContactFrame
-from foretouch_lab.simulation.contact.problem import Command, ContactSolution
-from foretouch_lab.simulation.contact.shear import skin_slopes, tractions
-from foretouch_lab.simulation.disturbances import (
+from foretouch_lab.simulation.contact.problem import Command, ContactSolution, skin_slopes, tractions
+from foretouch_lab.simulation.effects import campaign
+from foretouch_lab.simulation.effects.grasp import command_of, contact_problem, pad_of, surface_behind
+from foretouch_lab.simulation.engine import Effect, Job, SampleState
+from foretouch_lab.simulation.fingertip import (
     PAC_REST,
+    VIBRATION_CONTACT,
+    VIBRATION_NOISE,
     VIBRATION_S,
+    VIBRATION_SLIP,
     WANDER_COUNTS,
     WANDER_S,
-    CreepConfig,
     NoiseConfig,
     creep,
-    mask_dead_electrodes,
     ou_noise,
+    quantise,
+    read_contact,
     scan,
     slip_path,
     temperature_drift,
     warming,
 )
-from foretouch_lab.simulation.effect import Effect, Job, SampleState
-from foretouch_lab.simulation.effects import campaign
-from foretouch_lab.simulation.effects.approach import pad_of, surface_behind
-from foretouch_lab.simulation.effects.contact import command_of, contact_problem
-from foretouch_lab.simulation.fingertip import quantise, read_contact
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig, VibrationConfig
+from foretouch_lab.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
 from foretouch_lab.simulation.scene.objects import ObjectConfig
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.world import SampleKey, World
@@ -146,23 +146,18 @@ def _needs_others(scene: SceneConfig, item: ObjectConfig) -> str | None:
 
 def _vibration(job: Job, state: SampleState) -> None:
     """First touch and release shake a fingertip, and so does each slip; the skin damps it."""
-    config: VibrationConfig = job.settings
     edges = np.diff(state.load > 0.0, prepend=False)
     slips_m = np.maximum(np.diff(state.slid, prepend=0.0), 0.0)
-    struck = config.contact_counts * edges + 1e3 * config.slip_counts_mm * slips_m
+    struck = VIBRATION_CONTACT * edges + 1e3 * VIBRATION_SLIP * slips_m
     kept = np.exp(-1.0 / (_rate_hz(job) * VIBRATION_S))
     rng, swing = job.rng(), 0.0
     for row, blow in zip(state.others, struck, strict=True):
         swing = max(kept * swing, float(blow))
-        row[:, :2] = PAC_REST + np.hypot(config.noise_counts, swing) * rng.standard_normal((2, 2))
+        row[:, :2] = PAC_REST + np.hypot(VIBRATION_NOISE, swing) * rng.standard_normal((2, 2))
 
 
 def _creep(job: Job, state: SampleState) -> None:
-    config: CreepConfig = job.settings
-    late = creep(state.series, _rate_hz(job))
-    if config.slow_share > 0.0:
-        late += creep(state.series, _rate_hz(job), share=config.slow_share, time_s=config.slow_s) - state.series
-    state.series = late
+    state.series = creep(state.series, _rate_hz(job))
 
 
 def _drift(job: Job, state: SampleState) -> None:
@@ -221,8 +216,7 @@ def _scan(job: Job, state: SampleState) -> None:
 def _dead(job: Job, state: SampleState) -> None:
     config: DeadConfig = job.settings
     for finger, dead in enumerate((config.thumb, config.middle)):
-        electrodes = state.series[:, finger, 1:]
-        state.series[:, finger, 1:] = mask_dead_electrodes(electrodes, [k - 1 for k in dead], config.stuck_at)
+        state.series[:, finger, list(dead)] = 0.0  # column 0 is PDC
 
 
 def _counts(job: Job, state: SampleState) -> None:

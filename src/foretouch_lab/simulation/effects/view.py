@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the camera sees: exact depth by ray casting, then the faults of a stereo camera, and the cloud of the object."""
+"""What the camera sees: the object on the table and clutter around it, by exact ray casting, then the faults of a stereo camera."""
 
 from dataclasses import replace
 
@@ -8,25 +8,112 @@ import numpy as np
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import SimulationError
 from foretouch.types import Cloud, Float64
-from foretouch_lab.simulation.depth_effects import (
+from foretouch_lab.simulation.depth_scene import (
     D415_BASELINE_M,
+    FIRST_OBJECT,
     FLYING_SHARE,
     GRAZING_DEG,
     HOLE_SHARE,
+    TABLE,
+    CameraView,
+    Window,
     add_flying_pixels,
     add_stereo_noise,
     stereo_shadow,
+    table_depth,
 )
-from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, table_depth
-from foretouch_lab.simulation.effect import Effect, Job, SampleState
-from foretouch_lab.simulation.scene.camera import DepthNoiseConfig
-from foretouch_lab.simulation.solids import Hits
-from foretouch_lab.simulation.view import CameraView, Window
+from foretouch_lab.simulation.engine import Effect, Job, SampleState
+from foretouch_lab.simulation.scene.objects import ClutterConfig, ObjectConfig
+from foretouch_lab.simulation.scene.ranges import draw
+from foretouch_lab.simulation.scene.scene import DepthNoiseConfig
+from foretouch_lab.simulation.solids import LYING, Body, Hits, about_z, footprint_m
 from foretouch_lab.simulation.world import CAMERA_FRAME
 
+_PLACES = 100  # tried for one piece of clutter
+_GAP_M = 0.01  # free table between two bodies
+_RUN_UP_M = 2.0  # from where a body is slid against others
+_SIZE_M = (0.04, 0.12)  # edge of the cube about a piece of clutter
 _MARGIN_PX = 16  # around the object: room for flying pixels, the shadow of a neighbour and the matching window
 _SPOT_PX = 3  # side of a hole
 _FEWEST_POINTS = 100  # fewer are no view of an object
+_VARIANTS = 16  # members of the family of random shapes that are clutter
+
+
+def _object(job: Job, state: SampleState) -> None:
+    rng = job.rng()
+    item = job.item
+    turn = job.key.slot // len(job.scene.objects)
+    size = np.asarray(item.size_m) * (1.0 + item.size_spread * rng.uniform(-1.0, 1.0))
+    rotation = _resting(item, rng)
+    place = np.array([draw(rng, item.pose.x_m), draw(rng, item.pose.y_m), 0.0])
+    state.bodies = [_stood(Body(item.solid, item.first_variant + turn % item.variants, size, place, rotation))]
+
+
+def _clutter(job: Job, state: SampleState) -> None:
+    clutter: ClutterConfig = job.settings
+    rng = job.rng()
+    bodies = list(state.bodies)
+    for _ in range(clutter.count):
+        size = np.full(3, draw(rng, _SIZE_M))
+        body = Body("random", int(rng.integers(_VARIANTS)), size, np.zeros(3), about_z(rng.uniform(0.0, 2.0 * np.pi)))
+        if clutter.touching is None:
+            bodies.append(_stood(_beside(bodies, body, clutter.distance_m, rng)))
+        else:
+            bodies.append(_against(bodies, _stood(body), rng))
+    state.bodies = bodies
+
+
+def _resting(item: ObjectConfig, rng: np.random.Generator) -> Float64:
+    yaw = about_z(np.radians(draw(rng, item.pose.yaw_deg)))
+    if item.pose.rest == "upright":
+        return yaw
+    if item.pose.rest == "side":
+        return np.asarray(yaw @ LYING @ about_z(rng.integers(4) * np.pi / 2.0), np.float64)
+    q = rng.standard_normal(4)
+    w, x, y, z = q / np.linalg.norm(q)  # a uniform rotation (Shoemake 1992)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _stood(body: Body) -> Body:
+    """The body, its lowest point on the table."""
+    return replace(body, position=body.position - (0.0, 0.0, body.lowest()))
+
+
+def _beside(bodies: list[Body], body: Body, distance_m: tuple[float, ...], rng: np.random.Generator) -> Body:
+    """The body at a random place around the object, apart from all others."""
+    for _ in range(_PLACES):
+        angle, distance = rng.uniform(0.0, 2.0 * np.pi), draw(rng, distance_m)
+        place = bodies[0].position * (1.0, 1.0, 0.0) + distance * np.array([np.cos(angle), np.sin(angle), 0.0])
+        apart = [np.linalg.norm((other.position - place)[:2]) - footprint_m(other) for other in bodies]
+        if min(apart) > footprint_m(body) + _GAP_M:
+            return replace(body, position=place)
+    raise SimulationError(f"clutter: a body of {body.size[0]:.3f} m finds no place in {_PLACES} tries", "no_place")
+
+
+def _against(bodies: list[Body], body: Body, rng: np.random.Generator) -> Body:
+    """The body, on the table, slid from a random side towards one of the others until it touches any of them."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
+    aim = bodies[rng.integers(len(bodies))].position * (1.0, 1.0, 0.0)
+    start = replace(body, position=body.position + aim - _RUN_UP_M * towards)
+    free = min(_free_path(start, other, towards) for other in bodies)
+    if not np.isfinite(free):
+        raise SimulationError(f"clutter: a body of {body.size[0]:.3f} m meets no other one", "no_place")
+    return replace(start, position=start.position + free * towards)
+
+
+def _free_path(body: Body, other: Body, towards: Float64) -> float:
+    """How far a body can move along a unit vector (3,) until it touches another [m]: vertices of one on faces of the other."""
+    mine, theirs = (one.position + (one.mesh.vertices * one.size) @ one.rotation.T for one in (body, other))
+    ahead = other.cast(mine, np.broadcast_to(towards, mine.shape)).t
+    back = body.cast(theirs, np.broadcast_to(-towards, theirs.shape)).t
+    return float(min(ahead.min(), back.min()))
 
 
 def _object_window(job: Job, state: SampleState) -> None:
@@ -153,7 +240,11 @@ def _grown(span: slice, size: int) -> slice:
     return slice(max(0, span.start - _MARGIN_PX), min(size, span.stop + _MARGIN_PX))
 
 
-EFFECTS = (
+_PLACING = (
+    Effect("object", _object, "objects", writes=("bodies",)),
+    Effect("clutter", _clutter, "clutter", changes=("bodies",)),
+)
+_SEEING = (
     Effect("window", _object_window, "camera", reads=("bodies",), writes=("window",)),
     Effect("render", _render, "camera", reads=("bodies", "window"), writes=("exact_depth", "labels", "hits", "depth")),
     Effect("normals", _normals, lambda *_: "holes or colour", reads=("bodies", "labels", "hits"), writes=("normals",)),
@@ -167,8 +258,11 @@ EFFECTS = (
     Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window"), changes=("cloud",)),
 )
 
+EFFECTS = (*_PLACING, *_SEEING)
+
 #: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
 FRAME_EFFECTS = (
-    replace(EFFECTS[0], run=_whole_window, reads=()),
-    *(replace(effect, again=True) for effect in EFFECTS[1:-3]),
+    *_PLACING,
+    replace(_SEEING[0], run=_whole_window, reads=()),
+    *(replace(effect, again=True) for effect in _SEEING[1:-3]),
 )

@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed triangle meshes for ray casting, and their reading from files by Open3D (extra `open3d`): OBJ, PLY, STL, GLB."""
+"""Closed triangle meshes for ray casting, and their reading from files by trimesh: OBJ, PLY, STL, GLB."""
 
 import hashlib
+import io
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
-from foretouch.camera.libusb import ensure_libusb
-from foretouch.errors import FileError, MissingDependencyError, SimulationError, shown
+from foretouch.errors import FileError, SimulationError, described
 from foretouch.files import read_bytes
 from foretouch.types import Float64, Int64
-from foretouch_lab.simulation.objects import mesh_reader
 
 _SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes
@@ -92,7 +90,6 @@ def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
 
     Raises:
         FileError: If it cannot be read, is of another format, or holds no closed mesh.
-        MissingDependencyError: If Open3D is not installed.
     """
     if Path(path).suffix.lower() not in _SUFFIXES:
         raise FileError(path, f"is not one of {', '.join(_SUFFIXES)}")
@@ -105,18 +102,26 @@ def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
 
 def _read(path: str, content: bytes) -> TriangleMesh:
     """The mesh in the content of a file."""
-    if find_spec("open3d") is None:
-        raise MissingDependencyError(f"{shown(path)}: meshes from files need Open3D: pip install open3d")
-    ensure_libusb()
-    try:
-        vertices, faces = mesh_reader.read(Path(path).suffix.lower(), content)
-    except SimulationError as err:
-        raise FileError(path, str(err)) from err
+    import trimesh
+
+    suffix = Path(path).suffix.lower()
+    try:  # of the content alone: a file that it names is not opened
+        found: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], force="mesh", process=False)
+        if not 0 <= found.faces.min(initial=0) <= found.faces.max(initial=0) < max(len(found.vertices), 1):
+            raise FileError(path, f"a face of the mesh names no vertex of the {len(found.vertices)}")
+        found.merge_vertices(merge_tex=True, merge_norm=True)
+        found.update_faces(found.nondegenerate_faces() & found.unique_faces())
+        found.remove_unreferenced_vertices()
+    except FileError:
+        raise
+    except Exception as err:  # whatever a damaged file makes of the reader
+        raise FileError(path, f"holds no triangle that can be read: {described(err)}") from err
+    vertices, faces = np.array(found.vertices, np.float64), np.array(found.faces, np.int64)
     if not len(faces):
         raise FileError(path, "holds no triangle that can be read")
     if len(faces) > _MOST_FACES:
         raise FileError(path, f"holds {len(faces)} triangles, more than {_MOST_FACES}")
-    if Path(path).suffix.lower() == ".glb":  # glTF has y up, all others as they were drawn: z up here
+    if suffix == ".glb":  # glTF has y up, all others as they were drawn: z up here
         vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     mesh = TriangleMesh(vertices, faces)
     try:

@@ -6,12 +6,18 @@ from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch_lab.simulation.disturbances import TemperatureConfig
+from foretouch_lab.simulation.fingertip import TemperatureConfig
 from foretouch_lab.simulation.scene.ranges import RangedSettings
 
 DAY_S: Final = 86400.0
 POWER_ON_S: Final = 120.0  # from power-on to the first grasp
 GRASP_S: Final = (50.0, 110.0)  # from one grasp to the next, low and high
+# Of a finger whose temperature is simulated: slopes as in the recordings, the time an assumption (docs/scenes.md).
+CONTACT_S: Final = 20.0  # time constant with which a finger in contact takes the temperature of the object
+SLOPE_TH: Final = 0.75  # mean of the thumb's electrode counts per count of TDC
+SLOPE_MF: Final = 0.65  # the same of the middle finger
+SLOPE_SPREAD: Final = 0.15  # standard deviation of these slopes between electrodes
+
 CHANGE_S: Final = (60.0, 300.0)  # in addition where the object is changed, low and high
 
 
@@ -62,14 +68,6 @@ class ThermistorConfig(RangedSettings):
     object_kelvin: tuple[float, ...] = setting(
         (-3.0, 0.0), "Temperature of an object minus that of the fingers, low and high", bounds=(-50.0, 50.0)
     )
-    contact_s: float = setting(
-        20.0, "Time constant with which a finger in contact takes the temperature of the object", bounds=(0.1, 1e6)
-    )
-    slope_th: float = setting(0.75, "Mean of the thumb's electrode counts per count of TDC", bounds=(-10.0, 10.0))
-    slope_mf: float = setting(
-        0.65, "Mean of the middle finger's electrode counts per count of TDC", bounds=(-10.0, 10.0)
-    )
-    slope_spread: float = setting(0.15, "Standard deviation of these slopes between electrodes", bounds=(0.0, 10.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,17 +75,6 @@ class WarmUpConfig(TemperatureConfig):
     """Warming after each power-on; with `tdc`, the electrodes follow TDC, and PDC does not, as in the recordings."""
 
     tdc: ThermistorConfig | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class FluidLossConfig(Settings):
-    """Liquid leaves a fingertip once it is mounted: its pressure falls, and the skin comes closer to the core.
-
-    The defaults are assumptions, not measurements.
-    """
-
-    pdc_per_day: float = setting(1.0, "Fall of PDC at rest", unit="counts/day", bounds=(0.0, 100.0))
-    electrodes_per_day: float = setting(2.0, "Fall of the electrodes at rest", unit="counts/day", bounds=(0.0, 100.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +105,6 @@ class CampaignConfig(Settings):
         1.0, "Time of the campaign that passes in a second of a live simulated hand", unit="s/s", bounds=(0.0, 1e6)
     )
     warm_up: WarmUpConfig | None = None
-    fluid_loss: FluidLossConfig | None = None
     drift: tuple[DriftTermConfig, ...] = field(default=())
     exchanges: tuple[ExchangeConfig, ...] = field(default=())
 

@@ -10,8 +10,7 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.tactile.description import Sensor, load_sensor, require_two
 from foretouch_lab.simulation.contact.pad import PadConfig
-from foretouch_lab.simulation.disturbances import CreepConfig, NoiseConfig, TemperatureConfig
-from foretouch_lab.simulation.fingertip import SimulatedFingerConfig, ThumbConfig
+from foretouch_lab.simulation.fingertip import NoiseConfig, SimulatedFingerConfig, TemperatureConfig, ThumbConfig
 from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch
 from foretouch_lab.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
 
@@ -51,26 +50,10 @@ class DriftConfig(RangedSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class DeadConfig(Settings):
-    """Electrodes that have failed; the numbers are those of the layout, 1 to 24."""
+    """Electrodes that have failed and read 0; the numbers are those of the layout, 1 to 24."""
 
     thumb: tuple[int, ...] = setting((), "Dead electrodes of the thumb", bounds=(1, 24))
     middle: tuple[int, ...] = setting((), "Dead electrodes of the middle finger", bounds=(1, 24))
-    stuck_at: str = setting(
-        "low", "What dead electrodes read: 0, full scale, or their first counts", choices=("low", "high", "last")
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class VibrationConfig(Settings):
-    """PAC swings at first touch, release and slip; the defaults are assumptions, not measurements."""
-
-    noise_counts: float = setting(5.0, "Standard deviation of PAC of a still fingertip", bounds=(0.0, 500.0))
-    contact_counts: float = setting(
-        200.0, "Standard deviation of PAC at first touch and at release", bounds=(0.0, 2000.0)
-    )
-    slip_counts_mm: float = setting(
-        200.0, "Standard deviation of PAC per slip of 1 mm", unit="counts/mm", bounds=(0.0, 1e4)
-    )
 
 
 # What fields are where the sensor is not an array of taxels, and where it is one: the others' groups are refused.
@@ -89,7 +72,9 @@ class FingersConfig(Settings):
     """Both fingers. What is absent is off.
 
     Attributes:
+        creep: The skin relaxes under load within seconds.
         slip: The object slides over the skin during the hold.
+        vibration: PAC swings at first touch, release and slip; how much is an assumption, not a measurement.
         sessions: Rest levels differ from object to object, each of which was recorded on another day.
         scan: Electrodes are sampled one after the other, so that a message repeats about eight of them.
 
@@ -106,9 +91,9 @@ class FingersConfig(Settings):
     taxels: TaxelConfig | None = None
     crosstalk: CrosstalkConfig | None = None
     timeline: TimelineConfig | None = None
-    creep: CreepConfig | None = None
+    creep: Switch | None = None
     slip: Switch | None = None
-    vibration: VibrationConfig | None = None
+    vibration: Switch | None = None
     drift: DriftConfig | None = None
     sessions: Switch | None = None
     noise: NoiseConfig | None = None

@@ -1,24 +1,84 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene read from YAML. A group that is absent switches its effect off."""
+"""A scene read from YAML: objects, camera, fingers, grasps. A group that is absent switches its effect off.
 
+Its hash is that of all settings, defaults included, and of constants that decide samples as settings do. The hash of
+`config/scenes/deformables.yaml` is frozen (`deformables.sha256`): results name the scene by it.
+"""
+
+import hashlib
 import itertools
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
+from foretouch.camera.schedule import ScheduleConfig
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
+from foretouch.tactile import FULL_SCALE, skin
+from foretouch.tactile.description import Sensor
+from foretouch.types import Float64
+from foretouch_lab.simulation import fingertip, taxels
+from foretouch_lab.simulation.contact import layer, pad, problem
 from foretouch_lab.simulation.contact.grip import LEVELS
-from foretouch_lab.simulation.depth_scene import TABLE_M
-from foretouch_lab.simulation.scene.camera import CameraConfig
-from foretouch_lab.simulation.scene.campaign import CampaignConfig
-from foretouch_lab.simulation.scene.fingers import FingersConfig, GraspsConfig
-from foretouch_lab.simulation.scene.objects import ClutterConfig, ObjectConfig, draw_families
+from foretouch_lab.simulation.depth_scene import (
+    D415_BASELINE_M,
+    FLYING_SHARE,
+    GRAZING_DEG,
+    HOLE_SHARE,
+    TABLE_M,
+    CameraView,
+)
+from foretouch_lab.simulation.scene.campaign import CONTACT_S, SLOPE_MF, SLOPE_SPREAD, SLOPE_TH, CampaignConfig
+from foretouch_lab.simulation.scene.fingers import TARGET_SHARE, FingersConfig, GraspsConfig
+from foretouch_lab.simulation.scene.objects import POISSON, ClutterConfig, ObjectConfig, draw_families
 from foretouch_lab.simulation.scene.ranges import Switch
-from foretouch_lab.simulation.scene.scene_hash import scene_hash
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthNoiseConfig(Settings):
+    """Error of the stereo matching, sigma_z = s z² / (f B), correlated over the matching window."""
+
+    sub_pixel: float = setting(0.05, "Standard deviation s of the disparity", unit="px", bounds=(0.0, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraConfig(Settings):
+    """An eye-to-hand camera that looks at the world's origin.
+
+    The defaults give a point every 2 mm, as the clouds of the first paper have: a D415 at 640x480, aligned to
+    colour, has a focal length of about 615 px, hence 55 degrees across.
+
+    Attributes:
+        noise: Noise of the depth.
+        stereo: What only one of the two imagers, side by side, sees has no depth.
+        flying_pixels: Half of the pixels at a depth edge lie between both sides.
+        holes: Pixels have no depth at random spots, and where the surface turns away from the camera.
+        segmented: The object's points are those that segmentation finds in the image, as in the graph: steep flanks lack some.
+    """
+
+    width: int = setting(640, "Columns of the image", unit="px", bounds=(16, 1920))
+    height: int = setting(480, "Rows of the image", unit="px", bounds=(16, 1080))
+    hfov_deg: float = setting(55.0, "Horizontal field of view", bounds=(10.0, 120.0))
+    distance_m: float = setting(1.25, "Distance from the world's origin", bounds=(0.16, 10.0))
+    tilt_deg: float = setting(
+        0.0, "Angle between the optical axis and the vertical; 0 looks straight down", bounds=(0.0, 85.0)
+    )
+    z_step_m: float | None = setting(None, "Step that depth is rounded to; absent for exact depth", bounds=(1e-5, 0.05))
+    noise: DepthNoiseConfig | None = None
+    stereo: Switch | None = None
+    flying_pixels: Switch | None = None
+    holes: Switch | None = None
+    segmented: Switch | None = None
+
+    def view(self) -> CameraView:
+        """Pose and intrinsics in the world."""
+        return CameraView.towards_table(
+            self.width, self.height, self.distance_m, float(np.radians(self.tilt_deg)), self.hfov_deg
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +155,22 @@ def load_scene(path: str | Path) -> SceneConfig:
     return SceneConfig.from_mapping(load_yaml(path), str(path))
 
 
+def scheduled_scene(schedule: ScheduleConfig) -> SceneConfig:
+    """The scene of a schedule; a `ConfigError` if there is no path, or the file breaks a rule."""
+    if not schedule.path:
+        raise ConfigError("path: is empty; name a scene file")
+    return load_scene(schedule.path)
+
+
+def centre_of_objects(scene: SceneConfig) -> Float64:
+    """(3,) float64 [m], camera frame: where the object is to be looked for among clutter.
+
+    The mean of the places where objects may lie, at half their mean height.
+    """
+    places = [(np.mean(item.pose.x_m), np.mean(item.pose.y_m), np.mean(item.size_m) / 2.0) for item in scene.objects]
+    return scene.camera.view().to_camera(np.mean(places, axis=0))
+
+
 def _beside(source: str, group: Any, key: str) -> Any:
     """The settings of a group with the path of a file, where that is beside the file of the scene."""
     if not isinstance(group, Mapping) or not isinstance(group.get(key), str) or not group[key]:
@@ -127,3 +203,109 @@ def _require_in_reach(scene: SceneConfig, item: ObjectConfig, name: str) -> None
             f"{name}.size_m: {narrowest:g} m at its narrowest, the hand opens {scene.grasps.max_width_m:g} m "
             "(grasps.max_width_m)"
         )
+
+
+_FINGER: Final = {
+    "pdc_gain": 1.0,
+    "electrode_rest_spread": fingertip.REST_SPREAD,
+    "electrode_gain": 1.0,
+    "electrode_gain_spread": fingertip.GAIN_SPREAD,
+}
+_CONSTANTS: Final[dict[str, Any]] = {
+    "objects": {"poisson": POISSON},
+    "table": {"size_m": TABLE_M.tolist()},
+    "camera": {
+        "noise": {"baseline_m": D415_BASELINE_M},
+        "stereo": {"baseline_m": D415_BASELINE_M},
+        "flying_pixels": {"share": FLYING_SHARE},
+        "holes": {"share": HOLE_SHARE, "grazing_deg": GRAZING_DEG},
+    },
+    "grasps": {"error": {"target_share": TARGET_SHARE}},
+    "fingers": {
+        "pad": {
+            "core_half_length_m": skin.CORE_HALF_LENGTH_M,
+            "core_radius_m": skin.CORE_RADIUS_M,
+            "poisson": pad.POISSON,
+            "friction": 0.783,
+            "soft_window_m": pad.SOFT_WINDOW_M,
+        },
+        "contact": {
+            "tolerance": layer.TOLERANCE,
+            "max_iterations": layer.MAX_ITERATIONS,
+            "max_strain": problem.MAX_STRAIN,
+        },
+        "fingertip": {
+            "electrodes": {
+                "kernel_m": fingertip.KERNEL_M,
+                "thinning_m": fingertip.THINNING_M,
+                "bulge_area_m2": fingertip.BULGE_AREA_M2,
+            },
+            "fluid": {
+                "bottoming_m": fingertip.BOTTOMING_M,
+                "saturation_m3": fingertip.SATURATION_M3,
+                "span_counts": fingertip.PDC_SPAN,
+                "rim_power": fingertip.RIM_POWER,
+            },
+            "pdc_lowest": 0,
+            "pdc_highest": FULL_SCALE,
+        },
+        "thumb": _FINGER,
+        "middle": _FINGER,
+        "noise": {"wander_counts": fingertip.WANDER_COUNTS, "wander_s": fingertip.WANDER_S},
+        "dead": {"stuck_at": "low"},
+        "vibration": {
+            "noise_counts": fingertip.VIBRATION_NOISE,
+            "contact_counts": fingertip.VIBRATION_CONTACT,
+            "slip_counts_mm": fingertip.VIBRATION_SLIP,
+        },
+        "drift": {
+            "temperature": {
+                "electrode_counts_per_kelvin": fingertip.ELECTRODE_PER_KELVIN,
+                "pdc_counts_per_kelvin": fingertip.PDC_PER_KELVIN,
+            }
+        },
+    },
+    "campaign": {
+        "warm_up": {
+            "tdc": {"contact_s": CONTACT_S, "slope_th": SLOPE_TH, "slope_mf": SLOPE_MF, "slope_spread": SLOPE_SPREAD}
+        }
+    },
+}
+_TAXELS: Final = {
+    name.lower(): getattr(taxels, name) for name in ("REST_SPREAD", "NOISE_N", "SESSION_N", "KELVIN_N")
+} | {"gain_spread": fingertip.GAIN_SPREAD, "steepest": problem.STEEPEST}
+# Settings that do not count at these values.
+_OFF: Final = {
+    **dict.fromkeys(("campaign", "sessions", "tdc", "vibration", "repeat_every", "segmented", "taxels", "crosstalk")),
+    "pdc_span": fingertip.PDC_SPAN,
+    "method": "original",
+    "flying_share": 1.0,
+    "first_variant": 0,
+    "hand": 0,
+    "file_sha256": "",
+}
+
+
+def scene_hash(settings: dict[str, Any], sensor: Sensor | None = None) -> str:
+    """SHA-256 of a scene's plain settings, and of the array of taxels if it has one; paths of meshes and sensors do not count."""
+    counted = _counted(settings, _CONSTANTS)
+    if sensor is not None:
+        noise = [one.noise for one in (*sensor.config.values, *sensor.config.scalars)]
+        counted["taxels"] = {**_TAXELS, "sensor": sensor.sha256, "noise": noise, "valid": sensor.valid.tolist()}
+    text = json.dumps(counted, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _counted(settings: dict[str, Any], constants: dict[str, Any]) -> dict[str, Any]:
+    """The settings that count, with the constants of those groups that are given."""
+    counted: dict[str, Any] = {}
+    for key, value in (constants | settings).items():
+        if isinstance(value, dict):
+            counted[key] = _counted(settings.get(key, {}), constants.get(key, {}))
+        elif isinstance(value, list):
+            counted[key] = [
+                _counted(item, constants.get(key, {})) if isinstance(item, dict) else item for item in value
+            ]
+        elif key not in ("file", "sensor") and (key not in _OFF or value != _OFF[key]):
+            counted[key] = value
+    return counted

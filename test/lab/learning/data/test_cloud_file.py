@@ -9,7 +9,7 @@ import pytest
 
 from foretouch.errors import FileError
 from foretouch.processes import process_pool
-from foretouch_lab.learning.data.cloud_file import CloudFile
+from foretouch_lab.learning.data.training_set import CloudFile
 
 
 def test_clouds_are_read_as_they_were_written_also_in_another_process(rng, tmp_path, monkeypatch) -> None:

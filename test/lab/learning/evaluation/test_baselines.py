@@ -10,7 +10,6 @@ from foretouch.types import Cloud
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.baselines import (
     clock,
-    geometry_features,
     geometry_trees,
     object_mean,
     object_time_trees,
@@ -44,18 +43,6 @@ def test_object_time_trees_are_blind_and_geometry_trees_find_what_geometry_tells
     mean = training_mean(train, labels, test, 1)
     assert ((predicted - actual) ** 2).mean() < 0.5 * ((mean - actual) ** 2).mean()
     assert np.array_equal(predicted, geometry_trees(train, labels, test, 1))
-
-
-def test_features_are_finite_and_blind_to_order(samples, rng) -> None:
-    sample = samples[0]
-    features = geometry_features(sample)
-    assert features.shape == (44,)
-    assert np.isfinite(features).all()
-    shuffled = dataclasses.replace(sample, cloud=sample.cloud.take(rng.permutation(sample.cloud.size)))
-    assert_allclose(geometry_features(shuffled), features, atol=1e-12)
-    assert features[17] == sample.grasp.width_m
-    far = dataclasses.replace(sample, cloud=Cloud(sample.cloud.xyz + np.float32(1.0)))
-    assert geometry_features(far)[28] == 0.0  # share of the points near g1
 
 
 def test_the_clock_knows_the_time_and_nothing_else(samples) -> None:

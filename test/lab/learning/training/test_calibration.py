@@ -121,16 +121,6 @@ def test_the_share_of_differences_that_holds_is_found(kept: float, found: float)
         assert len(np.unique(regime.difference_shrinkage[BIOTAC.columns([modality])])) == 1
 
 
-def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
-    rng = np.random.default_rng(5)
-    held_out = population(rng, lasting(rng), 10, 30, 0.8)
-    known, new = fit_group(held_out), fit_group(held_out, new=True)
-    assert_allclose(new.difference_shrinkage, known.difference_shrinkage * 10 / 40)
-    assert (new.within > known.within).all()  # differences that count for less explain less
-    made = make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].groups["new"]
-    assert_allclose(made.difference_shrinkage, new.difference_shrinkage)
-
-
 def test_covariances_are_found_with_many_objects_and_few_tell_not_what_errs_together() -> None:
     rng = np.random.default_rng(5)
     B = lasting(rng)

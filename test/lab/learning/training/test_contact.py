@@ -13,23 +13,17 @@ from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
 
 from foretouch.errors import DatasetError
-from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
+from foretouch.models.contact.features import CONDITIONS
 from foretouch.tactile import BIOTAC, MODALITIES, biotac_touch
 from foretouch.types import Cloud
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.data.folds import object_folds
-from foretouch_lab.learning.training import generalisation
+from foretouch_lab.learning.training import contact
 from foretouch_lab.learning.training.calibration import rest_level, resting_labels
 from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 
 SAMPLES = make_samples(5, 10)
 OBJECTS = [sample.object for sample in SAMPLES]
-
-
-def test_samples_are_described_each_on_its_own_cloud() -> None:
-    rows = describe_samples(SAMPLES[:3])
-    for row, sample in zip(rows, SAMPLES, strict=False):
-        assert_array_equal(row, HandFrameFeatures(sample.cloud.xyz).describe([sample.grasp])[0])
 
 
 def test_rest_without_tares_is_the_end_without_pressure_and_labels_at_rest_are_free_of_drift() -> None:
@@ -66,8 +60,8 @@ def test_objects_stay_whole_in_at_most_ten_folds() -> None:
 def test_forests_and_kernel_are_scikit_learn_s(monkeypatch) -> None:
     rows, labels = describe_samples(SAMPLES), labels_of(SAMPLES)
     config = FEW_TREES.replace(trees=6, leaf=2, feature_share=0.5, seed=3)
-    monkeypatch.setattr(generalisation, "_OBJECT_EFFECT", 0.0)
-    monkeypatch.setattr(generalisation, "_RIDGES", (0.3,))
+    monkeypatch.setattr(contact, "_OBJECT_EFFECT", 0.0)
+    monkeypatch.setattr(contact, "_RIDGES", (0.3,))
     estimator = fit_contact(rows, labels, OBJECTS, config)
     inputs, scaled = rows[:, len(CONDITIONS) :], (labels - labels.mean(axis=0)) / labels.std(axis=0)
     for name, column in (("together", np.arange(50)), *((name, BIOTAC.columns([name])) for name in MODALITIES)):
@@ -78,18 +72,8 @@ def test_forests_and_kernel_are_scikit_learn_s(monkeypatch) -> None:
         assert_allclose(estimator.forests[name].predict(inputs), wanted, atol=2e-3)
     deviation = inputs.std(axis=0)
     standard = (inputs - inputs.mean(axis=0)) / np.where(deviation > 1e-9, deviation, 1.0)
-    ridge = KernelRidge(alpha=0.3, kernel="laplacian", gamma=generalisation.DECAY / inputs.shape[1])
+    ridge = KernelRidge(alpha=0.3, kernel="laplacian", gamma=contact.DECAY / inputs.shape[1])
     assert_allclose(estimator.kernel.predict(inputs), ridge.fit(standard, scaled).predict(standard), atol=1e-5)
-
-
-def test_the_same_seed_gives_the_same_bits_and_another_does_not() -> None:
-    rows, labels = describe_samples(SAMPLES), labels_of(SAMPLES)
-    configs = (FEW_TREES.replace(seed=seed) for seed in (1, 1, 2))
-    one, again, other = (fit_contact(rows, labels, OBJECTS, config).to_tensors() for config in configs)
-    assert set(one) == set(again)
-    for name, array in one.items():
-        assert_array_equal(array, again[name])
-    assert not np.array_equal(one["forest_together/threshold"], other["forest_together/threshold"])
 
 
 def test_samples_that_cannot_be_fitted_are_refused() -> None:

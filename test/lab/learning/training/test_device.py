@@ -8,17 +8,16 @@ import torch
 from foretouch.errors import ConfigError
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import GeneratorConfig
-from foretouch_lab.learning.training.device import TrainingDevice
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
+from foretouch_lab.learning.training.supervised import TrainConfig, train_network
 
 
 def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    assert TrainingDevice.of(TrainConfig()).device == torch.device("cpu")
+    assert TrainConfig().resolved_device == "cpu"
     with pytest.raises(ConfigError, match=r"device: cuda: torch finds no GPU; choose auto or cpu"):
-        TrainingDevice.of(TrainConfig(device="cuda"))
+        TrainConfig(device="cuda").resolved_device  # noqa: B018
 
 
 def test_a_search_in_bfloat16_learns_as_much_and_leaves_float32_weights(samples, small) -> None:
@@ -43,9 +42,3 @@ def test_a_gpu_gives_the_weights_of_a_cpu_but_for_rounding(samples, small) -> No
     for name, value in one.state_dict().items():
         assert two.state_dict()[name].device.type == "cpu"
         torch.testing.assert_close(two.state_dict()[name], value, rtol=1e-3, atol=1e-4)
-
-
-def test_the_precision_reaches_both_searches(samples, small) -> None:
-    data = TrainingSet.build(samples, small.replace(tnet=True, tnet_widths=(8, 8, 16, 8, 8)))
-    net = SupervisedTrainer(data, np.arange(8), TrainConfig(batch_size=8, precision="bfloat16", device="cpu")).net
-    assert net.features.precision == net.features.transform.precision == torch.bfloat16

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.tactile import BIOTAC
-from foretouch_lab.learning.training.generalisation import _RIDGES, choose_ridge, shrunken_slope, training_kernel
+from foretouch_lab.learning.training.contact import _RIDGES, choose_ridge, shrunken_slope, training_kernel
 
 
 def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tuple[np.ndarray, np.ndarray, list[str]]:

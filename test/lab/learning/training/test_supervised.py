@@ -139,16 +139,3 @@ def test_turning_commutes_with_preparation(samples, small, rng) -> None:
     )
     assert_allclose(points[0].numpy(), other.apply_points(xyz @ rotation.T), atol=1e-12)
     assert_allclose(fed.numpy(), prepare_grasps([turned], other, small), atol=1e-6)
-
-
-def test_rotations_are_proper_about_z_and_bounded_and_turn_normals_but_not_colours(small, rng) -> None:
-    rotations = viewing_axis_rotations(200, 20.0, rng)
-    assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (200, 1, 1)), atol=1e-12)
-    assert_allclose(np.linalg.det(rotations), 1.0)
-    assert_allclose(rotations[:, 2], [[0, 0, 1]] * 200)
-    angles = np.degrees(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
-    assert -20.0 <= angles.min() < -15.0 < 15.0 < angles.max() <= 20.0
-    rotations, points = torch.from_numpy(rotations[:2]), torch.randn(2, 5, 6, dtype=torch.float64)
-    for channels, turned in (("xyz+rgb", points), ("xyz+normals", points[..., 3:] @ rotations.transpose(1, 2))):
-        found, _ = turn(points, torch.zeros(2, 0), rotations, small.replace(channels=channels))
-        assert_allclose(found[..., 3:].numpy(), turned[..., -3:].numpy())

@@ -140,16 +140,3 @@ def test_the_fit_finds_what_places_say_and_nothing_in_others(rng) -> None:
     plain, alike = error(level, None), error(found, second.where)
     assert alike < 0.85 * plain
     assert error(shuffled, second.where[order]) > 0.98 * plain
-
-
-def test_no_later_grasp_changes_an_earlier_prediction(rng) -> None:
-    recording = placed(rng, campaign(rng, 0.0, objects=3, each=12))
-    parameters = replace(fitted(recording), where_scale=np.full(3, 2.0), where_ratio=np.full(4, 2.0))
-    played = replay(SensorTracker(parameters), recording)
-    for k in (4, 20, 33):
-        later = np.arange(36) > k
-        readings, where = recording.readings + 50.0 * later[:, None], recording.where - later[:, None]
-        other = replay(SensorTracker(parameters), replace(recording, readings=readings, where=where))
-        assert_array_equal(other.counts[: k + 1], played.counts[: k + 1])
-        assert_array_equal(other.half[: k + 1], played.half[: k + 1])
-        assert not np.array_equal(other.counts, played.counts)

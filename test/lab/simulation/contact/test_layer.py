@@ -13,8 +13,7 @@ from scipy.special import ellipe, ellipk
 from foretouch.errors import ContactError
 from foretouch_lab.simulation.contact import layer as module
 from foretouch_lab.simulation.contact.layer import solve_layer
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
-from foretouch_lab.simulation.contact.winkler import bed_stiffness
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer, bed_stiffness
 
 TIGHT = {"tolerance": 1e-9}
 

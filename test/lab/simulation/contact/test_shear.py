@@ -7,8 +7,14 @@ from numpy.testing import assert_allclose
 
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.grip import solve_contact
-from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
-from foretouch_lab.simulation.contact.shear import STEEPEST, skin_slopes, tractions
+from foretouch_lab.simulation.contact.problem import (
+    STEEPEST,
+    Command,
+    ContactProblem,
+    ElasticLayer,
+    skin_slopes,
+    tractions,
+)
 
 STEP_M, RADIUS_M, FRICTION, FORCE_N = 2.5e-4, 0.03, 0.6, 2.0
 OFFSET = (np.arange(48) - 23.5) * STEP_M

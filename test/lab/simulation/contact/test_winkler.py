@@ -7,8 +7,7 @@ from contact_builders import RADIUS, half_space, paraboloid, skin
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ContactError
-from foretouch_lab.simulation.contact.problem import Command, ElasticLayer
-from foretouch_lab.simulation.contact.winkler import bed_stiffness, solve_winkler
+from foretouch_lab.simulation.contact.problem import Command, ElasticLayer, bed_stiffness, solve_winkler
 
 
 def test_force_of_a_bed_under_a_paraboloid_is_the_closed_form_and_beds_in_series_share_the_depth():

@@ -4,22 +4,10 @@ import pytest
 from sim_builders import CAN, run, scene, unit
 
 from foretouch.errors import SimulationError
-from foretouch_lab.simulation.effects.grasp import _finger_frames
 
 BALL = {"name": "ball", "shape": "ball", "size_m": [0.08, 0.08, 0.08]}
 ABOVE = {"geograsp": {"method": "original"}}  # meets a ball above its middle
 MET = ("fingers", "touches", "pads", "postures", "bodies", "relief", "grasp")
-
-
-def test_fingers_close_towards_each_other_and_point_down() -> None:
-    g1, g2 = np.array([0.0, 0.03, 0.05]), np.array([0.0, -0.03, 0.05])
-    hand = np.column_stack([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])  # X up, Y along, Z = g1 - g2
-    thumb, middle = _finger_frames(g1, g2, hand, np.array([0.0, 0.0, 1.0]))
-    np.testing.assert_array_equal(thumb.normal, [0.0, -1.0, 0.0])
-    np.testing.assert_array_equal(middle.normal, [0.0, 1.0, 0.0])
-    for finger in (thumb, middle):
-        np.testing.assert_array_equal(finger.rotation[:, 0], [0.0, 0.0, -1.0])
-        assert np.linalg.det(finger.rotation) == pytest.approx(1.0)
 
 
 def test_pad_and_ball_meet_where_their_normals_are_opposite() -> None:

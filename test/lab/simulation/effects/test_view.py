@@ -6,9 +6,8 @@ from scipy.spatial import cKDTree
 from sim_builders import CAN, run, scene
 
 from foretouch.errors import SimulationError
-from foretouch_lab.simulation.depth_effects import GRAZING_DEG, HOLE_SHARE
-from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
-from foretouch_lab.simulation.effects.place import _free_path
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, GRAZING_DEG, HOLE_SHARE, TABLE, DepthScene
+from foretouch_lab.simulation.effects.view import _free_path
 from foretouch_lab.simulation.solids import Body, Box
 from foretouch_lab.simulation.world import World
 

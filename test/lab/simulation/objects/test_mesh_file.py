@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Objects of a scene whose surface comes from a file, read by Open3D."""
+"""Objects of a scene whose surface comes from a file that Open3D wrote."""
 
 import json
 import os
@@ -105,7 +105,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh
 
     cases = {"open.ply": "not shared by two faces", "mesh.dae": "is not one of .obj, .ply, .stl, .glb"}
     cases |= dict.fromkeys(("empty.obj", "damaged.stl", "damaged.glb"), "holds no triangle")
-    cases |= {f"index{number}.ply": "names no vertex of the 4|it ended Open3D" for number in range(len(wrong))}
+    cases |= {f"index{number}.ply": "names no vertex of the 4|no triangle" for number in range(len(wrong))}
     every_case(
         [*cases.items(), ("folder.ply", "is a folder"), ("fifo.stl", "is a FIFO"), ("library.obj", "mesh|triangle")],
         check,
