@@ -63,7 +63,7 @@ def _srgan(variant: str, dtype: str, far: float) -> list[Any]:
     """Both losses and the gradients of labelled, unlabelled and fake features."""
     config = losses.SrganLossConfig(loss_variant=variant)
     parts = [torch.full((3, 4), size).to(getattr(torch, dtype)).requires_grad_() for size in (0.5, 0.5, 0.5 * far)]
-    discriminator = losses.discriminator_loss(torch.tensor(0.5), losses.Features(*parts), config)
+    discriminator = losses.discriminator_loss(torch.tensor(0.5), parts, config)
     total = discriminator["total"] + losses.matching_loss(parts[2], parts[1].detach(), config)
     total.backward()
     return [total, *discriminator.values(), *(one.grad for one in parts if one.grad is not None)]

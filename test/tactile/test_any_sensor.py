@@ -24,6 +24,7 @@ OWN = (
     "ros/messages/conversions.py",
     "ros/messages/tactile.py",
     "ros/hand.py",
+    "ros/hand_messages.py",
     "models/network/",
     "learning/data/training_set.py",
     "learning/training/supervised.py",

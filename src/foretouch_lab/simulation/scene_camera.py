@@ -63,7 +63,7 @@ class FrameMaker:
 
     def __init__(self, scene: SceneConfig) -> None:
         self.scene = scene
-        self._engine = Engine(scene, view.FRAME_EFFECTS, ("depth", "labels", "normals"))
+        self._engine = Engine(scene, (*view.PLACING, *view.FRAME_EFFECTS), ("depth", "labels", "normals"))
 
     def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
         """One image.

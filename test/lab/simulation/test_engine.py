@@ -13,7 +13,7 @@ from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, s
 
 from foretouch.errors import CloudError, SimulationError
 from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
+from foretouch_lab.simulation.effects.view import FRAME_EFFECTS, PLACING
 from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.scene.objects import ObjectConfig
@@ -130,8 +130,10 @@ def test_each_effect_reads_and_writes_what_it_declares() -> None:
             except SimulationError as err:
                 assert err.reason in {"falls", "slips", "contact"}  # noqa: PT017
     assert ran == {one.name for one in EFFECTS}
-    made_before_read(FRAME_EFFECTS, full, ("depth", "labels", "normals"))
-    Engine(full, [watched(one) for one in FRAME_EFFECTS], ("depth", "labels", "normals")).run(SampleKey(0, 0))
+    made_before_read((*PLACING, *FRAME_EFFECTS), full, ("depth", "labels", "normals"))
+    Engine(full, [watched(one) for one in (*PLACING, *FRAME_EFFECTS)], ("depth", "labels", "normals")).run(
+        SampleKey(0, 0)
+    )
 
 
 def test_declarations_name_keys_of_the_state_that_are_made_before_they_are_read_in_every_scene() -> None:

@@ -240,7 +240,7 @@ def _grown(span: slice, size: int) -> slice:
     return slice(max(0, span.start - _MARGIN_PX), min(size, span.stop + _MARGIN_PX))
 
 
-_PLACING = (
+PLACING = (
     Effect("object", _object, "objects", writes=("bodies",)),
     Effect("clutter", _clutter, "clutter", changes=("bodies",)),
 )
@@ -258,11 +258,10 @@ _SEEING = (
     Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window"), changes=("cloud",)),
 )
 
-EFFECTS = (*_PLACING, *_SEEING)
+EFFECTS = (*PLACING, *_SEEING)
 
 #: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
 FRAME_EFFECTS = (
-    *_PLACING,
     replace(_SEEING[0], run=_whole_window, reads=()),
     *(replace(effect, again=True) for effect in _SEEING[1:-3]),
 )
