@@ -244,7 +244,15 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     parameters = fit_tracker(first, group, group)
     assert ((parameters.slope[2:] > 0.3) & (parameters.slope[2:] < 1.0)).all()
     warm = recorded(1, warm_up, first.expected[0])
-    shown = {"none": None, "whole": warm.tdc, "zeros": np.zeros_like(warm.tdc)}
+    half = np.arange(len(warm.tdc))[:, None] >= len(warm.tdc) // 2
+    shown = {
+        "none": None,
+        "whole": warm.tdc,
+        "zeros": np.zeros_like(warm.tdc),
+        "stuck": np.tile(warm.tdc[:1], (len(warm.tdc), 1)),
+        "thumb only": warm.tdc * [1.0, np.nan],
+        "power cycle": warm.tdc + 900.0 * half,
+    }
     played = {name: replay(SensorTracker(parameters), replace(warm, tdc=tdc)).counts for name, tdc in shown.items()}
     first_touches = np.flatnonzero(warm.begins())[5:]
 
@@ -257,6 +265,10 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     draws = gain[rng.integers(0, len(gain), (1000, len(gain)))].mean(axis=1)
     assert (np.quantile(draws, 0.025, axis=0) > 0.0).all()
     np.testing.assert_array_equal(played["zeros"], played["none"])
+    np.testing.assert_allclose(played["stuck"], played["none"], atol=0.5)
+    np.testing.assert_allclose(played["thumb only"][:, [0, *range(2, 26)]], played["whole"][:, [0, *range(2, 26)]])
+    np.testing.assert_allclose(played["thumb only"][:, 26:], played["none"][:, 26:], atol=0.5)
+    assert (errors("power cycle").mean(axis=0) < errors("none").mean(axis=0)).all()
     cold = recorded(1, {}, first.expected[0])
     without = replace(parameters, slope=np.zeros(50), slope_sd=np.zeros(50))
     found, same = (replay(SensorTracker(one), cold) for one in (parameters, without))

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from contact_builders import press, rounded_edge
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import TactileError
-from foretouch.tactile import BIOTAC_SP, P2_RANGES, biotac_touch, touch_faults
+from foretouch.tactile import BIOTAC_SP, P2_RANGES, biotac_touch, to_kohm, touch_faults
 from foretouch_lab.simulation import fingertip
-from foretouch_lab.simulation.contact.pad import PadConfig, pad_direction, pad_window
+from foretouch_lab.simulation.contact.pad import PadConfig, contact_frame, pad_direction, pad_window
 from foretouch_lab.simulation.fingertip import (
     NoiseConfig,
     SimulatedFingerConfig,
@@ -121,3 +123,18 @@ def test_fingertips_are_those_of_the_hand_whatever_the_seed_of_the_scene() -> No
     for k in range(2):
         assert_array_equal(first[k].electrode_gain, seeded[k].electrode_gain)
         assert not np.isclose(first[k].electrode_rest, other[k].electrode_rest).any()
+
+
+def test_the_rim_responds_less_and_closer_skin_raises_the_impedance_exponentially():
+    def rise_at(roll, finger=THUMB):
+        return fingertip._pdc_counts(contact_frame(PAD, pad_direction(0.0, roll)), 1e-9, finger) - finger.pdc_rest
+
+    assert rise_at(1.0) == pytest.approx(np.cos(1.0) ** fingertip.RIM_POWER * rise_at(0.0))
+    assert rise_at(0.0, replace(THUMB, pdc_span=3.0 * THUMB.pdc_span)) == pytest.approx(3.0 * rise_at(0.0))
+    deep = np.full((2, 2), 10 * fingertip.BOTTOMING_M)
+    assert fingertip._displaced_volume(deep, 1e-6) == pytest.approx(4e-6 * fingertip.BOTTOMING_M)
+    assert fingertip._displaced_volume(-deep, 1e-6) == 0.0
+    counts = fingertip._electrode_counts(np.array([-1e-5, 0.0, fingertip.THINNING_M, 1e-4]), np.full(4, 3500.0))
+    assert (np.diff(counts) < 0).all()
+    assert_allclose(to_kohm(counts[1:3]) / to_kohm(3500.0), [1.0, np.e], rtol=1e-12)  # the inverse of the formula
+    assert_allclose(fingertip._electrode_counts(np.array([-1.0, 1.0]), np.full(2, 3500.0)), [4095.0, 0.0], atol=1e-6)

@@ -3,7 +3,9 @@
 
 import numpy as np
 import pytest
+from every_case import every_case
 
+from foretouch.camera.libusb import ensure_libusb
 from foretouch_lab.simulation.solids import Body, Box, Cylinder, Sphere
 
 POSITION = np.array([0.1, -0.2, 0.3])
@@ -72,3 +74,32 @@ def test_the_lowest_point_of_a_tilted_cylinder():
     exact = 0.5 - 0.05 * np.cos(angle) - 0.04 * np.sin(angle)
     assert can.lowest() == pytest.approx(exact, abs=2e-3)  # the rim is bevelled
     assert can.lowest() >= solid.corners()[:, 2].min() - 1e-9
+
+
+def test_hits_agree_with_open3d(solids, turn, rng):
+    ensure_libusb()
+    import open3d as o3d
+
+    make = o3d.geometry.TriangleMesh
+    meshes = {
+        "box": (make.create_box(0.1, 0.06, 0.12).translate((-0.05, -0.03, -0.06)), 1e-5),
+        "cylinder": (make.create_cylinder(0.04, 0.11, resolution=400, split=1), 1e-3),
+        "sphere": (make.create_sphere(0.05, resolution=200), 1e-3),
+    }
+    directions = rays(rng, 20_000)
+
+    def check(name, solid):
+        mesh, tolerance = meshes[name]
+        mesh.rotate(turn, (0.0, 0.0, 0.0)).translate(POSITION)
+        scene = o3d.t.geometry.RaycastingScene()
+        scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+        both_ends = np.hstack([np.broadcast_to(EYE, directions.shape), directions]).astype(np.float32)
+        theirs = scene.cast_rays(o3d.core.Tensor(both_ends))["t_hit"].numpy()
+        ours = solid.cast(EYE, directions)
+        both = np.isfinite(ours) & np.isfinite(theirs)
+        assert both.sum() > 2000
+        assert (np.isfinite(ours) != np.isfinite(theirs)).mean() < 3e-3  # silhouettes: facets against the true curve
+        error = np.abs(ours[both] - theirs[both]) * np.linalg.norm(directions[both], axis=1)
+        assert np.quantile(error, 0.99) < tolerance  # grazing rays stretch a facet's sagitta
+
+    every_case(list(solids.items()), check)

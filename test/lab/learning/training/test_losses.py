@@ -74,6 +74,35 @@ def test_as_printed_contrast_and_the_original_srgan_by_hand_and_equation_4_is_eq
     matching_loss(FAKE, U[:1], config)  # by means
 
 
+def test_equation_3_as_printed_is_the_variance_of_the_features() -> None:
+    """Over all pairs of clouds it is 2 tr Cov(f); between the means of two batches of B it is 2 tr Cov(f) / (B F)."""
+    features = torch.randn(12, 5, dtype=F64, generator=torch.Generator().manual_seed(3)) * torch.arange(1.0, 6.0)
+    trace = float(features.var(dim=0, correction=0).sum())
+    printed, means = (SrganLossConfig(loss_variant=variant) for variant in ("as_printed", "batch_means"))
+    found = [float(matching_loss(features, features.roll(k, dims=0), printed)) for k in range(12)]
+    assert sum(found) / 12 == pytest.approx(2.0 * trace)
+    pairs = [matching_loss(a[None], b[None], means) for a in features for b in features]  # batches of one
+    assert float(torch.stack(pairs).mean()) == pytest.approx(2.0 * trace / 5)
+
+
+def test_gradients_agree_with_finite_differences() -> None:
+    generator = torch.Generator().manual_seed(3)
+    features = [torch.randn(3, 4, dtype=F64, generator=generator).requires_grad_() for _ in range(3)]
+    labels = torch.randn(3, 2, dtype=F64, generator=generator).requires_grad_()
+
+    def check(variant: str) -> None:
+        config = SrganLossConfig(loss_variant=variant)
+
+        def total(y: torch.Tensor, *f: torch.Tensor) -> torch.Tensor:
+            labeled = labeled_loss(y, torch.zeros(3, 2, dtype=F64), [2])
+            loss = discriminator_loss(labeled, f, config)["total"]
+            return loss + 3 * matching_loss(f[2], f[1], config)
+
+        assert torch.autograd.gradcheck(total, (labels, *features))
+
+    every_case(("as_printed", "contrast", "batch_means", "srgan"), check)
+
+
 def test_the_contrast_stays_bounded_for_huge_features() -> None:
     def check(variant: str, size: float) -> None:
         config = SrganLossConfig(loss_variant=variant, weight_unlabeled=0.0)
