@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Beside a busy core: the clouds of a camera are all answered in time, and of more than a graph can answer the newest, all accounted for."""
+"""Beside a busy core, of more clouds than a graph can answer, the newest are answered, and all are accounted for."""
 
 import subprocess
 import sys
@@ -43,16 +43,6 @@ def sent(graph, message, rate_hz):
         message.header.stamp = stamp_to_msg(stamps[-1])
         publisher.publish(message)
     return stamps, arrived
-
-
-def test_all_clouds_of_a_camera_are_answered(graph, scene_cloud, model_card, busy_core):
-    nodes = graph.add(*PERCEPTION, model=model_card)
-    stamps, arrived = sent(graph, cloud_to_msg(scene_cloud(width=848)), 30.0)
-    graph.until(lambda: len(arrived) == len(stamps), timeout_s=10.0)
-    assert [node.statistics.summary().used for node in nodes] == [len(stamps)] * 3
-    # Beside other tests there is no core for it: 95 % within two periods is what `benchmarks.transport.bench --busy` shows.
-    ages = np.array([arrived[stamp] - stamp for stamp in stamps]) / 1e9
-    assert np.median(ages) <= 4.0 / 30.0, np.percentile(ages, (50, 95, 99))
 
 
 @pytest.mark.parametrize("work_ms", [25.0, 80.0])
