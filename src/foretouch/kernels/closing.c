@@ -302,15 +302,15 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
-            double level = rows > 0 ? hidden_middle(&seen, c, s, mid, offset, top, tip) : top / 2.0;
+            double grip = rows > 0 ? hidden_middle(&seen, c, s, mid, offset, top, tip) : top / 2.0;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
                 const double from_end = SIDE * (high - low), reach = AROUND * (high - low);
                 const double first = height_around(&strip, low + from_end, reach), second = height_around(&strip, high - from_end, reach);
                 const double side = (first > second ? first : second) * (double)HEIGHT_M;
                 const double arch = (top + round_underside(top, lowest, side, width, horizontal)) / 2.0;
-                level = arch > level ? arch : level;
+                grip = arch > grip ? arch : grip;
             }
-            const double shifted = level + shift > level / 2.0 ? level + shift : level / 2.0;
+            const double shifted = grip + shift > grip / 2.0 ? grip + shift : grip / 2.0;
             double z = isnan(turns[3 * angle + 2]) ? shifted : turns[3 * angle + 2];
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < floor_m ? floor_m : z;

@@ -3,7 +3,7 @@
 
 The model sees the pattern of each finger alone: how its electrodes differ from their mean, in units of their spread. So neither the level
 of a finger nor how hard it presses decides, and no tare is needed. It is a mean of small networks with one hidden layer, fitted by
-`python -m benchmarks.other_recordings.touch_hold`; what it was fitted to and where it fails is in its card.
+`python -m benchmarks.other_recordings`; what it was fitted to and where it fails is in its card.
 """
 
 from dataclasses import dataclass
