@@ -46,12 +46,9 @@ def send_latest(graph, node, target):
     graph.until(lambda: node.statistics.summary().used == 1)
 
 
-def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(graph, model_card, tmp_path, scene_cloud):
-    path = tmp_path / "hand_eye.yaml"
-    path.write_text("translation: [0.4, 0.0, 0.9]\nrotation: [1, 0, 0, 0]\n")
-    frame = {"output_frame": "base_link", "hand_eye": str(path)}
+def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(graph, model_card, scene_cloud):
     sampling = {"planner_action_count": 5, "sample_cost": "harder_finger", "planner_action_type": TYPE}
-    (node,) = graph.add("touch_predictor", model=model_card, **frame, **sampling)
+    (node,) = graph.add("touch_predictor", model=model_card, **sampling)
     assert node.notes()["sample_grasp_poses"] == TYPE
     status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
@@ -63,7 +60,7 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(gra
     assert feedback[0].grasp_candidates == own.grasp_candidates
     assert list(feedback[0].costs) == list(own.costs) == sorted(own.costs)
     headers = [(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates]
-    assert headers == [("base_link", 11)] * 5
+    assert headers == [(CAMERA, 11)] * 5
     assert not feedback[0].grasps  # no field but those of MoveIt
     assert not node.internal_errors.counts()
 

@@ -4,7 +4,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from rclpy.serialization import deserialize_message
@@ -50,6 +50,13 @@ class GraspArrays:
 
     def __len__(self) -> int:
         return len(self.contacts)
+
+
+class Latest(NamedTuple):
+    """The newest object_cloud and the table of the same stamp."""
+
+    cloud: PointCloud2 | TargetCloud
+    table: TablePlane
 
 
 class RefusalError(ForetouchError):
@@ -143,6 +150,26 @@ def read_obstacles(message: TablePlane) -> Obstacles | None:
     """Convert what stands around the targets; a `RefusalError`, BAD_REQUEST, if its fields do not fit each other."""
     with _refused_as(Status.BAD_REQUEST):
         return obstacles_from_msg(message)
+
+
+def with_latest(
+    cloud: PointCloud2, table: Sequence[PlaneMsg], latest: Latest | None
+) -> tuple[PointCloud2 | TargetCloud, Sequence[PlaneMsg]]:
+    """Cloud and table, none or one, of a request: a cloud that is only a header stands for the latest one, with its table.
+
+    A `RefusalError`: EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if it is in another frame.
+    """
+    if cloud.fields or not cloud.header.frame_id:
+        return cloud, table
+    if latest is None:
+        raise no_latest_cloud()
+    check_frames("cloud", cloud.header, latest.cloud.header)
+    return latest.cloud, table or ([latest.table.plane] if latest.table.status == Status.OK else [])
+
+
+def no_latest_cloud() -> RefusalError:
+    """The refusal of a request that is about the latest cloud before there is one."""
+    return RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:

@@ -14,7 +14,6 @@ from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.grasp import GeoGraspConfig, GraspHold, HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets, read_obstacles, read_table, read_targets
-from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch_msgs.msg import GraspArray, TablePlane
 
@@ -23,7 +22,7 @@ HOLD_TOLERANCE_M: Final = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
+class GraspNodeConfig(ProcessingConfig):
     """Settings of the grasp node."""
 
     limits: ObjectLimits = ObjectLimits()
@@ -41,26 +40,16 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     """Plans grasps on each target (`Pipeline.plan`)."""
 
     exclusive_topics = (GRASPS_TOPIC,)
-    _frame: OutputFrame | None = None
 
     def __init__(self, **options: Any) -> None:
         super().__init__("grasp", GraspNodeConfig, [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")], **options)
         self._config_changed(self.config)
 
     def _setup(self) -> None:
-        self._frame = OutputFrame(self, self.config)
-        self._closing.callback(self._frame.close)
         self._grasps = self.advertise(GraspArray, GRASPS_TOPIC, keep=True)  # before subscribing: no answer is lost
         for target in self._pipeline.segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
         super()._setup()
-
-    def _teardown(self) -> None:
-        self._frame = None
-
-    def notes(self) -> dict[str, str]:
-        """The frame of the answers too."""
-        return {**super().notes(), **(self._frame.notes() if self._frame else {})}
 
     def _config_changed(self, config: GraspNodeConfig) -> None:
         self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, hand=config.hand, limits=config.limits))
@@ -68,7 +57,6 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         self._held = GraspHold(HOLD_TOLERANCE_M) if holds else None
 
     def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
-        transform = self._frame.transform(header) if self._frame else None
         table = messages["table"]
         targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header), self.config.limits)
         obstacles = read_obstacles(table)
@@ -76,8 +64,6 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         message = plan_targets(self._pipeline, targets, header, table.reason, self._held, self.config.grasp_hold)
         for grasp in message.grasps:  # as after serialisation, for subscribers of this process
             grasp.score = float(np.float32(grasp.score))
-        if transform is not None:
-            message.header, message.grasps = transform.header(header), [transform.grasp(one) for one in message.grasps]
         self._grasps.publish(message)
         return message.status, message.reason
 

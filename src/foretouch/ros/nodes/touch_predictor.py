@@ -9,9 +9,6 @@ predictions use vision alone.
 Service and action run in threads of their own (see `ThreadPool`), beside the worker that answers the topics: the
 model is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer then
 gives the reason, and cleaning up and configuring again retries.
-
-Touch is predicted in the frame of the camera. With `output_frame`, grasps and requests in that frame are brought there,
-and everything that is published is brought back (see `output_frame`).
 """
 
 import math
@@ -19,7 +16,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -42,10 +38,10 @@ from foretouch.report.equal_pressure import predicted_pressures, scale_of
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
-from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import (
     GraspArrays,
+    Latest,
     RefusalError,
     check_frames,
     passed_on,
@@ -53,10 +49,10 @@ from foretouch.ros.messages.requests import (
     read_plane,
     read_targets,
     status_name,
+    with_latest,
 )
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import REQUESTS
-from foretouch.ros.runtime.output_frame import Latest, OutputFrame, in_cloud_frame
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
@@ -108,7 +104,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._used_tare = self.config.use_tare
         self._threads: ThreadPool | None = None
         self._planner_action: Any = None  # class of the action of MoveIt Task Constructor
-        self._frame: OutputFrame | None = None
         self._tables: dict[int, TablePlane] = {}
         self._latest: Latest | None = None
         self._latest_lock = threading.Lock()
@@ -119,8 +114,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _setup(self) -> None:
         config, closing = self.config, self._closing
-        self._frame = OutputFrame(self, config)
-        closing.callback(self._frame.close)
         self._planner_action = planner_action_class(config.planner_action_type)
         self._predictor = Predictor(config.model, config.fallback_model)
         closing.callback(self._predictor.close)
@@ -169,7 +162,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         )
 
     def _teardown(self) -> None:
-        self._frame = self._threads = self._predictor = self._keeper = self._adapter = self._latest = None
+        self._threads = self._predictor = self._keeper = self._adapter = self._latest = None
         self._tables.clear()
 
     def errors(self) -> tuple[str, ...]:
@@ -206,7 +199,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             found |= {"model": predictor.model.name, "model_sha256": predictor.model.sha256}
             if self._adapter is None:
                 found["regime"] = self._other_hand or "none: the model's card holds no calibration"
-        for part in (predictor.budget if predictor else None, self._adapter, self._keeper, self._frame):
+        for part in (predictor.budget if predictor else None, self._adapter, self._keeper):
             found |= part.notes() if part is not None else {}
         found |= {f"requests.{name}": str(count) for name, count in dict(self._requests).items()}
         return found | ({PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {})
@@ -225,24 +218,20 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._remember_cloud(cloud)
         if not grasps.grasps:
             raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
-        transform = _configured(self._frame).transform(header)
-        planned = _in_frame_of(header, grasps, transform)
+        check_frames(GRASPS_TOPIC, grasps.header, header)
         targets = read_targets(cloud, ASSUMED_TABLE, self.config.limits)  # predictions do not use the table
-        message, answer = self._predict(targets, planned, header, None, self._arrived)
+        message, answer = self._predict(targets, grasps.grasps, header, None, self._arrived)
         if grasps.reason.startswith(AMBIGUOUS_TARGET):
             message.flags += (AMBIGUOUS_TARGET,)
         if self._adapter is not None:
-            self._adapter.add_grasps(cloud, planned)
-        in_output_frame = None if planned is grasps.grasps else grasps.grasps
-        published = message if transform is None else transform.answer(message, in_output_frame)
-        self._touch.publish(_configured(self._predictor).end(published, answer))
+            self._adapter.add_grasps(cloud, grasps.grasps)
+        self._touch.publish(_configured(self._predictor).end(message, answer))
         if self._markers.wanted:  # the answer is out: an error must not refuse the cloud
-            message.flags = published.flags
-            self.internal_errors.guarded("markers", self._draw)(message, transform)
+            self.internal_errors.guarded("markers", self._draw)(message)
         return message.summary
 
-    def _draw(self, answer: TouchAnswer, transform: FrameTransform | None) -> None:
-        """Publish the markers of the first prediction in the frame of its cloud, brought to that of the answers."""
+    def _draw(self, answer: TouchAnswer) -> None:
+        """Publish the markers of the first prediction."""
         first, model = answer.outcomes[0], _configured(self._predictor).model
         markers = MarkerArray()
         if model is not None and not isinstance(first, Refusal):
@@ -250,7 +239,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             shown, view = replace(first, flags=(*first.flags, *answer.flags)), TaxelView(model.sensor)
             first_at_g1 = self.config.thumb_takes_g1
             markers = touch_markers(shown, answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
-        self._markers.publish(markers if transform is None else transform.markers(markers))
+        self._markers.publish(markers)
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
@@ -282,10 +271,10 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             while len(self._tables) > 16:  # one has the stamp of the latest object_cloud
                 del self._tables[next(iter(self._tables))]
 
-    def _frame_flags(self, cloud: Header, transform: FrameTransform | None) -> tuple[str, ...]:
-        """The flag of a request whose cloud is in a frame that is not that of the graph's clouds, and that nothing transforms."""
+    def _frame_flags(self, cloud: Header) -> tuple[str, ...]:
+        """The flag of a request whose cloud is in a frame that is not that of the graph's clouds."""
         latest = self._latest
-        if transform is not None or latest is None or cloud.frame_id == latest.cloud.header.frame_id:
+        if latest is None or cloud.frame_id == latest.cloud.header.frame_id:
             return ()
         self._foreign = (cloud.frame_id, time.monotonic())
         return (UNKNOWN_FRAME,)
@@ -373,18 +362,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         ids = sorted(grasp.id for grasp in request.grasps if grasp.id)
         if twice := [one for one, other in pairwise(ids) if one == other]:
             raise RefusalError(Status.BAD_REQUEST, f"grasps: id {quoted(twice[0])} occurs twice")
-        asked = in_cloud_frame(_configured(self._frame), request.cloud, request.table, grasps, self._latest)
-        table = read_plane(asked.table[0]) if asked.table else None
-        targets = read_targets(asked.cloud, table or ASSUMED_TABLE, config.limits)
-        if not asked.grasps:
+        cloud, planes = with_latest(request.cloud, request.table, self._latest)
+        table = read_plane(planes[0]) if planes else None
+        targets = read_targets(cloud, table or ASSUMED_TABLE, config.limits)
+        if not grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
-        message, answer = self._predict(
-            targets, asked.grasps, asked.cloud.header, config.grasp if table else None, arrived
-        )
-        message.flags += self._frame_flags(asked.cloud.header, asked.transform)
-        self._add_requested(asked.cloud, message.answered)  # not before: the same grasp may have been executed already
-        if asked.transform is not None:
-            message = asked.transform.answer(message, None if asked.grasps is grasps else request.grasps)
+        message, answer = self._predict(targets, grasps, cloud.header, config.grasp if table else None, arrived)
+        message.flags += self._frame_flags(cloud.header)
+        self._add_requested(cloud, message.answered)  # not before: the same grasp may have been executed already
         return _configured(self._predictor).end(message, answer)
 
     # The actions.
@@ -414,31 +399,23 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         return result
 
     def _sample(self, goal_handle: Any, goal: Any, feedback: Callable[[Any], None]) -> Any:
-        """Sample grasps for a `SampleGrasps.Goal`; result and feedback are in the frame of the answers."""
-        latest, frame, transform = self._latest, _configured(self._frame), None
-        flags: tuple[str, ...] = ()
-        sampled: PointCloud2 | TargetCloud = goal.cloud
-        if goal.cloud.width * goal.cloud.height:
-            asked = in_cloud_frame(frame, goal.cloud, goal.table, (), latest)
-            goal, sampled, transform = copy(goal), asked.cloud, asked.transform
-            flags = self._frame_flags(asked.cloud.header, transform)
-            goal.cloud, goal.table = asked.cloud, list(asked.table)
-        elif latest is not None:
-            sampled, transform = latest.cloud, frame.transform(latest.cloud.header)
-        moved: Callable[[Any], Any] = (lambda message: message) if transform is None else transform.sampled
+        """Sample grasps for a `SampleGrasps.Goal`."""
+        latest, given = self._latest, goal.cloud.width * goal.cloud.height
+        sampled = goal.cloud if given or latest is None else latest.cloud
+        flags = self._frame_flags(goal.cloud.header) if given else ()
         result = sample_grasps(
             goal,
             latest,
             self.config,
             bytes(goal_handle.goal_id.uuid).hex()[:8],
             self._predict_candidates,
-            lambda message: feedback(moved(message)),
+            feedback,
             lambda: goal_handle.is_cancel_requested,
         )
         for prediction in result.predictions:
             prediction.flags = [*prediction.flags, *flags]
         self._add_requested(sampled, result.grasps)
-        return moved(result)
+        return result
 
     def _predict_candidates(self, target: FoundObject, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
@@ -460,12 +437,3 @@ def _configured(part: _T | None) -> _T:
     if part is None:
         raise RefusalError(Status.NO_MODEL, "the node is not configured")
     return part
-
-
-def _in_frame_of(cloud: Header, message: GraspArray, transform: FrameTransform | None) -> Sequence[Grasp]:
-    """The grasps of a message in the frame of their cloud, which they are in, or that of the answers; or a refusal."""
-    if transform is not None and message.header.frame_id == transform.target:
-        back = transform.inverse()
-        return [back.grasp(grasp) for grasp in message.grasps]
-    check_frames(GRASPS_TOPIC, message.header, cloud)
-    return message.grasps

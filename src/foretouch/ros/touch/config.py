@@ -10,7 +10,6 @@ from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.runtime.output_frame import OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
 from foretouch_msgs.action import SampleGrasps
 
@@ -22,8 +21,8 @@ COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig, TactileInput):
-    """Settings of the touch predictor, with the frame of its answers, the hand's reach and its tactile messages."""
+class TouchPredictorConfig(ProcessingConfig, ReachConfig, TactileInput):
+    """Settings of the touch predictor, with the hand's reach and its tactile messages."""
 
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
     fallback_model: str = setting(

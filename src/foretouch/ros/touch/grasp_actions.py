@@ -20,8 +20,7 @@ from foretouch.errors import ConfigError
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.ros.messages import requests
-from foretouch.ros.messages.requests import RefusalError
-from foretouch.ros.runtime.output_frame import Latest, no_latest_cloud
+from foretouch.ros.messages.requests import Latest, RefusalError, no_latest_cloud
 from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchPredictorConfig
 from foretouch.types import Float64
 from foretouch_msgs.action import SampleGrasps
