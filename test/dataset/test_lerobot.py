@@ -24,9 +24,8 @@ from foretouch.dataset.lerobot import recognise
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
-from foretouch.dataset.taxels import finger_key
 from foretouch.errors import ConfigError, FileError
-from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.channels import BIOTAC_SP, finger_label
 from foretouch.types import Cloud
 
 OWN = ["timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns"]
@@ -182,7 +181,7 @@ def test_each_channel_states_where_its_taxels_are_and_what_they_mean(exported: P
     export_samples(store, tmp_path / "uskin", "lerobot")
     features = json.loads((tmp_path / "uskin/meta/info.json").read_text())["features"]
     first = USKIN.channels.fingers[0]
-    name = f"observation.tactile.{finger_key(first)}.taxel"
+    name = f"observation.tactile.{finger_label(first).replace(' ', '_')}.taxel"
     assert (features[name]["shape"], features[name]["info"]["axes"]) == ([16, 3], ["X", "Y", "Z"])
     assert np.flatnonzero(~np.array(features[name]["info"]["valid"])).tolist() == [3]
     frame = pq.read_table(tmp_path / "uskin/data/chunk-000/file-000.parquet").to_pylist()[0]

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from foretouch.cloud.messages import decode_cloud
-from foretouch.dataset.topics import TAXELS
 from foretouch.errors import CloudError, FileError
 from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
+_TAXELS = "/foretouch/taxels/"  # clouds that are no camera's, in recordings of foretouch 0.3 and older
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Recording:
 
         Raises a `FileError` if the topic is absent, holds other messages or none, or if several qualify.
         """
-        clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE and not t.name.startswith(TAXELS)]
+        clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE and not t.name.startswith(_TAXELS)]
         if topic is not None:
             clouds = [t for t in self.topics if t.name == topic]
             if not clouds:

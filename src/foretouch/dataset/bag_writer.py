@@ -25,7 +25,6 @@ from foretouch.dataset.recording.sample_codec import (
     serialize_cloud,
 )
 from foretouch.dataset.samples import ExportResult, SampleSet
-from foretouch.dataset.taxels import taxel_clouds
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import system_errors
 from foretouch.types import Cloud
@@ -120,6 +119,4 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
             data = encode_sample(record, samples.identity, samples.sensor)
             writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, data)
             writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
-            for topic, taxels_ns, taxels in taxel_clouds(record, samples.sensor):
-                writer.write(topic, POINT_CLOUD_TYPE, taxels_ns, taxels)
             result.written += 1

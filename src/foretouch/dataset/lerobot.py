@@ -28,9 +28,9 @@ import pyarrow.parquet as pq
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import ExportResult, SampleSet, has_points, open_samples
-from foretouch.dataset.taxels import channel_key, finger_key
 from foretouch.errors import ConfigError, FileError, shown
 from foretouch.files import read_json, require_schema
+from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64
 
@@ -149,7 +149,7 @@ class _Tables:
 
     def __init__(self, root: Path, sensor: Sensor, survey: _Survey, fps: int | None) -> None:
         self._window = window = -(-survey.rate // fps) if fps else 0
-        self._fingers = {finger: finger_key(finger) for finger in sensor.channels.fingers}
+        self._fingers = {finger: _finger_key(finger) for finger in sensor.channels.fingers}
         self._parts = _described(sensor, self._fingers)
         names = [*_value_names(sensor), *(name.lower() for name in survey.others)]
         vectors = {f"observation.tactile.{finger}": names for finger in self._fingers.values()}
@@ -282,7 +282,7 @@ def _value_names(sensor: Sensor) -> list[str]:
     """Names of the values of a finger, such as `pdc` and `electrode_1`, or `taxel_x_1`."""
     names = []
     for one in sensor.channels.channels:
-        key = channel_key(one.name)
+        key = _channel_key(one.name)
         names += [key] if one.size == 1 else [f"{key}_{k}" for k in range(1, one.size + 1)]
     return names
 
@@ -297,7 +297,7 @@ def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[In
     stated = {one.name: one for one, _ in sensor.predicted}
     groups: dict[str, list[int]] = {}
     for k, one in enumerate(sensor.taxel_channels):
-        groups.setdefault("taxel" if one.name in _AXES else channel_key(one.name), []).append(k)
+        groups.setdefault("taxel" if one.name in _AXES else _channel_key(one.name), []).append(k)
     places = {"positions": layout.positions.tolist(), "normals": layout.normals.tolist()}
     for number, (name, key) in enumerate(fingers.items()):
         parts = [
@@ -305,7 +305,7 @@ def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[In
             for group, axes in groups.items()
         ]
         parts += [
-            (channel_key(one.name), sensor.scalar_columns[number : number + 1, [k]], [one])
+            (_channel_key(one.name), sensor.scalar_columns[number : number + 1, [k]], [one])
             for k, one in enumerate(sensor.scalar_channels)
         ]
         for group, columns, channels in parts:
@@ -452,3 +452,14 @@ def _require_features(path: Path, features: Mapping[str, Any], file: Path, first
             if f"{stated['dtype']} {stated['shape']}" != kind:
                 rule = f"is {stated['dtype']} {stated['shape']}, and {file.name} holds {kind}"
                 raise FileError(path, rule, field=f"features.{name}")
+
+
+def _finger_key(finger: str) -> str:
+    """Name of a finger in columns, such as middle_finger."""
+    return finger_label(finger).replace(" ", "_")
+
+
+def _channel_key(channel: str) -> str:
+    """Name of a channel in columns, such as pdc and electrode; x, y and z are the coordinates of a taxel."""
+    name = channel.lower()
+    return {"e": "electrode", **{axis: f"taxel_{axis}" for axis in "xyz"}}.get(name, name)

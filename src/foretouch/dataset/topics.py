@@ -11,9 +11,6 @@ CLOUD_TOPIC: Final = "object_cloud"
 GRASPS_TOPIC: Final = "grasps"
 EXECUTED_TOPIC: Final = "executed_grasp"
 
-TAXELS: Final = f"{NAMESPACE}/taxels/"
-"""Beginning of the topics on which recordings hold readings as clouds of taxels, for viewers."""
-
 
 def full_name(topic: str) -> str:
     """The name of a topic in the default namespace."""

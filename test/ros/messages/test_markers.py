@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +9,10 @@ from foretouch.grasp.pose import fingertip_rotation
 from foretouch.pipeline import Pipeline
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import object_to_msg
-from foretouch.ros.messages.markers import object_markers, sample_markers, touch_markers
+from foretouch.ros.messages.markers import object_markers, touch_markers
 from foretouch.tactile import P2_RANGES, biotac_touch
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import Cloud, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.types import Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ObjectArray
 
 BIOTAC_VIEW = TaxelView(packaged_sensor("biotac_sp"))
@@ -99,15 +98,6 @@ def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest(
     assert [(c.r, c.g) for c in thumb.colors] == [red if k == 3 else grey if k == 5 else green for k in range(16)]
     assert [(c.r, c.g) for c in finger.colors] == [(1.0, 1.0) if k == 7 else green for k in range(16)]
     assert found["prediction"][0].text == "(cloud only)"
-
-
-def test_a_sample_is_drawn_with_its_scalars_or_without_any():
-    for name, text in (("biotac_sp", "can/1: PDC 1 | 2"), ("tacsl_20x25", "can/1")):
-        sensor = packaged_sensor(name)
-        touch = Touch(np.arange(sensor.channels.size) + 1.0, sensor.channels)
-        sample = GraspSample("can/1", "can", Cloud(np.zeros((1, 3), np.float32)), GRASP, touch)
-        assert sample_markers(sample, sensor).markers[-1].text == text
-        assert sample_markers(replace(sample, touch=None), sensor).markers == []
 
 
 def test_boxes_enclose_their_objects(scene_cloud):

@@ -145,7 +145,7 @@ def test_an_override_of_qos_takes_effect_outlives_what_publishers_offer_and_may_
 
 def removed_during_a_recording(graph, path, **parameters):
     """Record two samples, remove the folder, and wait until the status names it; gives the time that took [s]."""
-    node, robot, statuses = start(graph, path, sample_views=False, **parameters)
+    node, robot, statuses = start(graph, path, **parameters)
     for number in range(2):
         robot.record(f"g-{number}", number)
     shutil.rmtree(path)

@@ -14,10 +14,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.grasp.pose import taxels_at
 from foretouch.report.taxel_view import TaxelView
-from foretouch.ros.messages.conversions import evidence_text, header_to_msg, point_to_msg
-from foretouch.tactile import P2_RANGES, Ranges
-from foretouch.tactile.description import Sensor
-from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.ros.messages.conversions import evidence_text, point_to_msg
+from foretouch.tactile import Ranges
+from foretouch.types import Float64, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ObjectArray
 
 _CONTACT_M = 0.012  # diameter of a contact's sphere
@@ -91,22 +90,6 @@ def touch_markers(
     text = "\n".join([f"{_scalars(view, value, prediction)}({based})", *prediction.flags])
     markers.append(_label(header, "prediction", 0, above, 0.02, text, _YELLOW if prediction.flags else _WHITE))
     return MarkerArray(markers=markers)
-
-
-def sample_markers(sample: GraspSample, sensor: Sensor) -> MarkerArray:
-    """Draw what a recorded grasp read, as `touch_markers` draws a prediction, until the markers of another replace it.
-
-    A sample without a touch gives no marker.
-    """
-    if sample.touch is None:
-        return MarkerArray()
-    view, ranges = TaxelView(sensor), P2_RANGES.ranges if sensor.is_biotac else None
-    header = header_to_msg(sample.cloud.frame_id, sample.stamp_ns)
-    found = touch_markers(TouchPrediction(sample.grasp, sample.touch), header, view, ranges, sample.tare)
-    for one in found.markers:
-        one.lifetime = Duration()
-    found.markers[-1].text = f"{sample.id}: {_scalars(view, sample.touch)}".rstrip(": ")
-    return found
 
 
 def _scalars(view: TaxelView, value: Touch, around: TouchPrediction | None = None) -> str:

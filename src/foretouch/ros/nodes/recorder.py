@@ -28,13 +28,11 @@ from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import (
-    ROBOT_TOPICS,
-    VIEWER_TOPICS,
     MessageQueue,
     RecorderSubscriptions,
     TopicStatistics,
+    robot_topics,
     sample_topics,
-    viewer_topics,
 )
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
@@ -76,13 +74,6 @@ class RecorderConfig(NodeConfig, TactileInput):
         read_only=True,
     )  # fmt: skip
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
-    viewer_topics: tuple[str, ...] = setting(
-        ROBOT_TOPICS, "Topics to record for viewers too, as far as they are published; drawing `markers` takes the graph "
-        "3 ms a cloud", choices=VIEWER_TOPICS, read_only=True,
-    )  # fmt: skip
-    sample_views: bool = setting(
-        True, "Whether to record what each grasp read for viewers too: its readings as clouds of taxels, and markers"
-    )
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
     unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", bounds=(0.0, 3600.0))
     assume_grasps: bool = setting(
@@ -141,7 +132,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._hold = self.advertise(TouchHold, "touch_hold")
         # The middleware keeps so many messages while this process does not get to run.
         topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
-        others, missing = viewer_topics(self.config.viewer_topics, depth=1000)
+        others, missing = robot_topics(depth=1000)
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
         self.input_topics = RecorderSubscriptions(self, [*topics, *others], self._mismatch)
@@ -286,7 +277,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             topics.lost,
             lambda text: self.get_logger().warning(text),
             self._hold.publish,
-            views=config.sample_views,
         )
         self.path, self.reason = str(target), ""
         self.get_logger().info(f"recording into {writer.file}")

@@ -15,23 +15,16 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, Literal
 
-from rclpy.serialization import serialize_message
-
 from foretouch.cloud.messages import read_header
-from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
-from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.taxels import taxel_clouds
-from foretouch.dataset.topics import TAXELS
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
-from foretouch.ros.messages.markers import sample_markers
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
@@ -41,8 +34,6 @@ from foretouch.types import GraspSample
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
-MARKERS_TOPIC: Final = "/foretouch/sample_markers"
-MARKERS_TYPE: Final = "visualization_msgs/msg/MarkerArray"
 _PREDICTIONS: Final = 1000  # messages that are kept until their grasps are executed: half a minute at 30 Hz
 _AFTER_CLOSE = "after close"  # why messages are dropped that come when the disk is full: the only reason in no file
 
@@ -90,11 +81,8 @@ class RecordingSession:
         losses: Callable[[], Mapping[str, int]],
         warn: Callable[[str], object],
         publish: Callable[[TouchHold], object],
-        *,
-        views: bool = True,
     ) -> None:
         self.writer = writer
-        self._views = views
         self.began_s = time.monotonic()
         self.status = SessionStatus(sensors=assembler.sensor_states(self.began_s))
         self.ended = threading.Event()
@@ -199,8 +187,6 @@ class RecordingSession:
                     self._operator.add_rejected(result.grasp_id, result.message)
                 continue
             name = self.writer.append(result.record)
-            if self._views:
-                self._write_views(replace(result.record.sample, id=name), result.record)
             if result.cut is not None:
                 self._last_sample = name
                 self._last = self._prediction(result.record.sample), result.cut
@@ -208,20 +194,6 @@ class RecordingSession:
             with self._assembler_lock:
                 self._operator.add_sample(result.record, name)
         self._update_status()
-
-    def _write_views(self, sample: GraspSample, record: SampleRecord) -> None:
-        """Write for viewers what a grasp read, at the times of its stamps: every reading as taxels, and markers."""
-        if sample.touch is None:
-            return
-        markers = serialize_message(sample_markers(sample, self.writer.sensor))
-        views = [(MARKERS_TOPIC, MARKERS_TYPE, sample.stamp_ns, markers)]
-        views += [
-            (topic, POINT_CLOUD_TYPE, at_ns, data) for topic, at_ns, data in taxel_clouds(record, self.writer.sensor)
-        ]
-        for topic, type_name, at_ns, data in views:
-            self.writer.add_topic(topic, type_name)
-            self.writer.receive(topic)
-            self.writer.write(topic, data, at_ns)
 
     def _without_pause(self, messages: list[SerializedMessage]) -> list[SerializedMessage]:
         """The messages to record: none in a pause, which begins once the grasp that is being executed is complete."""
@@ -316,8 +288,7 @@ def status_to_msg(
 
     `statistics` are by topic, `path` is that of the dataset, "" before the first session, and `reason` what went wrong.
     """
-    made_here = (SAMPLE_TOPIC, MARKERS_TOPIC, TAXELS)
-    received = {name: account for name, account in session.accounts.items() if not name.startswith(made_here)}
+    received = {name: account for name, account in session.accounts.items() if name != SAMPLE_TOPIC}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())

@@ -37,15 +37,13 @@ _RECENT = 100  # messages that the offset of a clock is determined from
 _ADAPTED = QoSPolicyKind.RELIABILITY
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
 
-#: Topics for viewers, which no sample is made of, and the types of their messages.
-VIEWER_TOPICS: Final = {
-    "markers": "visualization_msgs/msg/MarkerArray",
+#: Topics of the robot, for viewers: no sample is made of them. With the types of their messages.
+_ROBOT_TOPICS: Final = {
     "/joint_states": "sensor_msgs/msg/JointState",
     "/tf": "tf2_msgs/msg/TFMessage",
     "/tf_static": "tf2_msgs/msg/TFMessage",
     "/robot_description": "std_msgs/msg/String",
 }
-ROBOT_TOPICS: Final = tuple(VIEWER_TOPICS)[1:]
 _LATCHED: Final = ("/tf_static", "/robot_description")
 
 
@@ -181,11 +179,11 @@ def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_
     ]
 
 
-def viewer_topics(names: Sequence[str], depth: int) -> tuple[list[InputTopic], list[str]]:
-    """Those of `VIEWER_TOPICS` that are named, and the packages that are missing for others."""
+def robot_topics(depth: int) -> tuple[list[InputTopic], list[str]]:
+    """The topics of the robot, which are recorded as far as they are published, and the packages that are missing for some."""
     topics, missing = [], set()
-    for name in names:
-        package, _, kind = VIEWER_TOPICS[name].split("/")
+    for name, type_name in _ROBOT_TOPICS.items():
+        package, _, kind = type_name.split("/")
         try:
             message = getattr(import_module(f"{package}.msg"), kind)
         except ImportError:
