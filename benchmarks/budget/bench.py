@@ -15,7 +15,6 @@ import multiprocessing
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
@@ -247,8 +246,6 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=HERE / "results.csv")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    folder = tempfile.TemporaryDirectory()
-    os.environ["XDG_CACHE_HOME"] = folder.name  # the profile is measured once, as the machine is now
     for load_name, budget_ms in itertools.product(arguments.loads, arguments.budgets):
         gc.collect()  # the participants of the last row would stay until then, and answer to announcements
         others = OthersLoad()

@@ -13,7 +13,7 @@ from experiment_samples import make_samples
 from foretouch.cli.main import main
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
-from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, load_profile, profile_scene
+from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, profile_scene
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.training.contact import describe_samples, fit_contact
@@ -57,76 +57,27 @@ def test_levels_of_the_default_model_descend_to_the_mean() -> None:
 
 
 @pytest.fixture
-def measured(monkeypatch, tmp_path):
-    """Counts measurements, and answers them at once: a level takes 2 ms for each of those after it."""
-    calls = []
+def measured(monkeypatch):
+    """Answers measurements at once: a level takes 2 ms for each of those after it."""
 
-    def measure(levels, seconds, progress):
-        calls.append(seconds)
-        return {one.name: {1: 0.002 * (len(levels) - k), 100: 0.05} for k, one in enumerate(levels)}, "idle"
+    def measure(levels):
+        times = {one.name: {1: 0.002 * (len(levels) - k), 100: 0.05} for k, one in enumerate(levels)}
+        return Profile(times, "idle")
 
     monkeypatch.setattr(budgets, "_measure", measure)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return calls
-
-
-def test_a_profile_is_measured_once_and_again_where_it_does_not_fit(measured, tmp_path, monkeypatch) -> None:
-    levels, said = levels_of(load_model()), []
-    first = load_profile(levels, say=said.append)
-    assert load_profile(levels, say=said.append) == first
-    assert (len(measured), len(said)) == (1, 1)
-    assert "there is no profile yet: measuring" in said[0]
-    file = tmp_path / "cache/foretouch" / f"profile-{levels[0].model.sha256[:16]}.json"
-    assert first.origin == str(file)
-    good = json.loads(file.read_text())
-
-    def check(content, message) -> None:
-        file.write_text(content if isinstance(content, str) else json.dumps(content))
-        measured.clear()
-        said.clear()
-        load_profile(levels, say=said.append)
-        assert len(measured) == 1
-        assert f"{file}: {message}" in said[0]
-
-    others = {"cpu": "another", "cores": 96, "foretouch": "0.0", "numpy": "1.0", "model": "00", "levels": ["x"]}
-    every_case(
-        {
-            **{name: ({**good, "fingerprint": {**good["fingerprint"], name: value}}, f"{name}: is of {value!r}, not of")
-               for name, value in others.items()},
-            "no JSON": ("", ""),
-            "another file": ("{}", "is not a foretouch-profile of version"),
-            "a list": ("[1]", "is not a foretouch-profile of version"),
-            "no fingerprint": ({name: good[name] for name in ("format", "format_version")}, "is damaged: 'fingerprint'"),
-            **{f"times {times}": ({**good, "p95_s": {**good["p95_s"], levels[0].name: times}}, message)
-               for times, message in [({}, "p95_s: holds no time"), ({"1": 0.0}, "p95_s: holds no time"),
-                                      *((odd, "p95_s: holds no time, a time that is not a number from 1e-07 to 10000 s") for odd in (
-                                          {"1": 1e20}, {"1": None}, {"1": True}, {"1": "1e-3"},
-                                          {"1": 5e-324}, {"1": 10**400}, {"-5": 1.0}, {"0": 1.0}, {str(10**20): 1.0})),
-                                      ({"one": 1.0}, "is damaged"), ({"1e20": 1.0}, "is damaged")]},
-        },
-        check,
-    )  # fmt: skip
-    monkeypatch.setenv("XDG_CACHE_HOME", str(file))
-    assert "and not kept" in load_profile(levels, say=said.append).origin
-    assert f"{file}" in said[-1]
-    assert "kept in memory" in said[-1]
 
 
 def test_a_measured_profile_counts_no_wait_for_a_core(monkeypatch) -> None:
     monkeypatch.setattr(
-        budgets, "time_calls", lambda *_: {("model", 1): np.array([[0.004, 0.003], [0.002, 0.003], [0.5, 0.003]])}
+        budgets, "time_calls", lambda *_, **__: {("model", 1): np.array([[0.004, 0.003], [0.002, 0.003], [0.5, 0.003]])}
     )
-    times, state = budgets._measure([Level("model", None, None)], 1.0, print)
-    assert times["model"][1] == pytest.approx(0.003)
-    assert state in ("idle", "loaded")
+    profile = budgets._measure([Level("model", None, None)])
+    assert profile.times["model"][1] == pytest.approx(0.003)
+    assert profile.state in ("idle", "loaded")
 
 
-def test_commands(measured, capsys, tmp_path) -> None:
-    assert main(["tradeoff", "profile", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert (document["status"], next(iter(document["levels"]))) == ("done", "contact-v2")
-    assert main(["tradeoff", "profile"]) == 0
-    assert "mean of" in capsys.readouterr().out
+@pytest.mark.usefixtures("measured")
+def test_predict_keeps_to_a_budget_and_names_the_level(capsys, tmp_path) -> None:
     cloud, grasps = profile_scene(1)
     np.savez(tmp_path / "can.npz", xyz=cloud.xyz)
     contacts = ",".join(f"{value:.6f}" for value in (*grasps[0].g1, *grasps[0].g2))
@@ -157,7 +108,7 @@ class Requests:
     def __init__(self, budget_ms, around=None):
         self.now = 100.0
         self.budget = LatencyBudget(
-            budget_ms / 1e3, LEVELS, Profile(TIMES, "idle", "test"), around or {1: 0.0}, lambda: self.now
+            budget_ms / 1e3, LEVELS, Profile(TIMES, "idle"), around or {1: 0.0}, lambda: self.now
         )
 
     def answer(self, count=1, slow=1.0, waited=0.0, delay=0.0):

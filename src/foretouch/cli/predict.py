@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.budget_ms is not None:
         from foretouch.models.budget import LatencyBudget, load_warm
 
-        budget = LatencyBudget(arguments.budget_ms / 1e3, *load_warm(pipeline.model, warn))
+        budget = LatencyBudget(arguments.budget_ms / 1e3, *load_warm(pipeline.model))
     answer = partial(_answer, arguments, pipeline, adaptation, budget)
     return inputs.process_inputs(arguments, answer, partial(_show, channels=pipeline.model.sensor.channels))
 

@@ -6,40 +6,30 @@ and holds for each level the skill on held-out blocks of time, and by how much i
 which its intervals are widened; `benchmarks/budget/levels.py` writes it. The last level is the mean of the training
 labels, which looks at no cloud: its predictions are flagged `unfamiliar` and have the intervals of a new object.
 
-How long each level takes here is measured once and kept in the user's cache folder, as a `Profile`. The latest answers
-show how much slower the machine is at present: a level is expected to take as much longer as all but one of them did.
+How long each level takes here is measured at the start, as a `Profile`. The latest answers show how much slower the machine is at present: a level is expected to take as much longer as all but one of them did.
 """
 
-import importlib.metadata
 import json
-import os
-import platform
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch import __version__
-from foretouch.errors import FileError, shown
-from foretouch.files import read_json, write_text
 from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.registry import load_model
-from foretouch.models.timing import MachineLoad, cpu_name, time_calls
+from foretouch.models.timing import MachineLoad, time_calls
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
 from foretouch.tactile import Ranges
 from foretouch.types import Cloud, Float64, Grasp
 
-_FORMAT: Final = {"format": "foretouch-profile", "format_version": 3}
 _COUNTS: Final = (1, 10, 100, 1000)  # grasps of the requests that are timed
 _POINTS: Final = 3000  # of the object, about the median of the public clouds
-_TIMES_S: Final = (1e-7, 1e4)  # between which a prediction takes on any machine [s]
-_LIBRARIES: Final = ("numpy", "scipy", "torch")
+_MEASURED_S: Final = 3.0  # how long all of them are timed [s]
 
 _ADDED_S: Final = 2e-3  # to times whose ratio is taken: a delay is neither a factor nor a term, but between the two [s]
 
@@ -96,11 +86,10 @@ def levels_of(model: TouchModel) -> list[Level]:
 
 @dataclass(frozen=True)
 class Profile:
-    """Times of the levels of one model on one machine."""
+    """Times of the levels of one model on this machine."""
 
     times: Mapping[str, Mapping[int, float]]  # by level, p95 for each number of grasps, ascending, without waits [s]
     state: str  # of the machine then: `idle` or `loaded`
-    origin: str  # the file, or another description
 
 
 def _interpolated(times: Mapping[int, float], count: int) -> float:
@@ -111,97 +100,21 @@ def _interpolated(times: Mapping[int, float], count: int) -> float:
     return values[-1] + max(0.0, (values[-1] - values[-2]) / (at[-1] - at[-2])) * (count - at[-1])
 
 
-def load_warm(model: TouchModel, say: Callable[[str], object]) -> tuple[list[Level], Profile]:
-    """The levels of a model with their profile (see `load_profile`); each has predicted once, so that the first cloud is not late."""
+def load_warm(model: TouchModel) -> tuple[list[Level], Profile]:
+    """The levels of a model, and how long they take on this machine, which is measured in some seconds."""
     levels = levels_of(model)
-    profile = load_profile(levels, say=say)
-    cloud, grasps = profile_scene(1)
-    for level in levels:
-        level.model.predict(cloud, grasps)
-    return levels, profile
+    return levels, _measure(levels)
 
 
-def load_profile(
-    levels: Sequence[Level],
-    *,
-    seconds: float = 10.0,
-    again: bool = False,
-    say: Callable[[str], object] = lambda _: None,
-    progress: Callable[[int, int], None] = lambda *_: None,
-) -> Profile:
-    """The kept profile of a model, or a new one where there is none, or it is of another machine, version or model.
-
-    Args:
-        levels: Of the model.
-        seconds: Time of a measurement [s].
-        again: Measure in any case.
-        say: Called with a line on why it is measured, and on a file that cannot be written.
-        progress: Called with the number of calls done and of all.
-    """
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    path = cache / "foretouch" / f"profile-{levels[0].model.sha256[:16]}.json"
-    own = {
-        "cpu": cpu_name(),
-        "cores": len(os.sched_getaffinity(0)),
-        "machine": platform.machine(),
-        "foretouch": __version__,
-        "python": platform.python_version(),
-        **{name: importlib.metadata.version(name) for name in _LIBRARIES},
-        "model": levels[0].model.sha256,
-        "levels": [level.name for level in levels],
-    }
-    try:
-        if not again:
-            return _read(path, own)
-    except FileError as err:
-        say(f"budget: {err}: measuring how long predictions take here, once")
-    times, state = _measure(levels, seconds, progress)
-    try:
-        write_text(path, json.dumps({**_FORMAT, "fingerprint": own, "state": state, "p95_s": times}, indent=1) + "\n")
-    except FileError as err:
-        say(f"budget: {err}: the profile is kept in memory, until the end of this process")
-        return Profile(times, state, "measured now, and not kept")
-    return Profile(times, state, str(path))
-
-
-def _read(path: Path, own: Mapping[str, Any]) -> Profile:
-    """Read a profile of this machine, version and model; a `FileError` names what differs."""
-    if not path.exists():
-        raise FileError(path, "there is no profile yet")
-    document = read_json(path)
-    if not isinstance(document, dict) or {name: document.get(name) for name in _FORMAT} != _FORMAT:
-        raise FileError(path, "is not a {format} of version {format_version}".format(**_FORMAT))
-    try:
-        found = document["fingerprint"]
-        if differing := next((name for name in own if found.get(name) != own[name]), None):
-            raise FileError(path, f"is of {found.get(differing)!r}, not of {own[differing]!r}", field=differing)
-        times = {
-            name: dict(sorted((int(count), value) for count, value in document["p95_s"][name].items()))
-            for name in own["levels"]
-        }
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
-        raise FileError(path, f"is damaged: {shown(str(err))}") from err
-    if not all(one and all(map(_plausible, one, one.values())) for one in times.values()):
-        rule = "holds no time, a time that is not a number from {:g} to {:g} s, or one of more than {:g} grasps"
-        raise FileError(path, rule.format(*_TIMES_S, _COUNTS[-1]), field="p95_s")
-    return Profile(times, str(document.get("state")), str(path))
-
-
-def _plausible(count: int, value: Any) -> bool:
-    return 0 < count <= _COUNTS[-1] and type(value) in (int, float) and _TIMES_S[0] <= value <= _TIMES_S[1]
-
-
-def _measure(
-    levels: Sequence[Level], seconds: float, progress: Callable[[int, int], None]
-) -> tuple[dict[str, dict[int, float]], str]:
+def _measure(levels: Sequence[Level]) -> Profile:
     cloud, grasps = profile_scene(_COUNTS[-1])
     functions = {one.name: lambda count, one=one: one.model.predict(cloud, grasps[:count]) for one in levels}
     load = MachineLoad()
-    found = time_calls(functions, _COUNTS, seconds, progress, PAUSE_S)
+    found = time_calls(functions, _COUNTS, _MEASURED_S, pause_s=PAUSE_S)
     # Of a call that waits for a core, the processor time is the lesser.
     p95 = {key: float(np.percentile(calls.min(axis=1), 95)) for key, calls in found.items()}
     times = {one.name: {count: time_s for (name, count), time_s in p95.items() if name == one.name} for one in levels}
-    return times, str(load.row()["state"])
+    return Profile(times, str(load.row()["state"]))
 
 
 def profile_scene(count: int) -> tuple[Cloud, list[Grasp]]:
@@ -289,7 +202,7 @@ class LatencyBudget:
                 "budget.overloaded": str(self._overloaded).lower(),
                 "budget.slowdown": f"{slowdown:.2f}",
                 **{f"budget.{name}": str(count) for name, count in self._counts.items()},
-                "budget.profile": f"{self.profile.origin} ({self.profile.state})",
+                "budget.profile": f"measured at the start ({self.profile.state})",
             }
 
     def _expected(self, count: int) -> list[float]:

@@ -23,12 +23,12 @@ pytestmark = pytest.mark.ros
 
 
 @pytest.fixture(autouse=True)
-def profile(monkeypatch, tmp_path):
+def profile(monkeypatch):
     """A profile that needs no measurement: a level takes 3 ms for each of those after it."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
-    def measured(levels, seconds, progress):
-        return {one.name: dict.fromkeys((1, 1000), 0.003 * (len(levels) - k)) for k, one in enumerate(levels)}, "idle"
+    def measured(levels):
+        times = {one.name: dict.fromkeys((1, 1000), 0.003 * (len(levels) - k)) for k, one in enumerate(levels)}
+        return budgets.Profile(times, "idle")
 
     monkeypatch.setattr(budgets, "_measure", measured)
 

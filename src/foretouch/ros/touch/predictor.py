@@ -59,7 +59,7 @@ class Predictor:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
 
     def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], object]) -> None:
-        """Answer within a budget from now on, if there is a model; measures this machine where there is no profile."""
+        """Answer within a budget from now on, if there is a model; measures this machine."""
         from foretouch.models.budget import LatencyBudget, load_warm, profile_scene
 
         if self.model is None:
@@ -67,7 +67,7 @@ class Predictor:
         self._switch_s = sys.getswitchinterval()
         # After so long, a thread gives way to another: Python's 5 ms may be the whole budget.
         sys.setswitchinterval(min(self._switch_s, 5e-4))
-        levels, profile = load_warm(self.model, say)
+        levels, profile = load_warm(self.model)
         around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
         self.budget = LatencyBudget(budget_ms / 1e3, levels, profile, around)
         for count in around:
