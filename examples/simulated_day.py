@@ -31,7 +31,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import reading
-from foretouch.camera.schedule import ScheduleConfig
+from foretouch.camera.config import ScheduleConfig
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact

@@ -22,7 +22,7 @@ from foretouch.files import FileBytes, read_bytes, replace_files, require_schema
 from foretouch.models.hand_history import HistoryFile
 from foretouch.report.panels import new_figure, save_small
 from foretouch.report.rerun_view import write_view
-from foretouch.ros.runtime.shared_memory import stale_bytes
+from foretouch.ros.runtime.environment import stale_bytes
 from foretouch_lab.experiments.framework.manifest import open_folder, read_results, write_manifest
 from foretouch_lab.learning.training.run_config import RunConfig
 from foretouch_lab.learning.training.run_folder import RunFolder

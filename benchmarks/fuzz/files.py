@@ -31,7 +31,7 @@ from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
-from foretouch.dataset.recording.chain import list_sessions
+from foretouch.dataset.recording.folder import list_sessions
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
@@ -39,8 +39,7 @@ from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.store import SEAL, sample_digest
 from foretouch.errors import ForetouchError
 from foretouch.models.card import read_card
-from foretouch.models.contact.cheaper import fewer_trees
-from foretouch.models.contact.estimator import save_contact
+from foretouch.models.contact.estimator import fewer_trees, save_contact
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
@@ -201,7 +200,7 @@ def _cloud(suffix: str, *, text: bool = False) -> Callable[[Path], Path]:
 
 def _compressed_pcd(folder: Path) -> Path:
     """By Open3D; the coordinates are rounded and repeated, so that the data refer back to themselves."""
-    from foretouch.camera.libusb import ensure_libusb
+    from foretouch.camera.device import ensure_libusb
 
     ensure_libusb()
     import open3d

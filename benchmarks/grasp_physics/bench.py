@@ -15,7 +15,7 @@ from benchmarks.grasp_physics.camera import VIEWS
 from benchmarks.grasp_physics.measure import ALL_METHODS, FRICTIONS, TIPS_MM, Conditions, Row, Task, measure
 from benchmarks.grasp_physics.objects import read_items
 from benchmarks.grasp_physics.simulation import OPENING_M
-from foretouch.camera.libusb import ensure_libusb
+from foretouch.camera.device import ensure_libusb
 
 HERE: Final = Path(__file__).parent
 RESULTS: Final = HERE / "results.csv"

@@ -20,7 +20,7 @@ from benchmarks.grasp_physics.camera import VIEWS, see
 from benchmarks.grasp_physics.measure import Conditions
 from benchmarks.grasp_physics.methods import Proposal, find
 from benchmarks.grasp_physics.objects import Item, Placed, read_items
-from foretouch.camera.libusb import ensure_libusb
+from foretouch.camera.device import ensure_libusb
 from foretouch.grasp import geograsp
 from foretouch.grasp.completed import ClosingLines
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig

@@ -22,7 +22,7 @@ N_SCENES = 50
 
 def open3d_pipeline(cloud: Cloud) -> Labels:
     """A common pipeline: crop, RANSAC plane, DBSCAN of the points above it, small clusters dropped."""
-    from foretouch.camera.libusb import ensure_libusb
+    from foretouch.camera.device import ensure_libusb
 
     ensure_libusb()
     import open3d

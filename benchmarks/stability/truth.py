@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import print_rows, scene, write_csv
-from foretouch.camera.libusb import ensure_libusb
+from foretouch.camera.device import ensure_libusb
 from foretouch.errors import SimulationError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.types import Float64, Grasp

@@ -18,8 +18,7 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
-from foretouch.models.network.length_check import _nearest
-from foretouch.models.network.preparation import PreparedCloud
+from foretouch.models.network.preparation import PreparedCloud, _nearest
 from foretouch.types import Grasp, stacked
 
 PLACE = np.array([0.02, -0.03, 1.2])

@@ -2,6 +2,7 @@
 """Predictions within a time: levels of a model, the profile of a machine, and the level of each request."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,8 +14,8 @@ from experiment_samples import make_samples
 from foretouch.cli.main import main
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
-from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, profile_scene
-from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
+from foretouch.models.budget import LatencyBudget, Level, levels_of, profile_scene
+from foretouch.models.contact.estimator import fewer_trees
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 
@@ -30,7 +31,7 @@ def test_cheaper_contact_models() -> None:
         forest._check()
     changed = rows.copy()
     changed[:, -14:] += 1.0  # the second contact
-    plain = GlobalFeaturesOnly.of(large)
+    plain = replace(large, surroundings=False)
     np.testing.assert_array_equal(plain.predict_rows(rows)[0], plain.predict_rows(changed)[0])
     assert np.abs(large.predict_rows(rows)[0] - plain.predict_rows(rows)[0]).max() > 1e-3
 
@@ -62,7 +63,7 @@ def measured(monkeypatch):
 
     def measure(levels):
         times = {one.name: {1: 0.002 * (len(levels) - k), 100: 0.05} for k, one in enumerate(levels)}
-        return Profile(times, "idle")
+        return times, "idle"
 
     monkeypatch.setattr(budgets, "_measure", measure)
 
@@ -71,9 +72,9 @@ def test_a_measured_profile_counts_no_wait_for_a_core(monkeypatch) -> None:
     monkeypatch.setattr(
         budgets, "time_calls", lambda *_, **__: {("model", 1): np.array([[0.004, 0.003], [0.002, 0.003], [0.5, 0.003]])}
     )
-    profile = budgets._measure([Level("model", None, None)])
-    assert profile.times["model"][1] == pytest.approx(0.003)
-    assert profile.state in ("idle", "loaded")
+    times, state = budgets._measure([Level("model", None, None)])
+    assert times["model"][1] == pytest.approx(0.003)
+    assert state in ("idle", "loaded")
 
 
 @pytest.mark.usefixtures("measured")
@@ -107,9 +108,7 @@ class Requests:
 
     def __init__(self, budget_ms, around=None):
         self.now = 100.0
-        self.budget = LatencyBudget(
-            budget_ms / 1e3, LEVELS, Profile(TIMES, "idle"), around or {1: 0.0}, lambda: self.now
-        )
+        self.budget = LatencyBudget(budget_ms / 1e3, LEVELS, TIMES, "idle", around or {1: 0.0}, lambda: self.now)
 
     def answer(self, count=1, slow=1.0, waited=0.0, delay=0.0):
         """One request that takes `slow` times its profile and a delay [s]; the name of its level, and whether it was late."""

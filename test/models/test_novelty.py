@@ -10,9 +10,8 @@ from every_case import every_case
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import CloudError, ModelError
-from foretouch.models.network.length_check import LengthRangeCheck
-from foretouch.models.novelty import Fallback
-from foretouch.models.object_shape import object_sizes
+from foretouch.models.network.preparation import LengthRangeCheck
+from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.tactile import BIOTAC
 
 HERE = np.array([0.0, 0.0, 1.2])

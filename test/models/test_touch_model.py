@@ -16,8 +16,7 @@ from foretouch.grasp.reach import ReachConfig
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork
-from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
-from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
+from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, Touch

@@ -12,8 +12,8 @@ pytest.importorskip("libusb_package", reason="the camera's libraries are not ins
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, SHORT, scene
 
+from foretouch.camera.config import ScheduleConfig
 from foretouch.camera.message_faults import FaultConfig
-from foretouch.camera.schedule import ScheduleConfig
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.camera import CameraNodeConfig

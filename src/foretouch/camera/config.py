@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the RealSense camera and of the library's filters."""
+"""Settings of the RealSense camera, of the library's filters, and of a scene in its place."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,6 +9,8 @@ from foretouch.errors import ConfigError
 
 FILTERS: Final = ("decimation", "spatial", "temporal", "hole_filling")
 """Of the library, in the order that it recommends."""
+
+_MS_NS: Final = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,3 +58,21 @@ class RealSenseConfig(Settings, read_only=True):
     def optical_frame(self) -> str:
         """The frame of the clouds; by default named as by realsense2_camera."""
         return self.frame_id or "camera_depth_optical_frame"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScheduleConfig(Settings, read_only=True):
+    """A scene over time: which of its samples is on the table at a given stamp; camera and hand are given the same.
+
+    They are separate nodes, perhaps in separate processes; the stamp is all that they share about a cloud. So the sample
+    is a function of the stamp, and the hand touches the very object that the camera saw.
+    """
+
+    path: str = setting("", "Path of the scene file (YAML)")
+    dwell_s: float = setting(3.0, "Time that each sample stays on the table", bounds=(0.05, 86400.0))
+    samples: int = setting(1000, "Number of samples that are shown before the first comes again", minimum=1)
+    origin_ns: int = setting(0, "Time when the first sample is laid on the table, since 1970", minimum=0)
+
+    def slot(self, stamp_ns: int) -> int:
+        """The sample on the table at a time, such as a cloud's stamp [ns]; before the first, the first."""
+        return max(0, stamp_ns - self.origin_ns) // (round(self.dwell_s * 1e3) * _MS_NS) % self.samples

@@ -2,13 +2,34 @@
 """Sources of a device: the USB bus, a recording, or a program that feeds the library's software device."""
 
 import contextlib
+import ctypes
 import functools
 from pathlib import Path
 from typing import Any
 
 from foretouch.camera.config import RealSenseConfig
-from foretouch.camera.libusb import ensure_libusb
 from foretouch.errors import CameraError, FileError, MissingDependencyError
+
+
+def ensure_libusb() -> None:
+    """Load libusb from the system or else from the wheel; a `MissingDependencyError` if neither has it.
+
+    The wheels of open3d and pyrealsense2 link against `libusb-1.0.so.0`, which minimal systems lack. The wheel `libusb-package`
+    contains the same library; loaded globally beforehand, it satisfies both.
+    """
+    try:
+        ctypes.CDLL("libusb-1.0.so.0", mode=ctypes.RTLD_GLOBAL)
+        return
+    except OSError:
+        pass
+    try:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    except (ImportError, OSError) as err:
+        raise MissingDependencyError(
+            "libusb-1.0.so.0: not found, Open3D and pyrealsense2 need it: pip install libusb-package"
+        ) from err
 
 
 @functools.cache

@@ -14,8 +14,7 @@ from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity, SampleRecord
-from foretouch.dataset.recording.chain import listed_sessions
-from foretouch.dataset.recording.folder import is_dataset
+from foretouch.dataset.recording.folder import is_dataset, listed_sessions
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset

@@ -24,7 +24,7 @@ from packaging.requirements import Requirement
 from foretouch.cli.output import announce, print_json, print_table
 from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.processes import ONE_THREAD
-from foretouch.ros.runtime.shared_memory import FAST_DDS, large_clouds
+from foretouch.ros.runtime.environment import FAST_DDS, large_clouds
 
 _State = Literal["ok", "mismatch", "missing", "broken", "optional"]
 _PATIENCE_S = 120.0  # of one check in a process of its own; the longest takes 6 s on an idle machine
@@ -120,7 +120,7 @@ def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
 
 def _imports() -> Iterator[_Finding]:
     """Import the libraries that may fail to load although they are installed, each in a separate process."""
-    preload = "from foretouch.camera.libusb import ensure_libusb; ensure_libusb()"
+    preload = "from foretouch.camera.device import ensure_libusb; ensure_libusb()"
     for name, code, fix in (
         ("torch loads", "import torch", "pip install --force-reinstall torch"),
         ("open3d loads", f"{preload}; import open3d", "apt install libgl1 libgomp1 libusb-1.0-0"),

@@ -198,7 +198,7 @@ def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileC
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
-    from foretouch.camera.schedule import ScheduleConfig
+    from foretouch.camera.config import ScheduleConfig
 
     simulation = laboratory("simulation.scene", f"--source {arguments.source}")
 

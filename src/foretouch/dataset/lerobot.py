@@ -17,7 +17,7 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,31 +53,18 @@ _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "x
 ]
 
 
-@dataclass(frozen=True)
-class _Survey:
-    """What the episodes of a dataset have in common."""
-
-    others: list[str]  # channels of both fingers besides their touches
-    rate: int  # readings per second
-    image: tuple[int, int] | None  # rows and columns of their depth images
-    seen: bool  # whether an episode has points; else it was recorded without a camera, and its grasp is not known
-
-
 def export(
     samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None], fps: int | None = None
 ) -> None:
     """See `foretouch.dataset.formats`; with `fps`, frames hold windows of readings."""
     out.mkdir(parents=True)
-    survey = _survey(samples)
-    if fps and fps > _FASTEST * survey.rate:
-        raise ConfigError(f"fps: {fps} exceeds {_FASTEST} times the rate of the readings, {survey.rate} Hz")
-    tables = _Tables(out, samples.sensor, survey, fps)
+    tables = _Tables(out, samples, fps)
     config = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
     with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
         for record in samples.records(discarded=True):
             progress()
             writer.append(record)
-            if reason := _no_episode(record, survey.seen):
+            if reason := _no_episode(record, tables.seen):
                 result.left_out[reason] += 1
             else:
                 tables.add(record)
@@ -94,10 +81,11 @@ def _no_episode(record: SampleRecord, seen: bool) -> str:
     return "" if has_points(record.sample) or not seen else "no points"
 
 
-def _survey(samples: SampleSet) -> _Survey:
+def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
+    """What the episodes have in common: channels of both fingers besides their touches, readings per second, shapes of clouds."""
     others: list[set[str]] = []
     periods: list[float] = []
-    shapes = set()
+    shapes: set[tuple[int, ...]] = set()
     for record in samples.records():
         if (series := readings(record)) is None:
             continue
@@ -109,8 +97,7 @@ def _survey(samples: SampleSet) -> _Survey:
             shapes.add(record.sample.cloud.xyz.shape[:-1])
     period_ns = float(np.median(periods or [0]))
     rate = max(1, round(SECOND_NS / period_ns)) if period_ns else 1
-    image = next(iter(shapes)) if len(shapes) == 1 else ()
-    return _Survey(sorted(set().union(*others)), rate, (image[0], image[1]) if len(image) == 2 else None, bool(shapes))
+    return sorted(set().union(*others)), rate, shapes
 
 
 class _Rows:
@@ -145,15 +132,23 @@ class _Rows:
 
 
 class _Tables:
-    """The tables of a dataset: adds episodes, and writes what describes them at the end."""
+    """The tables of a dataset: adds episodes, and writes what describes them at the end.
 
-    def __init__(self, root: Path, sensor: Sensor, survey: _Survey, fps: int | None) -> None:
-        self._window = window = -(-survey.rate // fps) if fps else 0
+    Attributes:
+        seen: Whether an episode has points; else it was recorded without a camera, and its grasp is not known.
+    """
+
+    def __init__(self, root: Path, samples: SampleSet, fps: int | None) -> None:
+        self._others, rate, shapes = _survey(samples)
+        if fps and fps > _FASTEST * rate:
+            raise ConfigError(f"fps: {fps} exceeds {_FASTEST} times the rate of the readings, {rate} Hz")
+        sensor, self.seen = samples.sensor, bool(shapes)
+        self._window = window = -(-rate // fps) if fps else 0
         self._fingers = {finger: _finger_key(finger) for finger in sensor.channels.fingers}
         self._parts = _described(sensor, self._fingers)
-        names = [*_value_names(sensor), *(name.lower() for name in survey.others)]
+        names = [*_value_names(sensor), *(name.lower() for name in self._others)]
         vectors = {f"observation.tactile.{finger}": names for finger in self._fingers.values()}
-        if survey.seen:
+        if self.seen:
             points = [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]
             vectors |= {"action": _ACTION, "observation.pointcloud": points}
         self._features: dict[str, dict[str, Any]] = {
@@ -167,15 +162,11 @@ class _Tables:
             self._features[name] = {"dtype": "float32", "shape": shape, "names": names, "info": info}
         if window:
             self._features[_STAMPS] = {"dtype": "int64", "shape": steps, "names": outer}
-        if survey.image:
+        image = next(iter(shapes)) if len(shapes) == 1 else ()
+        if len(image) == 2:
             info = {"is_depth_map": True, "depth_unit": "mm", "intrinsics": None}
-            self._features[_DEPTH] = {"dtype": "image", "shape": [*survey.image, 1], "names": _SIDES, "info": info}
-        self._root, self._columns, self._others, self._fps = (
-            root,
-            sensor.channels.finger_columns,
-            survey.others,
-            fps or survey.rate,
-        )
+            self._features[_DEPTH] = {"dtype": "image", "shape": [*image, 1], "names": _SIDES, "info": info}
+        self._root, self._columns, self._fps = root, sensor.channels.finger_columns, fps or rate
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far

@@ -6,7 +6,7 @@ and holds for each level the skill on held-out blocks of time, and by how much i
 which its intervals are widened; `benchmarks/budget/levels.py` writes it. The last level is the mean of the training
 labels, which looks at no cloud: its predictions are flagged `unfamiliar` and have the intervals of a new object.
 
-How long each level takes here is measured at the start, as a `Profile`. The latest answers show how much slower the machine is at present: a level is expected to take as much longer as all but one of them did.
+How long each level takes here is measured at the start, by level and number of grasps. The latest answers show how much slower the machine is at present: a level is expected to take as much longer as all but one of them did.
 """
 
 import json
@@ -14,13 +14,13 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
+from foretouch.models.contact.estimator import fewer_trees
 from foretouch.models.registry import load_model
 from foretouch.models.timing import MachineLoad, time_calls
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
@@ -59,7 +59,7 @@ class _Mean:
 
 _MAKERS: Final[dict[str, Callable[[Any], Estimator]]] = {
     "10 trees": lambda one: fewer_trees(one, 10),
-    "no surroundings": GlobalFeaturesOnly.of,
+    "no surroundings": lambda one: replace(one, surroundings=False),
     "touchnet-v1": lambda _: load_model("touchnet-v1").estimator,
 }
 """Estimators of the levels by name, from the model's own."""
@@ -84,12 +84,8 @@ def levels_of(model: TouchModel) -> list[Level]:
     return levels
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Times of the levels of one model on this machine."""
-
-    times: Mapping[str, Mapping[int, float]]  # by level, p95 for each number of grasps, ascending, without waits [s]
-    state: str  # of the machine then: `idle` or `loaded`
+Times: TypeAlias = Mapping[str, Mapping[int, float]]
+"""By level, p95 for each number of grasps, ascending, without waits [s]."""
 
 
 def _interpolated(times: Mapping[int, float], count: int) -> float:
@@ -100,13 +96,13 @@ def _interpolated(times: Mapping[int, float], count: int) -> float:
     return values[-1] + max(0.0, (values[-1] - values[-2]) / (at[-1] - at[-2])) * (count - at[-1])
 
 
-def load_warm(model: TouchModel) -> tuple[list[Level], Profile]:
-    """The levels of a model, and how long they take on this machine, which is measured in some seconds."""
+def load_warm(model: TouchModel) -> tuple[list[Level], Times, str]:
+    """The levels of a model, how long they take on this machine, measured in some seconds, and if it was `idle` or `loaded`."""
     levels = levels_of(model)
-    return levels, _measure(levels)
+    return levels, *_measure(levels)
 
 
-def _measure(levels: Sequence[Level]) -> Profile:
+def _measure(levels: Sequence[Level]) -> tuple[Times, str]:
     cloud, grasps = profile_scene(_COUNTS[-1])
     functions = {one.name: lambda count, one=one: one.model.predict(cloud, grasps[:count]) for one in levels}
     load = MachineLoad()
@@ -114,7 +110,7 @@ def _measure(levels: Sequence[Level]) -> Profile:
     # Of a call that waits for a core, the processor time is the lesser.
     p95 = {key: float(np.percentile(calls.min(axis=1), 95)) for key, calls in found.items()}
     times = {one.name: {count: time_s for (name, count), time_s in p95.items() if name == one.name} for one in levels}
-    return Profile(times, str(load.row()["state"]))
+    return times, str(load.row()["state"])
 
 
 def profile_scene(count: int) -> tuple[Cloud, list[Grasp]]:
@@ -146,7 +142,8 @@ class LatencyBudget:
 
     budget_s: float  # from the receipt of a request to its answer [s]
     levels: Sequence[Level]  # the best first
-    profile: Profile  # times of the levels
+    times: Times  # of the levels
+    state: str  # of the machine when they were measured
     # By number of grasps, ascending, what a caller needs around a prediction [s].
     around: Mapping[int, float] = field(default_factory=lambda: {1: 0.0})
     now: Callable[[], float] = time.monotonic  # clock [s]
@@ -202,13 +199,13 @@ class LatencyBudget:
                 "budget.overloaded": str(self._overloaded).lower(),
                 "budget.slowdown": f"{slowdown:.2f}",
                 **{f"budget.{name}": str(count) for name, count in self._counts.items()},
-                "budget.profile": f"measured at the start ({self.profile.state})",
+                "budget.profile": f"measured at the start ({self.state})",
             }
 
     def _expected(self, count: int) -> list[float]:
         """Time of an answer by each level [s]."""
         around = _interpolated(self.around, count)
-        return [_interpolated(self.profile.times[level.name], count) + around for level in self.levels]
+        return [_interpolated(self.times[level.name], count) + around for level in self.levels]
 
 
 def _best(expected: Sequence[float], left: float, recent: Sequence[float] = ()) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Novelty detection of networks: whether a cloud resembles those of training, and what is predicted if it does not.
+"""What the points of an object show of its shape; and by it, whether a network was trained on such objects.
 
 A network does not detect objects unlike those of training: on the public recordings it is far worse than the mean of
 the training labels on an object that was left out. So the distance of a cloud's sizes from the nearest training clouds
@@ -8,7 +8,7 @@ detects nine in ten grasps on an object that was left out, at one false alarm in
 the same size and shape as one of the training objects.
 
 Gross errors (a house instead of a can, metres mistaken for millimetres, a grasp beside the object) are found by
-`network.length_check.LengthRangeCheck`. The contact model has its own detector (`contact.novelty`), and needs no
+`network.preparation.LengthRangeCheck`. The contact model has its own detector (`contact.novelty`), and needs no
 fallback, because its kernel fades to the mean by itself.
 """
 
@@ -18,7 +18,8 @@ from typing import Final, Self
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from foretouch.errors import ModelError
+from foretouch.cloud.geometry.columns import centred_columns, distances
+from foretouch.errors import CloudError, ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.types import Bool, Float32, Float64
 from foretouch.types.channels import Channels
@@ -29,6 +30,38 @@ IN_DISTRIBUTION: Final = 0.5
 _SIZES: Final = 8
 _NEAREST: Final = 3
 _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
+_MINIMUM_POINTS: Final = 8
+
+
+def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
+    """(M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
+    points = np.asarray(xyz, np.float64).reshape(-1, 3)
+    if not np.isfinite(points).all():
+        points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < _MINIMUM_POINTS:
+        raise CloudError(f"cloud: {len(points)} finite points are fewer than {_MINIMUM_POINTS}")
+    if (points == points[0]).all():
+        raise CloudError(f"cloud: all {len(points)} finite points are in one place")
+    return points
+
+
+def principal_axes(covariance: Float64) -> tuple[Float64, Float64]:
+    """(…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.sqrt(np.maximum(values, 0.0)), axes
+
+
+def object_sizes(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
+    """(8,) float64 of (N, 3) points [m]: extents along x, y, z, principal deviations, radius, logarithm of their number.
+
+    Raises:
+        CloudError: If fewer than eight points are finite, or all are at one position.
+    """
+    points = usable_points(xyz)
+    _, columns = centred_columns(points)
+    centred = columns.T.copy()
+    deviations, _ = principal_axes(centred.T @ centred / len(centred))
+    return np.concatenate([np.ptp(points, axis=0), deviations, [distances(columns).max(), np.log(len(points))]])
 
 
 def standardisation(rows: Float64) -> tuple[Float64, Float64]:

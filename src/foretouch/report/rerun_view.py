@@ -23,9 +23,8 @@ from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.files import open_own
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.taxel_view import TaxelView
-from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.skin import LAYER_M, skin_axes
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
 _SKIN_AXES: Final = skin_axes()  # of the BioTac SP
@@ -239,7 +238,7 @@ class _Writer:
         for k, (name, finger) in enumerate(zip(self._names, view.fingers, strict=True)):
             levels = {
                 what: [
-                    None if touch is None else view.levels(touch, step.tare if tared else None, k)
+                    None if touch is None else view.levels(touch.values, step.tare if tared else None, k)
                     for touch, step in zip(column, steps, strict=True)
                 ]
                 for what, column in touches.items()

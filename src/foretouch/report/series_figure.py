@@ -61,8 +61,7 @@ def _rest(record: SampleRecord, series: TouchSeries, view: TaxelView) -> Touch |
 def _levels(series: TouchSeries, rest: Touch | None, view: TaxelView) -> Float64:
     """(F, T, N) levels of the taxels, NaN where they cannot be used."""
     values = usable(series.counts.astype(np.float64), view.sensor.channels, view.sensor.valid_values)
-    rows = [Touch(one, view.sensor.channels) for one in values]
-    return np.array([[view.levels(one, rest, finger) for one in rows] for finger in range(len(view.fingers))])
+    return np.array([view.levels(values, rest, finger) for finger in range(len(view.fingers))])
 
 
 def _draw_over_time(

@@ -45,12 +45,8 @@ class TaxelView:
         """Whether changes from rest are known: with a reading at rest, or where that is zero."""
         return rest is not None or not self.channel.tared
 
-    def levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
-        """(N,) float64: the change of each taxel from rest, positive as by contact; its value where rest is not known."""
-        return self._levels(touch.values, rest, finger)
-
-    def _levels(self, values: Float64, rest: Touch | None, finger: int) -> Float64:
-        """(..., N) of (..., D) values."""
+    def levels(self, values: Float64, rest: Touch | None, finger: int) -> Float64:
+        """(..., N) float64 of (..., D) values: the change of each taxel from rest, positive as by contact; its value where rest is not known."""
         values = values[..., self.columns(finger)]
         if not self.has_rest(rest):
             return values
@@ -75,7 +71,7 @@ class TaxelView:
         end of its range. Without ranges, relative to what all taxels of the touch show.
         """
         columns, tared, sign = self.columns(finger), self.channel.tared, self.channel.contact
-        levels = np.array([self._levels(values, rest, k) for k in range(len(self.fingers))])
+        levels = np.array([self.levels(values, rest, k) for k in range(len(self.fingers))])
         if ranges is not None and tared and (sign or rest is None):
             shown, low, high = values[..., columns], ranges.low[columns], ranges.high[columns]
             moved, span = high - shown if sign < 0 else shown - low, high - low

@@ -183,7 +183,7 @@ class TaxelScale:
         self._ringed = False  # whether any taxel has a ring
 
     def _levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
-        return self.view.levels(touch, rest if self._tared else None, finger)
+        return self.view.levels(touch.values, rest if self._tared else None, finger)
 
     def draw(
         self, axes: Axes, touch: Touch, rest: Touch | None, finger: int, size: float, outside: Bool | None = None

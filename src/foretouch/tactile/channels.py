@@ -36,6 +36,11 @@ def finger_label(finger: str) -> str:
 MODALITIES: Final = BIOTAC.modalities
 ELECTRODES: Final = BIOTAC_SP.size
 TOUCH_SIZE: Final = BIOTAC.size
+# The skin: its core is an ellipsoid of revolution about x of the fingertip's frame, under a layer of even thickness.
+# The core's semi-axes fit the electrode positions in common use (1 to 20 within 0.03 mm; 21 to 24 sit on a flat up to 0.4 mm inside).
+CORE_HALF_LENGTH_M: Final = 0.01237  # along the finger
+CORE_RADIUS_M: Final = 0.008  # across the finger
+LAYER_M: Final = 0.0014  # thickness of skin and liquid over the core
 _NARROWEST: Final = 1e-6  # [counts]
 _WIDEST: Final = 1e12  # [counts]
 
@@ -142,3 +147,9 @@ P2_RANGES: Final = TactileRanges()  # found empirically for the sensors of P2 (s
 
 #: P1's public code divides the labels by these numbers.
 P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))
+
+
+def skin_axes(layer_m: float = LAYER_M) -> Float64:
+    """(3,) float64: semi-axes of the skin over a layer of this thickness [m]."""
+    across = CORE_RADIUS_M + layer_m
+    return np.array([CORE_HALF_LENGTH_M + layer_m, across, across])

@@ -8,7 +8,7 @@ modalities one after the other: by channel, first those of the whole finger, the
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ LARGEST: Final = 1e9
 
 _Floats = npt.NDArray[np.float64]
 _Index = npt.NDArray[np.intp]
+_Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 
 @dataclass(frozen=True)
@@ -86,16 +87,12 @@ class Channels:
     @cached_property
     def modality_of_value(self) -> _Index:
         """(D,) index in `modalities` of each value; read-only."""
-        found: _Index = _kept(
-            np.repeat(np.arange(len(self.modalities)), [one.size for one in self.channel_of.values()])
-        )
-        return found
+        return _kept(np.repeat(np.arange(len(self.modalities)), [one.size for one in self.channel_of.values()]))
 
     @cached_property
     def finger_of_value(self) -> _Index:
         """(D,) index in `fingers` of each value; read-only."""
-        found: _Index = _kept(self.modality_of_value % len(self.fingers))
-        return found
+        return _kept(self.modality_of_value % len(self.fingers))
 
     @cached_property
     def finger_columns(self) -> dict[str, _Index]:
@@ -136,20 +133,17 @@ class Channels:
     @cached_property
     def most(self) -> _Floats:
         """(D,) float64, ten times the largest number of a working sensor, beyond which a prediction is an error; read-only."""
-        found: _Floats = _kept(10.0 * np.maximum(np.abs(self.low), np.abs(self.high)))
-        return found
+        return _kept(10.0 * np.maximum(np.abs(self.low), np.abs(self.high)))
 
     @cached_property
     def of_taxels(self) -> npt.NDArray[np.bool_]:
         """(D,) which values are of a taxel, and not of the whole finger; read-only."""
-        found: npt.NDArray[np.bool_] = _kept(self._of_values("size") > 1.0)
-        return found
+        return _kept(self._of_values("size") > 1.0)
 
     @cached_property
     def tared(self) -> npt.NDArray[np.bool_]:
         """(D,) whether the rest level is measured, else it is zero; read-only."""
-        found: npt.NDArray[np.bool_] = _kept(self._of_values("tared") > 0.0)
-        return found
+        return _kept(self._of_values("tared") > 0.0)
 
     @cached_property
     def finger_means(self) -> _Floats:
@@ -163,8 +157,7 @@ class Channels:
 
     def _of_values(self, name: str) -> _Floats:
         values = [getattr(channel, name) for channel in self.channel_of.values()]
-        found: _Floats = _kept(self.by_modality(np.array(values, np.float64)))
-        return found
+        return _kept(self.by_modality(np.array(values, np.float64)))
 
 
 class Predicted(np.ndarray[Any, np.dtype[np.float32]]):
@@ -200,10 +193,9 @@ def _mean_rows(groups: Mapping[str, _Index], size: int) -> _Floats:
     rows = np.zeros((len(groups), size))
     for row, values in zip(rows, groups.values(), strict=True):
         row[values] = 1.0 / len(values)
-    found: _Floats = _kept(rows)
-    return found
+    return _kept(rows)
 
 
-def _kept(array: npt.NDArray[Any]) -> Any:
+def _kept(array: _Array) -> _Array:
     array.flags.writeable = False
     return array

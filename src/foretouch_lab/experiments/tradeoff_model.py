@@ -17,8 +17,7 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError
 from foretouch.models.budget import PAUSE_S, levels_of
 from foretouch.models.card import read_card
-from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
-from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.estimator import ContactEstimator, fewer_trees
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator, History, TouchModel
@@ -196,7 +195,7 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     if "part" not in values:
         return estimator
     if values["part"] == "no surroundings":
-        return GlobalFeaturesOnly.of(estimator)
+        return replace(estimator, surroundings=False)
     fields = {name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__}
     return _OnePart(**fields, forests_alone=values["part"] == "forests alone")
 

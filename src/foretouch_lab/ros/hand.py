@@ -23,8 +23,8 @@ from geometry_msgs.msg import Pose
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
+from foretouch.camera.config import ScheduleConfig
 from foretouch.camera.message_faults import FaultConfig, MessageFaults
-from foretouch.camera.schedule import ScheduleConfig
 from foretouch.config import setting
 from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.errors import ConfigError, ForetouchError

@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from foretouch.camera.config import ScheduleConfig
 from foretouch.camera.message_faults import FaultConfig, MessageFaults
-from foretouch.camera.schedule import ScheduleConfig
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
 from foretouch_lab.simulation.depth_scene import (
@@ -159,16 +159,15 @@ def scheduled_camera(schedule: ScheduleConfig, fps: int, faults: MessageFaults |
     return scene_camera(scheduled_scene(schedule), schedule, fps, faults)
 
 
-def swinging_camera(seed: int, width: int, height: int, fps: int) -> SyntheticCamera:
+def swinging_camera(width: int, height: int, fps: int) -> SyntheticCamera:
     """A device that streams a random scene of three objects, of which one swings; not yet started.
 
     Args:
-        seed: Seed of scene and noise.
         width: Width of the images [px].
         height: Their height [px].
         fps: Images a second, of which at most 30 are kept in memory and repeated [Hz].
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     scene = random_scene(rng, width, height)
     return SyntheticCamera(swinging_frames(scene, min(30, fps), rng=rng), fps)
 

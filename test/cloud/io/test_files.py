@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from every_case import every_case, every_refusal
 
-from foretouch.camera.libusb import ensure_libusb
+from foretouch.camera.device import ensure_libusb
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud, write_cloud
 from foretouch.errors import FileError
 from foretouch.types import Cloud

@@ -23,15 +23,13 @@ from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, rec
 from foretouch.dataset.editing import drop
 from foretouch.dataset.files import sealed
 from foretouch.dataset.info import describe
-from foretouch.dataset.recording.chain import listed_sessions
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import write_listed
+from foretouch.dataset.recording.folder import listed_sessions, write_listed
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.reader import RecordedDataset, sample_messages
 from foretouch.dataset.recording.records import Chunk, Declarations, Record, walk
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
 from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
-from foretouch.dataset.recording.scan import sample_messages
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError

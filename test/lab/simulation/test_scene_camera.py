@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from sim_builders import CAN, run, scene
 
-from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.config import RealSenseConfig, ScheduleConfig
 from foretouch.camera.device import realsense
 from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.realsense import RealSenseCamera
-from foretouch.camera.schedule import ScheduleConfig
 from foretouch.errors import ConfigError, FileError, MissingDependencyError
 from foretouch_lab.simulation import random_scene
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.camera.libusb import ensure_libusb
+from foretouch.camera.device import ensure_libusb
 from foretouch_lab.simulation.solids import Body, Box, Cylinder, Sphere
 
 POSITION = np.array([0.1, -0.2, 0.3])

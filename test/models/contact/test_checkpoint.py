@@ -20,8 +20,7 @@ from foretouch.models.contact.estimator import save_contact
 from foretouch.models.files import packed, read_tensors
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.model_files import load_calibration
-from foretouch.models.novelty import Fallback
-from foretouch.models.object_shape import object_sizes
+from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC, biotac_touch

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from command_answer import run_python
 
-from foretouch.ros.runtime.environment import SHARED_MEMORY_PROFILE, prepare_environment, profile_variable
-from foretouch.ros.runtime.shared_memory import large_clouds
+from foretouch.ros.runtime.environment import SHARED_MEMORY_PROFILE, large_clouds, prepare_environment, profile_variable
 
 PROFILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 NAMES = ("AMENT_PREFIX_PATH", *PROFILE_VARIABLES, "OMP_NUM_THREADS")

@@ -14,13 +14,12 @@ from typing import Final
 from mcap.records import Message
 
 from foretouch.dataset.files import sync_folder
-from foretouch.dataset.recording.chain import REPAIRED, list_sessions, listed_sessions
 from foretouch.dataset.recording.edits import EDITS, forget_edits
-from foretouch.dataset.recording.folder import lock, recorded_files
+from foretouch.dataset.recording.folder import REPAIRED, list_sessions, listed_sessions, lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
+from foretouch.dataset.recording.reader import readable, salvaged
 from foretouch.dataset.recording.records import MAGIC, Damage, Declarations, MessageCounts, TopicCounts, next_chunk
 from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, sample_types
-from foretouch.dataset.recording.scan import readable, salvaged
 from foretouch.dataset.recording.verify import chain_faults, verify_file
 from foretouch.errors import FileError, VersionError
 from foretouch.files import FileBytes, free_name, system_errors

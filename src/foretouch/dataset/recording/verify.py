@@ -4,7 +4,7 @@
 Each chunk has a CRC-32, the whole data section another, index and summary a third; each sample has its own SHA-256,
 and so does the manifest. Besides the bytes: samples can be decoded, ids are unique, the index matches the chunks, and
 the message counts match the contents. A session that is missing, or another one than the manifest lists, is a fault too (see
-`chain`).
+`folder`).
 """
 
 from collections import Counter
@@ -15,9 +15,18 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Header, Statistics
 
-from foretouch.dataset.recording.chain import ID, REPAIRED, Session, about_in, index_sha256, listed_sessions
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import recorded_files, recorded_sensor, session_files
+from foretouch.dataset.recording.folder import (
+    ID,
+    REPAIRED,
+    Session,
+    about_in,
+    index_sha256,
+    listed_sessions,
+    recorded_files,
+    recorded_sensor,
+    session_files,
+)
 from foretouch.dataset.recording.records import (
     IN_SUMMARY,
     Chunk,

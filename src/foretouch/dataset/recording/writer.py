@@ -39,10 +39,18 @@ from foretouch import __version__
 from foretouch.config import Settings, setting
 from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
-from foretouch.dataset.recording.chain import ID, Session, begin_session, copy_session, end_session
 from foretouch.dataset.recording.edits import Edit, append_edit
-from foretouch.dataset.recording.folder import new_session_path, opened_to_write
+from foretouch.dataset.recording.folder import (
+    ID,
+    Session,
+    begin_session,
+    copy_session,
+    end_session,
+    new_session_path,
+    opened_to_write,
+)
 from foretouch.dataset.recording.mcap_file import McapFile
+from foretouch.dataset.recording.reader import recorded_ids
 from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
@@ -53,7 +61,6 @@ from foretouch.dataset.recording.sample_codec import (
     encode_sample,
     sample_types,
 )
-from foretouch.dataset.recording.scan import recorded_ids
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor

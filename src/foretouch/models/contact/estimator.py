@@ -13,7 +13,7 @@ Its weights hold forests, kernel and novelty detector.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
@@ -37,6 +37,9 @@ TOGETHER: Final = "together"
 
 _ARRAYS: Final = ("mean", "deviation", "generalisation_gain")
 
+_AROUND: Final = [name.startswith(("g1_", "g2_")) and "_depth" not in name for name in FEATURES[len(CONDITIONS) :]]
+"""Inputs that describe the points around each contact."""
+
 
 @dataclass(frozen=True, eq=False)
 class ContactEstimator:
@@ -50,6 +53,8 @@ class ContactEstimator:
             kernel.
         generalisation_gain: (M,) float64 in [0, 1], λ of each modality.
         ranges: Ranges outside which a predicted value is flagged, and the channels of the readings.
+        surroundings: Whether it looks at the points around the contacts; else it takes their means in training, and describes
+            the object, the hand and the place of the grasp on the object as before.
     """
 
     forests: Mapping[str, Forest]
@@ -59,11 +64,12 @@ class ContactEstimator:
     deviation: Float64
     generalisation_gain: Float64
     ranges: Ranges
+    surroundings: bool = True
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        rows = HandFrameFeatures(cloud.xyz).describe(grasps)
-        return Estimate(*self.predict_rows(rows), rows[:, len(CONDITIONS) :])
+        rows = HandFrameFeatures(cloud.xyz).describe(grasps, surroundings=self.surroundings)
+        return Estimate(*self.predict_rows(rows), rows[:, len(CONDITIONS) :] if self.surroundings else None)
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.
@@ -74,6 +80,8 @@ class ContactEstimator:
         scores = self.novelty.scores(rows)
         weight = scores[:, None]
         inputs = rows[:, len(CONDITIONS) :]
+        if not self.surroundings:
+            inputs = np.where(_AROUND, self.kernel.centre, inputs)
         scaled = weight * self._trees(inputs) + (1.0 - weight) * (self.kernel.predict(inputs) * self._gain)
         return scaled * self.deviation + self.mean, scores >= IN_DISTRIBUTION
 
@@ -109,8 +117,7 @@ class ContactEstimator:
             shape = (len(channels.modalities) if name == "generalisation_gain" else channels.size,)
             if name not in tensors or tensors[name].shape != shape or not np.isfinite(tensors[name]).all():
                 raise ModelError(f"{name}: is missing, of another shape than {shape}, or not finite")
-        arrays = {name: tensors[name] for name in _ARRAYS}
-        gain = arrays["generalisation_gain"]
+        mean, deviation, gain = (tensors[name] for name in _ARRAYS)
         if not ((gain >= 0.0) & (gain <= 1.0)).all():
             raise ModelError("generalisation_gain: a value is not in [0, 1]")
         inputs = len(FEATURES) - len(CONDITIONS)
@@ -122,7 +129,12 @@ class ContactEstimator:
         kernel = read_part(KernelRegression, tensors, "kernel/")
         if kernel.known.shape[1] != inputs or kernel.weight.shape[1] != channels.size:
             raise ModelError(f"kernel: does not fit {inputs} features and {channels.size} values")
-        return cls(forests, kernel, read_part(NoveltyDetector, tensors, "novelty/"), ranges=ranges, **arrays)
+        return cls(forests, kernel, read_part(NoveltyDetector, tensors, "novelty/"), mean, deviation, gain, ranges)
+
+
+def fewer_trees(estimator: ContactEstimator, count: int) -> ContactEstimator:
+    """The same model with the first trees of each forest alone: as if it had been fitted with so many."""
+    return replace(estimator, forests={name: one.first(count) for name, one in estimator.forests.items()})
 
 
 def save_contact(

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.kernels import Kernel
-from foretouch.models.object_shape import principal_axes, usable_points
+from foretouch.models.novelty import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, Int32, Int64, stacked
 
 _sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)

@@ -87,6 +87,15 @@ class Forest(TensorRecord):
         """M."""
         return int(self.value.shape[1])
 
+    def first(self, count: int) -> "Forest":
+        """The first trees, with their nodes and values alone."""
+        if count >= len(self.roots):
+            return self
+        nodes = int(self.roots[count])
+        leaves = int(self.leaf[:nodes].max()) + 1
+        cut = {name: getattr(self, name)[:nodes] for name in ("feature", "threshold", "children", "leaf")}
+        return Forest(roots=self.roots[:count], value=self.value[:leaves], **cut)
+
     def predict(self, rows: Float64) -> Float64:
         """(K, M) float64: mean over the trees for (K, F) rows, which are rounded to float32 as in the fit."""
         return self._compiled.predict(rows)

@@ -20,10 +20,8 @@ from foretouch.models.files import file_beside, read_tensors
 from foretouch.models.model_files import load_calibration
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold, tensor_shapes
-from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
-from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
-from foretouch.models.novelty import Fallback
-from foretouch.models.object_shape import object_sizes
+from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
+from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges
 from foretouch.types import Cloud, Grasp

@@ -7,8 +7,12 @@ once in half a minute and without numbers; /diagnostics counts these reports.
 """
 
 import logging
+import secrets
+import socket
 import threading
 import time
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,12 +27,14 @@ from foretouch.errors import ConfigError, MissingDependencyError, shown
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.ros.runtime.origins import OriginGate
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _DEPTH: Final = 100
 _CLOUD_DEPTH: Final = 10
 _SLOW: Final = "a client reads too slowly: its oldest messages are dropped"
+_HEAD_BYTES: Final = 16_384
+_HEAD_S: Final = 5.0  # time in which a client must have sent its request
+_BLOCK: Final = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,27 +68,13 @@ class _Reports(logging.Handler):
             self._node.get_logger().warning(text)
 
 
-@dataclass(eq=False)
-class _Served:
-    """One topic: its channel, and its subscription while a client asks for it."""
-
-    topic: InputTopic
-    channel: Any
-    input: SerializedInput | None = None
-
-
-def _unsubscribe(one: _Served) -> None:
-    if one.input is not None:
-        one.input.destroy()
-        one.input = None
-
-
 class BridgeNode(ForetouchNode[BridgeConfig]):
     """The bridge as a lifecycle node; it serves while it is active."""
 
     def __init__(self, name: str = "bridge", **options: Any) -> None:
         self.url = ""  # where clients connect, while it is active
-        self._served: dict[str, _Served] = {}  # by full name
+        self._served: dict[str, tuple[InputTopic, Any]] = {}  # topics with their channels, by full name
+        self._asked: dict[str, SerializedInput] = {}  # while a client asks for the topic
         self._server: Any = None
         self._gate: OriginGate
         self._timer: Any = None
@@ -101,7 +93,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             name, kind = self.resolve_topic_name(topic.name), topic.type_name
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definitions.text(kind).encode())
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)
-            self._served[name] = _Served(topic, channel)
+            self._served[name] = topic, channel
             self._closing.callback(channel.close)
 
     def _start(self) -> None:
@@ -134,8 +126,9 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             self._server = None
         logging.getLogger("foxglove").removeHandler(self._reports)
         with self._lock:
-            for one in self._served.values():
-                _unsubscribe(one)
+            for one in self._asked.values():
+                one.destroy()
+            self._asked.clear()
         self.url = ""
 
     def _teardown(self) -> None:
@@ -148,7 +141,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
     def notes(self) -> dict[str, str]:
         """What clients ask for, and how often the SDK reported that one is slow, for /diagnostics."""
         with self._lock:
-            asked = {name: one.input for name, one in self._served.items() if one.input is not None}
+            asked = dict(self._asked)
         return {
             "url": self.url,
             "topics": " ".join(sorted(asked)),
@@ -163,28 +156,23 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
     def _follow_clients(self) -> None:
         """Subscribe to what clients ask for, and to nothing else."""
         with self._lock:
-            for name, one in self._served.items():
-                wanted = self._server is not None and one.channel.has_sinks()
-                if not wanted:
-                    _unsubscribe(one)
-                elif one.input is not None:
-                    one.input.adapt()
+            for name, (topic, channel) in self._served.items():
+                if self._server is None or not channel.has_sinks():
+                    if name in self._asked:
+                        self._asked.pop(name).destroy()
+                elif name in self._asked:
+                    self._asked[name].adapt()
                 else:
                     offered = {end.qos_profile.reliability for end in self.get_publishers_info_by_topic(name)}
-                    one.input = SerializedInput(
-                        self,
-                        one.topic,
-                        self._forward,
-                        self._mismatch,
-                        reliable=ReliabilityPolicy.BEST_EFFORT not in offered,
-                    )
+                    reliable = ReliabilityPolicy.BEST_EFFORT not in offered
+                    self._asked[name] = SerializedInput(self, topic, self._forward, self._mismatch, reliable=reliable)
 
     def _forward(self, message: SerializedMessage) -> None:
         arrived = self.statistics.receive()
         if (one := self._served.get(message.topic)) is None or self._server is None:
             self.statistics.drop("stopped")
             return
-        one.channel.log(message.data, log_time=message.received_ns)
+        one[1].log(message.data, log_time=message.received_ns)
         self.statistics.use(arrived, 0.0)
 
 
@@ -209,3 +197,81 @@ def _listen_to_sdk(foxglove: Any) -> logging.Logger:
     finally:
         root.removeHandler(quiet)
     return logger
+
+
+class OriginGate:
+    """Listens for clients of a server on a port, 0 for a free one; an `OSError` if the address cannot be listened on.
+
+    Every web page that a browser shows may open a WebSocket to this machine, and names its own address as `Origin`, which the server
+    does not look at. Programs that are no browser name none. The server listens on an address of this machine's loopback network
+    that is drawn at random, so that no page can search for it; here, bytes of the clients that are admitted are passed on in both
+    directions.
+
+    Web pages of `allowed` origins may connect, such as `https://app.foxglove.dev`; `refused` is called with those of others.
+
+    Attributes:
+        port: The one that it listens on.
+        inner: Host that the server must listen on; `open` is then called with its port.
+    """
+
+    def __init__(self, address: str, port: int, allowed: Collection[str], refused: Callable[[str], object]) -> None:
+        family, _, _, _, where = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+        self._listener = socket.create_server(where[:2], family=family)
+        self.port = int(self._listener.getsockname()[1])
+        self.inner = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+        self._allowed = {one.rstrip("/").lower() for one in allowed}
+        self._refused = refused
+
+    def open(self, port: int) -> None:
+        """Admit clients from now on; the server listens on this port of `inner`."""
+        self._server = (self.inner, port)
+        threading.Thread(target=self._accept, name="origins", daemon=True).start()
+
+    def close(self) -> None:
+        """Admit nobody any more; clients that are connected stay so until the server ends."""
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)  # wakes `accept`
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with suppress(OSError):  # closed
+            while True:
+                client, _ = self._listener.accept()
+                threading.Thread(target=self._serve, args=(client,), name="client", daemon=True).start()
+
+    def _serve(self, client: socket.socket) -> None:
+        with suppress(OSError), client:
+            head = _read_head(client)
+            origins = [line[7:].strip() for line in head.split("\r\n") if line.lower().startswith("origin:")]
+            if any(origin.lower() not in self._allowed for origin in origins):
+                client.sendall(b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: 0\r\n\r\n")
+                self._refused(origins[0])
+                return
+            with socket.create_connection(self._server) as server:
+                server.sendall(head.encode("latin-1"))
+                client.settimeout(None)
+                threading.Thread(target=_pass_on, args=(client, server), name="client", daemon=True).start()
+                _pass_on(server, client)
+
+
+def _read_head(client: socket.socket) -> str:
+    """What a client asks for, up to the empty line; an OSError if it is too long or comes too late."""
+    head, until = b"", time.monotonic() + _HEAD_S
+    while b"\r\n\r\n" not in head:
+        client.settimeout(max(0.01, until - time.monotonic()))
+        part = client.recv(_HEAD_BYTES)
+        head += part
+        if not part or len(head) > _HEAD_BYTES or time.monotonic() > until:
+            raise OSError("no request")
+    return head.decode("latin-1")
+
+
+def _pass_on(source: socket.socket, sink: socket.socket) -> None:
+    """Pass bytes on until one of both ends, and end both."""
+    block = memoryview(bytearray(_BLOCK))
+    with suppress(OSError):
+        while size := source.recv_into(block):
+            sink.sendall(block[:size])
+    for end in (source, sink):
+        with suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)

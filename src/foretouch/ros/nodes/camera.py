@@ -12,22 +12,14 @@ from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.config import RealSenseConfig, ScheduleConfig
 from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.realsense import CameraStatus, RealSenseCamera
-from foretouch.camera.schedule import ScheduleConfig
-from foretouch.config import Settings, setting
+from foretouch.config import setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.laboratory import laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-
-
-@dataclass(frozen=True, kw_only=True)
-class SyntheticConfig(Settings):
-    """The scene in front of a synthetic camera: three objects on a table, of which one swings."""
-
-    seed: int = setting(0, "Seed of the random scene", bounds=(0, 2**31 - 1), read_only=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +28,10 @@ class CameraNodeConfig(NodeConfig):
 
     source: str = setting(
         "device",
-        "`device` (see `camera`), `synthetic`, `scene` (see `scene`), or the path of a recording",
+        "`device` (see `camera`), `synthetic` (three objects on a table, of which one swings), `scene` (see `scene`), or the path of a recording",
         read_only=True,
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
-    synthetic: SyntheticConfig = field(default_factory=SyntheticConfig)
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
     faults: FaultConfig = field(default_factory=FaultConfig)
 
@@ -69,9 +60,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         config = self.config
         if config.source == "synthetic":
             camera = config.camera
-            self.synthetic = _simulation(config.source).swinging_camera(
-                config.synthetic.seed, camera.width, camera.height, camera.fps
-            )
+            self.synthetic = _simulation(config.source).swinging_camera(camera.width, camera.height, camera.fps)
         elif config.source == "scene":
             self._faults = MessageFaults(config.faults)
             self.synthetic = _simulation(config.source).scheduled_camera(config.scene, config.camera.fps, self._faults)

@@ -31,9 +31,8 @@ from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status, gone_status
 from foretouch.ros.runtime.direct import DirectInput, DirectPublisher, direct_topics
-from foretouch.ros.runtime.discovery import UPTIME, find_conflicts, matched_ends
+from foretouch.ros.runtime.discovery import FINALIZED, UPTIME, Heartbeat, find_conflicts, matched_ends
 from foretouch.ros.runtime.executor import InputGroup
-from foretouch.ros.runtime.heartbeat import FINALIZED, Heartbeat
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
 

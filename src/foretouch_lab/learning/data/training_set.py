@@ -20,10 +20,10 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
 from foretouch.files import open_regular, system_errors
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import (
     SAMPLER_SEED,
     finite_points,
+    grasp_lengths,
     prepare_cloud,
     prepare_grasps,
     sample_channels,

@@ -27,8 +27,7 @@ from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
-from foretouch.models.novelty import standardisation
-from foretouch.models.object_shape import object_sizes
+from foretouch.models.novelty import object_sizes, standardisation
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch.types.channels import Channels

@@ -15,7 +15,7 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ContactError
-from foretouch.tactile.skin import LAYER_M, skin_axes
+from foretouch.tactile.channels import LAYER_M, skin_axes
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.problem import ElasticLayer
 

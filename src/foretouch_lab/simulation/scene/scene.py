@@ -15,10 +15,11 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from foretouch.camera.schedule import ScheduleConfig
+from foretouch.camera.config import ScheduleConfig
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
-from foretouch.tactile import FULL_SCALE, skin
+from foretouch.tactile import FULL_SCALE
+from foretouch.tactile.channels import CORE_HALF_LENGTH_M, CORE_RADIUS_M
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64
 from foretouch_lab.simulation import fingertip, taxels
@@ -223,8 +224,8 @@ _CONSTANTS: Final[dict[str, Any]] = {
     "grasps": {"error": {"target_share": TARGET_SHARE}},
     "fingers": {
         "pad": {
-            "core_half_length_m": skin.CORE_HALF_LENGTH_M,
-            "core_radius_m": skin.CORE_RADIUS_M,
+            "core_half_length_m": CORE_HALF_LENGTH_M,
+            "core_radius_m": CORE_RADIUS_M,
             "poisson": pad.POISSON,
             "friction": 0.783,
             "soft_window_m": pad.SOFT_WINDOW_M,

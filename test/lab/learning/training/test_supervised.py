@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import DatasetError
 from foretouch.models.network.checkpoint import NetworkEstimator
-from foretouch.models.network.length_check import LengthRangeCheck
-from foretouch.models.network.preparation import prepare_grasps
+from foretouch.models.network.preparation import LengthRangeCheck, prepare_grasps
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Grasp

@@ -13,7 +13,7 @@ import pytest
 from every_case import every_case, every_refusal
 from sim_builders import run
 
-from foretouch.camera.libusb import ensure_libusb
+from foretouch.camera.device import ensure_libusb
 from foretouch.errors import ConfigError, FileError, SimulationError
 from foretouch_lab.simulation.objects import TriangleMesh, read_mesh_file, unit_mesh
 from foretouch_lab.simulation.objects.shapes import _rounded_box
