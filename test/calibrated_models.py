@@ -9,9 +9,8 @@ import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
-from foretouch.models.contact.estimator import ContactEstimator, save_contact
+from foretouch.models.contact.estimator import ContactEstimator, NoveltyDetector, save_contact
 from foretouch.models.contact.features import CONDITIONS, FEATURES
-from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation
 from foretouch.tactile import BIOTAC, P2_RANGES

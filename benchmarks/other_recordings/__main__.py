@@ -16,7 +16,7 @@ from benchmarks.other_recordings import folds_of
 from benchmarks.other_recordings.touch_hold import CONFIG, FINGERS, electrodes, fit
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import content_sha256
-from foretouch.models.model_files import save_model
+from foretouch.models.card import save_model
 from foretouch.models.touch_hold import OUTSIDE, TouchHold
 from foretouch.types import AnyArray, Bool, Float64
 

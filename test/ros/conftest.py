@@ -259,15 +259,6 @@ def module_graph() -> Iterator[Graph]:
     one.close()
 
 
-@pytest.fixture
-def tf2(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The buffer of a stand-in for tf2_ros, without transforms."""
-    import tf2_stand_in
-
-    monkeypatch.setitem(sys.modules, tf2_stand_in.NAME, tf2_stand_in.module())
-    return tf2_stand_in.Buffer
-
-
 @pytest.fixture(scope="session")
 def model_card(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A small network with random weights: what it predicts is wrong, how it travels is the same."""

@@ -8,7 +8,7 @@ detects nine in ten grasps on an object that was left out, at one false alarm in
 the same size and shape as one of the training objects.
 
 Gross errors (a house instead of a can, metres mistaken for millimetres, a grasp beside the object) are found by
-`network.preparation.LengthRangeCheck`. The contact model has its own detector (`contact.novelty`), and needs no
+`network.preparation.LengthRangeCheck`. The contact model has its own detector (`contact.estimator.NoveltyDetector`), and needs no
 fallback, because its kernel fades to the mean by itself.
 """
 

@@ -270,7 +270,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
 
 def _timed_network(values: Mapping[str, Any]) -> Estimator:
     """A variant of touchnet-v1."""
-    from foretouch.models.model_files import load_calibration
+    from foretouch.models.card import load_calibration
     from foretouch.models.network.checkpoint import load_network
 
     path = find_card(NETWORK)

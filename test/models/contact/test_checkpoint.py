@@ -15,11 +15,10 @@ from numpy.testing import assert_array_equal
 
 from foretouch.errors import FileError, ModelError
 from foretouch.models.calibration import Calibration
-from foretouch.models.card import read_card
+from foretouch.models.card import load_calibration, read_card
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.files import packed, read_tensors
 from foretouch.models.hand_history import HandHistory
-from foretouch.models.model_files import load_calibration
 from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel

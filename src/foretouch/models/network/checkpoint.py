@@ -15,9 +15,8 @@ import torch
 from safetensors.torch import load
 
 from foretouch.errors import ConfigError, ModelError
-from foretouch.models.card import card_sensor, read_card
+from foretouch.models.card import card_sensor, load_calibration, read_card
 from foretouch.models.files import file_beside, read_tensors
-from foretouch.models.model_files import load_calibration
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold, tensor_shapes
 from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps

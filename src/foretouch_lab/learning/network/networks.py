@@ -30,7 +30,7 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.config import Settings, setting
-from foretouch.models.model_files import CardCalibration, save_model
+from foretouch.models.card import CardCalibration, save_model
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.novelty import Fallback

@@ -23,9 +23,8 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, DatasetError
 from foretouch.models.calibration import Calibration
-from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
+from foretouch.models.contact.estimator import TOGETHER, ContactEstimator, NoveltyDetector
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
-from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
 from foretouch.models.novelty import object_sizes, standardisation
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges

@@ -15,9 +15,9 @@ import numpy as np
 from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
+from foretouch.models.card import CardCalibration
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.contact.features import CONDITIONS
-from foretouch.models.model_files import CardCalibration
 from foretouch.models.network.preparation import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
