@@ -8,7 +8,7 @@ from recording_builders import record, write_dataset
 
 from foretouch.dataset.editing import drop, relabel
 from foretouch.dataset.recording.edits import Edit, EditLog, read_edits
-from foretouch.dataset.summary import count_outcomes, edited, suggest, summarise, summarise_dataset
+from foretouch.ros.recorder.operator import count_outcomes, edited, suggest, summarise, summarise_dataset
 
 
 def test_counts_are_by_object_and_outcome_with_the_edits_applied_and_earlier_sessions_too(tmp_path: Path) -> None:
