@@ -5,10 +5,12 @@ A card says what the model is, what it was trained on and how well it performs. 
 their hashes.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -16,10 +18,12 @@ from foretouch.errors import ConfigError, FileError, ModelError, TactileError, q
 from foretouch.files import COUNT, Number, read_json, replace_files, require_schema
 from foretouch.models.calibration import Calibration
 from foretouch.models.files import file_beside, packed, read_part, read_tensors
-from foretouch.models.novelty import Fallback
 from foretouch.tactile.description import Sensor, require_same, sensor_in
 from foretouch.types import AnyArray
 from foretouch.types.channels import Channels
+
+if TYPE_CHECKING:
+    from foretouch.models.novelty import Fallback
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 2
@@ -166,6 +170,8 @@ def load_calibration(
     Raises:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
     """
+    from foretouch.models.novelty import Fallback  # not before, since SciPy takes long to import
+
     facts = card["calibration"]
     if facts is None:
         return None, None
