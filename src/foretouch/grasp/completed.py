@@ -36,8 +36,10 @@ _closing_lines = Kernel(
     *(np.float64, int, np.float64),
 )
 _outline = Kernel("outline", np.float64, int, np.float64, int, int, np.float32, np.float32)
-_hidden_points = Kernel(
-    "hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64
+_complete_object = Kernel(
+    "complete_object",
+    *(np.float64, np.float64, int, float, np.float64, np.float64, np.float32, np.float32, int, int),
+    *(np.float64, np.float64, np.float64),
 )
 
 _ANGLES = 24  # directions in half a turn
@@ -45,13 +47,8 @@ _LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
 _END_SHARE = 0.03  # of the points of a line that are beyond either end
-_TOP_SHARE, _TOP_M = 0.12, 0.004  # of the height, and at least: what counts as the top of an object
-_TOP_CELL_M, _MASS_CELL_M = 0.003, 0.004  # of the grids for the middle of the top, and for the centre of mass
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
-_BEHIND_M = 0.004  # behind the seen surface, from where on a mirrored point is unseen
-_MOST_CELLS = 4e6  # of such a grid
-_FAR_M = 0.6  # from the centre: no hand reaches it
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
 _ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
@@ -91,7 +88,8 @@ class Obstacles:
 
     def without(self, object_id: str) -> "Obstacles":
         """The obstacles for grasps on one object: all others."""
-        others = np.array([str(one) != object_id for one in self.object_ids.tolist()], np.bool_)
+        found, back = np.unique(self.object_ids, return_inverse=True)
+        others = np.array([str(one) != object_id for one in found.tolist()], np.bool_)[back]
         return Obstacles(self.xyz[others], self.object_ids[others])
 
 
@@ -149,15 +147,14 @@ class CompletedObject:
         seen = (points.xyz - self._foot) @ self._basis.T
         eye = -self._foot @ self._basis.T
         self._horizontal = float(np.hypot(eye[0], eye[1]) / max(np.linalg.norm(eye), 1e-9)) if self._in_view else 1.0
-        mirrored = self._mirrored(seen)
-        self.n_completed = len(mirrored[1])
-        xyz, self._weights = np.vstack([seen, mirrored[0]]), np.concatenate([points.inlier, mirrored[1]])
-        shift = self._basis @ shift
-        centre = np.append(_centre_of_mass(xyz, self._weights) + shift[:2], 0.0)
-        self._foot, self._shift_m = self._foot + centre @ self._basis, float(shift[2])
-        self._xyz = np.ascontiguousarray(xyz - centre)
-        near = (np.abs(self._xyz[:, :2]) < _FAR_M).all(axis=1)
-        self._weights = np.where(near, self._weights, 0.0)
+        n, shift, found = len(seen), self._basis @ shift, np.empty(3)
+        xyz, weights = np.empty((2 * n, 3)), np.empty(2 * n)
+        _complete_object(seen, points.inlier, n, _END_SHARE, shift, *self._camera(), xyz, weights, found)
+        size = int(found[0])
+        if size < 0:
+            raise CloudError("xyz: the points of the object are too far apart")
+        self.n_completed, self._xyz, self._weights = size - n, xyz[:size], weights[:size]
+        self._foot, self._shift_m = self._foot + np.append(found[1:], 0.0) @ self._basis, float(shift[2])
 
     @cached_property
     def _seen(self) -> tuple[Float64, Float32, Float32]:
@@ -180,26 +177,6 @@ class CompletedObject:
             return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
         grid, nearest, inside = self._seen
         return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
-
-    def _mirrored(self, seen: Float64) -> tuple[Float64, Float64]:
-        """Points mirrored about the vertical line through the middle of the top, where the camera cannot see; and their weights."""
-        if not self._in_view:
-            return np.empty((0, 3)), np.empty(0)
-        weight, height = self._points.inlier, seen[:, 2]
-        certain = weight > 0.5
-        if not certain.any():
-            return np.empty((0, 3)), np.empty(0)
-        top = _quantile(height[certain], 1.0 - _END_SHARE)
-        below = max(_TOP_SHARE * top, _TOP_M)
-        places, highest = _filled_cells(seen[certain], _TOP_CELL_M)
-        upper = smoothstep(highest, top - 1.5 * below, top - 0.5 * below)
-        middle = upper @ places / upper.sum()
-        other = seen * np.array([-1.0, -1.0, 1.0]) + np.append(2.0 * middle, 0.0)
-        hidden = np.empty(len(other))
-        _hidden_points(other, len(other), _BEHIND_M, *self._camera(), hidden)
-        weight = weight * hidden
-        kept = weight > 0.0
-        return other[kept], weight[kept]
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
         """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
@@ -334,28 +311,6 @@ def _quantile(values: Float64, share: float) -> float:
     """A quantile that is one of the values, in a tenth of the time of np.quantile."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])
-
-
-def _filled_cells(xyz: Float64, cell_m: float) -> tuple[Float64, Float64]:
-    """(M, 2) and (M,) float64 [m]: centres of the cells of a grid over the table with (N, 3) points, and the highest point of each."""
-    cells = np.floor(xyz[:, :2] / cell_m)
-    low = cells.min(axis=0)
-    rows, columns = (cells - low).astype(np.int64).T
-    width = int(columns.max()) + 1
-    if not float(rows.max() + 1) * width < _MOST_CELLS:
-        raise CloudError("xyz: the points of the object are too far apart")
-    highest = np.full((int(rows.max()) + 1) * width, -np.inf)
-    np.maximum.at(highest, rows * width + columns, xyz[:, 2])
-    filled = np.flatnonzero(highest > -np.inf)
-    return (np.stack(np.divmod(filled, width), axis=1) + low + 0.5) * cell_m, highest[filled]
-
-
-def _centre_of_mass(xyz: Float64, weights: Float64) -> Float64:
-    """(2,) float64 [m]: centre of columns from the table to the highest point in each cell of a grid."""
-    inside = weights > 0.5
-    places, highest = _filled_cells(xyz[inside] if inside.any() else xyz, _MASS_CELL_M)
-    mass = np.maximum(highest, 1e-6)
-    return np.asarray(mass @ places / mass.sum(), np.float64)
 
 
 def _slopes(ends: Float64) -> Float64:

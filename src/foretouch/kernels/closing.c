@@ -17,6 +17,13 @@
 #define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
 #define FOUND 6         /* values of a line */
+#define TOP_SHARE 0.12    /* of the height, and at least TOP_M: what counts as the top of an object */
+#define TOP_M 0.004
+#define TOP_CELL_M 0.003  /* of the grid for the middle of the top */
+#define MASS_CELL_M 0.004 /* of that for the centre of mass */
+#define MOST_CELLS 4e6    /* of such a grid */
+#define BEHIND_M 0.004    /* behind the seen surface, from where on a mirrored point is unseen */
+#define FAR_M 0.6         /* from the centre: no hand reaches it */
 
 typedef struct {
     const double *camera; /* rotation (9) and origin (3) of the table's frame in the camera's; column, row and pitch of the grid */
@@ -98,13 +105,111 @@ INLINE double hidden_by(const Outline *seen, double x, double y, double z, doubl
     return (double)seen->inside[cell] * smooth(behind, depth_behind - FADE_M, depth_behind + FADE_M);
 }
 
-/* hidden (n): how certainly the object hides each of the points (n, 3) from the camera, 0 ... 1, around a depth behind it. */
-void hidden_points(const double *points, int64_t n, double depth, const double *camera, const float *nearest, const float *inside,
-                   int64_t rows, int64_t columns, double *hidden) {
-    const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
-    for (int64_t i = 0; i < n; i++) {
-        hidden[i] = hidden_by(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2], depth);
+/* The k-th smallest of n values, which are reordered. */
+INLINE double smallest(double *values, int64_t n, int64_t k) {
+    for (int64_t low = 0, high = n - 1; low < high;) {
+        const double middle = values[low + (high - low) / 2];
+        int64_t i = low, j = high;
+        while (i <= j) {
+            while (values[i] < middle) {
+                i++;
+            }
+            while (values[j] > middle) {
+                j--;
+            }
+            if (i <= j) {
+                const double swap = values[i];
+                values[i++] = values[j], values[j--] = swap;
+            }
+        }
+        low = k < i ? low : i, high = k > j ? high : j;
+        if (k > j && k < i) {
+            break;
+        }
     }
+    return values[k];
+}
+
+/* The centre (2) of columns over the table under the n points (n, 3) with weights above 0.5, or of all without such: one in each cell of a grid, as
+ * high as its highest point, weighing its height, or 0 below one height to 1 above another. 0 where the grid is too large, or without memory. */
+INLINE int centre_of_columns(const double *points, const double *weights, int64_t n, double cell_m, double low, double high, double *centre) {
+    double from[2] = {INFINITY, INFINITY}, to[2] = {-INFINITY, -INFINITY}, sums[3] = {0.0, 0.0, 0.0};
+    int all = 1;
+    for (int64_t i = 0; i < n; i++) {
+        all = all && !(weights[i] > 0.5);
+    }
+    for (int64_t i = 0; i < n; i++) {
+        for (int axis = 0; axis < 2 && (all || weights[i] > 0.5); axis++) {
+            const double cell = floor(points[3 * i + axis] / cell_m);
+            from[axis] = cell < from[axis] ? cell : from[axis], to[axis] = cell > to[axis] ? cell : to[axis];
+        }
+    }
+    const double rows = to[0] - from[0] + 1.0, columns = to[1] - from[1] + 1.0;
+    double *highest = rows * columns < MOST_CELLS ? malloc((size_t)(rows * columns) * sizeof(double)) : NULL;
+    if (!highest) {
+        return 0;
+    }
+    for (int64_t cell = 0; cell < (int64_t)(rows * columns); cell++) {
+        highest[cell] = -INFINITY;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        if (all || weights[i] > 0.5) {
+            const double row = floor(points[3 * i] / cell_m) - from[0], column = floor(points[3 * i + 1] / cell_m) - from[1];
+            double *one = highest + (int64_t)(row * columns + column);
+            *one = points[3 * i + 2] > *one ? points[3 * i + 2] : *one;
+        }
+    }
+    for (int64_t cell = 0; cell < (int64_t)(rows * columns); cell++) {
+        if (highest[cell] > -INFINITY) {
+            const double mass = low < high ? smooth(highest[cell], low, high) : (highest[cell] > 1e-6 ? highest[cell] : 1e-6);
+            const double row = (double)(cell / (int64_t)columns), column = (double)(cell % (int64_t)columns);
+            sums[0] += mass, sums[1] += mass * (row + from[0] + 0.5) * cell_m, sums[2] += mass * (column + from[1] + 0.5) * cell_m;
+        }
+    }
+    free(highest);
+    centre[0] = sums[1] / sums[0], centre[1] = sums[2] / sums[0];
+    return 1;
+}
+
+/* An object with its unseen side: its n points (n, 3) in the table's frame, and behind them the same mirrored about the vertical line through the
+ * middle of its top, where the camera cannot see, with their weights and how certainly they are hidden.
+ *
+ * share: of the points above what counts as the top. shift (2): of the grasps. completed (2 n, 3): from the centre of mass, shifted. shares (2 n): their
+ * weights, 0 where no hand reaches. found (3): their number, -1 where they are too far apart or there is no memory; and the place of that centre. */
+void complete_object(const double *points, const double *weights, int64_t n, double share, const double *shift, const double *camera, const float *nearest,
+                     const float *inside, int64_t rows, int64_t columns, double *completed, double *shares, double *found) {
+    const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
+    int64_t size = n, certain = 0;
+    double centre[2];
+    memcpy(completed, points, (size_t)n * 3 * sizeof(double));
+    memcpy(shares, weights, (size_t)n * sizeof(double));
+    for (int64_t i = 0; i < n && rows > 0; i++) {
+        completed[3 * n + certain] = points[3 * i + 2]; /* room for the mirrored points */
+        certain += weights[i] > 0.5;
+    }
+    found[0] = -1.0;
+    if (certain) {
+        const double top = smallest(completed + 3 * n, certain, (int64_t)((1.0 - share) * (double)(certain - 1)));
+        const double below = TOP_SHARE * top > TOP_M ? TOP_SHARE * top : TOP_M;
+        if (!centre_of_columns(points, weights, n, TOP_CELL_M, top - 1.5 * below, top - 0.5 * below, centre)) {
+            return;
+        }
+        for (int64_t i = 0; i < n; i++) {
+            double *one = completed + 3 * size;
+            one[0] = 2.0 * centre[0] - points[3 * i], one[1] = 2.0 * centre[1] - points[3 * i + 1], one[2] = points[3 * i + 2];
+            shares[size] = weights[i] * hidden_by(&seen, one[0], one[1], one[2], BEHIND_M);
+            size += shares[size] > 0.0;
+        }
+    }
+    if (!centre_of_columns(completed, shares, size, MASS_CELL_M, 0.0, 0.0, centre)) {
+        return;
+    }
+    centre[0] += shift[0], centre[1] += shift[1];
+    for (int64_t i = 0; i < size; i++) {
+        completed[3 * i] -= centre[0], completed[3 * i + 1] -= centre[1];
+        shares[i] = fabs(completed[3 * i]) < FAR_M && fabs(completed[3 * i + 1]) < FAR_M ? shares[i] : 0.0;
+    }
+    found[0] = (double)size, found[1] = centre[0], found[2] = centre[1];
 }
 
 typedef struct {
