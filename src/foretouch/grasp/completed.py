@@ -62,12 +62,23 @@ _HOLLOW = 3.0  # cost of a line whose ends the camera sees through
 _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
 _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
-_BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
+_BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
+
+_ANGLE = np.pi * np.arange(_ANGLES) / _ANGLES  # (24,) [rad]
+_OFFSET = _STEP_M * (np.arange(_LINES) - _LINES // 2)  # (17,) [m]
+_PLACE_COST = (_OFFSET / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(_ANGLE))[:, None] + _BIAS * _OFFSET
+_TURNS, _STEPS = np.meshgrid(np.arange(-_NEAR, _NEAR + 1), np.arange(-_NEAR, _NEAR + 1), indexing="ij")
+# Means with two neighbours on either side: of the directions, with two of the other end before and after; of the places, whose last ones repeat.
+_MEAN_OF_ANGLES = np.stack([np.pad(_BINOMIAL, (k, _ANGLES - 1 - k)) for k in range(_ANGLES)])
+_MEAN_OF_LINES = np.stack([np.pad(_BINOMIAL, (k, _LINES - 1 - k)) for k in range(_LINES)], axis=1)
+_MEAN_OF_LINES = np.concatenate(
+    [_MEAN_OF_LINES[:3].sum(axis=0)[None], _MEAN_OF_LINES[3:-3], _MEAN_OF_LINES[-3:].sum(axis=0)[None]]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +99,7 @@ class Obstacles:
 
     def without(self, object_id: str) -> "Obstacles":
         """The obstacles for grasps on one object: all others."""
-        found, back = np.unique(self.object_ids, return_inverse=True)
-        others = np.array([str(one) != object_id for one in found.tolist()], np.bool_)[back]
+        others = self.object_ids != (int(object_id) if object_id.isdecimal() else -1)
         return Obstacles(self.xyz[others], self.object_ids[others])
 
 
@@ -159,14 +169,13 @@ class CompletedObject:
     @cached_property
     def _seen(self) -> tuple[Float64, Float32, Float32]:
         """A grid over the object's image: column, row and pitch; and as `outline` finds them, `nearest` [m] and `inside`."""
-        xyz = self._points.xyz
-        place = xyz[:, :2] / xyz[:, 2:]
-        pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / xyz[:, 2])))
-        low = place.min(axis=0) - 4.0 * pitch
-        columns, rows = (np.floor((place.max(axis=0) - low) / pitch).astype(np.int64) + 5).tolist()
-        nearest, inside = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
-        grid = np.array([*low, pitch])
-        _outline(xyz, len(xyz), grid, rows, columns, nearest, inside)
+        x, y, z = self._points.xyz.T.copy()  # reductions along rows of three are slow
+        pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / z)))
+        columns, rows = x / z, y / z
+        grid = np.array([columns.min() - 4.0 * pitch, rows.min() - 4.0 * pitch, pitch])
+        shape = int((rows.max() - grid[1]) / pitch) + 5, int((columns.max() - grid[0]) / pitch) + 5
+        nearest, inside = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        _outline(self._points.xyz, len(z), grid, *shape, nearest, inside)
         if np.isnan(inside[0, 0]):
             raise MemoryError("outline")
         return grid, nearest, inside
@@ -196,10 +205,10 @@ class CompletedObject:
     def lines(self) -> ClosingLines:
         """All closing lines with their costs."""
         turns = np.zeros((_ANGLES, 3))
-        turns[:, 0], turns[:, 2] = np.pi * np.arange(_ANGLES) / _ANGLES, np.nan
-        found = self._close(turns, _LINES)
-        low, high, height, top, blocker, solid = np.moveaxis(found, 2, 0)
-        slope, refused = np.stack([_slopes(low), _slopes(high)]), self._refused(found)
+        turns[:, 0], turns[:, 2] = _ANGLE, np.nan
+        found = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
+        low, high, height, top, blocker, solid = found
+        slope, refused = _slopes(found[:2]), self._refused(found)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
@@ -215,8 +224,8 @@ class CompletedObject:
         )
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
-        """Which lines (..., 6) of `_close` the hand cannot execute, by the names of `REASONS`."""
-        low, high, height, top, blocker, _ = np.moveaxis(found, -1, 0)
+        """Which lines (6, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        low, high, height, top, blocker, _ = found
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius_m),
             "n_too_wide": high - low > self._hand.opening_m,
@@ -226,31 +235,28 @@ class CompletedObject:
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64) -> Float64:
         """What speaks against each line, with the slopes of both ends (2, ...) and how certainly the object is there; the smallest is the best."""
-        offset = _STEP_M * (np.arange(_LINES) - _LINES // 2)
-        angle = np.pi * np.arange(_ANGLES) / _ANGLES
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
-        cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None] + _HOLLOW * (1.0 - solid)
+        cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         opening_m = self._hand.opening_m
-        return np.asarray(cost + _BIAS * offset + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
+        return np.asarray(cost + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
         values = (one[angle, line] for one in (lines.low, lines.high, lines.height))
-        return self._ends(np.pi * angle / _ANGLES, _STEP_M * (line - _LINES // 2), *values)
+        return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
     def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """The contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
-        turns, steps = np.meshgrid(np.arange(-_NEAR, _NEAR + 1), np.arange(-_NEAR, _NEAR + 1), indexing="ij")
-        half, rows = np.divmod(angle + turns, _ANGLES)
-        columns = np.where(half % 2 == 0, line + steps, _LINES - 1 - (line + steps))
+        half, rows = np.divmod(angle + _TURNS, _ANGLES)
+        columns = np.where(half % 2 == 0, line + _STEPS, _LINES - 1 - (line + _STEPS))
         inside = (columns >= 0) & (columns < _LINES)
         cost = np.where(inside, lines.cost[rows, np.clip(columns, 0, _LINES - 1)], np.inf)
         weight = np.exp(-np.minimum((cost - lines.cost[angle, line]) / _SOFT, 700.0)) * np.isfinite(cost)
         around = 1.0 * np.isfinite(cost)
         heights = np.where(np.isfinite(cost), lines.height[rows, np.clip(columns, 0, _LINES - 1)], 0.0)
         weight /= weight.sum()
-        turn = np.pi * (angle + float((weight * turns).sum())) / _ANGLES
-        beside_m = _STEP_M * (line - _LINES // 2 + float((weight * steps).sum()))
+        turn = np.pi * (angle + float((weight * _TURNS).sum())) / _ANGLES
+        beside_m = _STEP_M * (line - _LINES // 2 + float((weight * _STEPS).sum()))
         found = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
         if any(one.any() for one in self._refused(found).values()):
             return self.contacts(lines, angle, line)
@@ -280,9 +286,7 @@ def _final(cost: Float64, left: Bool, wide: Bool) -> Float64:
 def _smoothed(cost: Float64) -> Float64:
     """Costs averaged with those of two neighbours on every side, so that noise does not decide; half a turn reverses the places."""
     around = np.concatenate([cost[-2:, ::-1], cost, cost[:2, ::-1]])
-    cost = np.sum([weight * around[k : k + len(cost)] for k, weight in enumerate(_BINOMIAL)], axis=0)
-    beside = np.concatenate([cost[:, :1], cost[:, :1], cost, cost[:, -1:], cost[:, -1:]], axis=1)
-    return np.asarray(np.sum([weight * beside[:, k : k + _LINES] for k, weight in enumerate(_BINOMIAL)], axis=0))
+    return np.asarray(_MEAN_OF_ANGLES @ around @ _MEAN_OF_LINES, np.float64)
 
 
 def _table_basis(plane: Plane, centroid: Float64, in_view: bool) -> Float64:
@@ -314,13 +318,13 @@ def _quantile(values: Float64, share: float) -> float:
 
 
 def _slopes(ends: Float64) -> Float64:
-    """Root mean square slope from the ends of the lines to those of the second neighbours; 1 where one is unknown.
+    """Root mean square slope from (..., 17) ends of the lines to those of the second neighbours; 1 where one is unknown.
 
     A fitted line would hide a corner, whose two sides fall away from it.
     """
     slopes = np.full((2, *ends.shape), np.nan)
-    slopes[0, :, _NEAR:] = (ends[:, _NEAR:] - ends[:, :-_NEAR]) / (_NEAR * _STEP_M)
-    slopes[1, :, :-_NEAR] = slopes[0, :, _NEAR:]
+    slopes[0, ..., _NEAR:] = (ends[..., _NEAR:] - ends[..., :-_NEAR]) / (_NEAR * _STEP_M)
+    slopes[1, ..., :-_NEAR] = slopes[0, ..., _NEAR:]
     return np.asarray(np.nan_to_num(np.sqrt((slopes * slopes).mean(axis=0)), nan=1.0), np.float64)
 
 
