@@ -44,9 +44,9 @@ class PixelGrid:
             raise CloudError(f"pixels: {pixels.dtype} {pixels.shape} is not a list of indices")
         if len(pixels) and not (pixels.min() >= 0 and pixels.max() < height * width):
             raise CloudError(f"pixels: {pixels.min()} ... {pixels.max()} is outside of an image of {height}x{width}")
-        pixels = pixels.astype(np.int64)
-        row = pixels // width  # in a third of the time of divmod()
-        column = pixels - row * width
+        flat: Int64 = pixels.astype(np.int64)
+        row = flat // width  # in a third of the time of divmod()
+        column = flat - row * width
         if len(pixels):
             tall, wide = int(np.ptp(row)), int(np.ptp(column))
             if max(tall, wide) > _IMAGE_SIDE or tall * wide > max(_IMAGE_CELLS, _LATTICE_CELLS * len(pixels)):
