@@ -159,7 +159,9 @@ class CompletedObject:
         self._horizontal = float(np.hypot(eye[0], eye[1]) / max(np.linalg.norm(eye), 1e-9)) if self._in_view else 1.0
         n, shift, found = len(seen), self._basis @ shift, np.empty(3)
         xyz, weights = np.empty((2 * n, 3)), np.empty(2 * n)
-        _complete_object(seen, points.inlier, n, _END_SHARE, shift, *self._camera(), xyz, weights, found)
+        heights = seen[points.inlier > 0.5, 2]
+        top = _quantile(heights, 1.0 - _END_SHARE) if len(heights) else np.nan
+        _complete_object(seen, points.inlier, n, top, shift, *self._camera(), xyz, weights, found)
         size = int(found[0])
         if size < 0:
             raise CloudError("xyz: the points of the object are too far apart")

@@ -105,31 +105,6 @@ INLINE double hidden_by(const Outline *seen, double x, double y, double z, doubl
     return (double)seen->inside[cell] * smooth(behind, depth_behind - FADE_M, depth_behind + FADE_M);
 }
 
-/* The k-th smallest of n values, which are reordered. */
-INLINE double smallest(double *values, int64_t n, int64_t k) {
-    for (int64_t low = 0, high = n - 1; low < high;) {
-        const double middle = values[low + (high - low) / 2];
-        int64_t i = low, j = high;
-        while (i <= j) {
-            while (values[i] < middle) {
-                i++;
-            }
-            while (values[j] > middle) {
-                j--;
-            }
-            if (i <= j) {
-                const double swap = values[i];
-                values[i++] = values[j], values[j--] = swap;
-            }
-        }
-        low = k < i ? low : i, high = k > j ? high : j;
-        if (k > j && k < i) {
-            break;
-        }
-    }
-    return values[k];
-}
-
 /* The centre (2) of columns over the table under the n points (n, 3) with weights above 0.5, or of all without such: one in each cell of a grid, as
  * high as its highest point, weighing its height, or 0 below one height to 1 above another. 0 where the grid is too large, or without memory. */
 INLINE int centre_of_columns(const double *points, const double *weights, int64_t n, double cell_m, double low, double high, double *centre) {
@@ -174,22 +149,17 @@ INLINE int centre_of_columns(const double *points, const double *weights, int64_
 /* An object with its unseen side: its n points (n, 3) in the table's frame, and behind them the same mirrored about the vertical line through the
  * middle of its top, where the camera cannot see, with their weights and how certainly they are hidden.
  *
- * share: of the points above what counts as the top. shift (2): of the grasps. completed (2 n, 3): from the centre of mass, shifted. shares (2 n): their
+ * top: height of the top, NaN where nothing is to be mirrored. shift (2): of the grasps. completed (2 n, 3): from the centre of mass, shifted. shares (2 n): their
  * weights, 0 where no hand reaches. found (3): their number, -1 where they are too far apart or there is no memory; and the place of that centre. */
-void complete_object(const double *points, const double *weights, int64_t n, double share, const double *shift, const double *camera, const float *nearest,
+void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift, const double *camera, const float *nearest,
                      const float *inside, int64_t rows, int64_t columns, double *completed, double *shares, double *found) {
     const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
-    int64_t size = n, certain = 0;
+    int64_t size = n;
     double centre[2];
     memcpy(completed, points, (size_t)n * 3 * sizeof(double));
     memcpy(shares, weights, (size_t)n * sizeof(double));
-    for (int64_t i = 0; i < n && rows > 0; i++) {
-        completed[3 * n + certain] = points[3 * i + 2]; /* room for the mirrored points */
-        certain += weights[i] > 0.5;
-    }
     found[0] = -1.0;
-    if (certain) {
-        const double top = smallest(completed + 3 * n, certain, (int64_t)((1.0 - share) * (double)(certain - 1)));
+    if (rows > 0 && !isnan(top)) {
         const double below = TOP_SHARE * top > TOP_M ? TOP_SHARE * top : TOP_M;
         if (!centre_of_columns(points, weights, n, TOP_CELL_M, top - 1.5 * below, top - 0.5 * below, centre)) {
             return;

@@ -25,12 +25,11 @@ def outline(points, n: int, grid, rows: int, columns: int, nearest, inside) -> N
 
 
 def complete_object(
-    points, weights, n, share, shift, camera, nearest, inside, rows, columns, completed, shares, found
+    points, weights, n, top, shift, camera, nearest, inside, rows, columns, completed, shares, found
 ) -> None:
     """See the kernel, whose arguments these are."""
     xyz, weight, certain = points[:n], weights[:n], weights[:n] > 0.5
-    if rows and certain.any():
-        top = np.sort(points[:n][certain, 2])[int((1.0 - share) * (certain.sum() - 1))]
+    if rows and not np.isnan(top):
         below = max(0.12 * top, 0.004)
         places, highest = _columns(points[:n][certain], 0.003)
         upper = _smooth(highest, top - 1.5 * below, top - 0.5 * below)
