@@ -16,7 +16,6 @@ from foretouch.cloud.geometry.pcl_filters import (
     normals_and_curvature,
     voxel_grid,
 )
-from foretouch.cloud.segmentation import identity
 from foretouch.errors import CloudError
 from foretouch.grasp import preprocessing
 from foretouch.types import Float32
@@ -129,14 +128,6 @@ def test_voxels_and_canonical_order(rng: np.random.Generator) -> None:
             np.testing.assert_array_equal(preprocessing._canonical_order(points), reference.canonical_order(points))
 
     every_case(HARD, check)
-
-
-def test_labels_are_renamed(rng: np.random.Generator) -> None:
-    names = np.array([0, 7, 1, 2**31 - 2], np.int32)
-    labels = rng.integers(-1, 6, (13, 37), np.int32)
-    renamed = np.empty_like(labels)
-    identity._rename_labels(labels, labels.size, names, len(names), renamed)
-    np.testing.assert_array_equal(renamed, np.where((labels > 0) & (labels < 4), names[labels.clip(0, 3)], 0))
 
 
 def test_any_numbers_are_read_without_a_fault(rng: np.random.Generator) -> None:

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What is done with all points or pixels of a cloud, for cloud/geometry and cloud/segmentation. */
+/* Measures of all points of a cloud, for cloud/geometry. */
 #include "kernels.h"
 
 /* Mean (3) of points (n, 3), n > 0, summed in their order; columns (3, n) from it; mean products (3, 3) of two columns. */
@@ -39,20 +39,5 @@ VECTORISED void bounds(const float *points, int64_t n, double *low, double *high
     }
     for (int axis = 0; axis < 3; axis++) {
         low[axis] = least[axis], high[axis] = most[axis];
-    }
-}
-
-/* Labels (n) replaced by their names; 0 where there are fewer names. Most are 0. */
-VECTORISED void rename_labels(const int32_t *labels, int64_t n, const int32_t *names, int64_t count, int32_t *renamed) {
-    memset(renamed, 0, (size_t)n * sizeof *renamed);
-    for (int64_t first = 0; first < n; first += 16) {
-        const int64_t end = first + 16 < n ? first + 16 : n;
-        int32_t any = 0;
-        for (int64_t i = first; i < end; i++) {
-            any |= labels[i];
-        }
-        for (int64_t i = first; i < end && any; i++) {
-            renamed[i] = labels[i] > 0 && labels[i] < count ? names[labels[i]] : 0;
-        }
     }
 }

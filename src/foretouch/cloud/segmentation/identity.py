@@ -14,10 +14,7 @@ import numpy as np
 
 from foretouch.cloud.segmentation.objects import ObjectSegment
 from foretouch.cloud.segmentation.segment import Segmentation
-from foretouch.kernels import Kernel
 from foretouch.types import Float64, Int32, Int64
-
-_rename_labels = Kernel("rename_labels", np.int32, int, np.int32, int, np.int32)
 
 _SAME_PLACE_M: Final = 0.03  # between the centroids of an object in two clouds
 _REMEMBERED: Final = 90  # clouds without the object: 3 s at 30 Hz
@@ -56,10 +53,8 @@ class ObjectIdentity:
         shape = found.labels.shape
         self._seen |= {one.id: _Seen(one.pixels, one.centroid, shape, self._clouds) for one in objects}
         self._seen = {id_: one for id_, one in self._seen.items() if self._clouds - one.at < _REMEMBERED}
-        labels = found.labels
-        if not np.array_equal(names, np.arange(len(names))):
-            labels = np.empty(found.labels.shape, np.int32)
-            _rename_labels(np.ascontiguousarray(found.labels), labels.size, names, len(names), labels)
+        # A third of the time of names[labels].
+        labels = found.labels if np.array_equal(names, np.arange(len(names))) else names.take(found.labels, mode="clip")
         return replace(
             found, objects=objects, labels=labels, counts=found.counts | {"new_ids": len(objects) - len(known)}
         )
