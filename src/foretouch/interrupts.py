@@ -32,7 +32,7 @@ def end_at_once() -> None:
     if signal.getsignal(signal.SIGALRM) is _on_timer:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number in _SIGNALS:
-        if signal.getsignal(number) is _on_signal:
+        if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
 
 

@@ -8,7 +8,9 @@ from collections.abc import Callable
 from typing import Final, Generic, Literal, TypeVar
 
 _BUSY_S: Final = 0.5  # for which something may wait without a pause until the receiver counts as late
-_CLEAN: Final = 50  # items put without a drop that make up for a dropped one: a loss of 2 % keeps the receiver late
+_LATE_S: Final = (
+    20.0  # for which it then counts as late: to find out that it is still so makes half a second of items old
+)
 _Item = TypeVar("_Item")
 
 
@@ -20,7 +22,7 @@ class BoundedQueue(Generic[_Item]):
         when_full: `drop_oldest` makes room for the new item, `reject` drops the new item, `wait` blocks its sender.
         size_of: Size of an item, such as its bytes; None counts each item as 1.
         patience_s: Where an item has waited for longer than this [s], or some have for half a second without a pause, only the
-            newest waits until the receiver keeps up again. A shorter pause of it loses nothing. 0 for no such limit.
+            newest waits for the next 20 s. A shorter pause of it loses nothing. 0 for no such limit.
         on_drop: Called with each dropped item and the reason. The queue is locked meanwhile: return at once.
     """
 
@@ -44,7 +46,7 @@ class BoundedQueue(Generic[_Item]):
         self._since: deque[float] = deque()  # when each was put, `time.monotonic` [s]
         self._size = 0
         self._empty_s = 0.0  # when it was last empty, `time.monotonic` [s]
-        self._to_make_up = 0  # items to be put without dropping one until the receiver keeps up
+        self._late_until_s = 0.0  # `time.monotonic` [s]
         self._closed_reason = ""
 
     def put(self, item: _Item) -> bool:
@@ -100,15 +102,13 @@ class BoundedQueue(Generic[_Item]):
         return self.capacity is None or self._size + size <= self.capacity
 
     def _is_late(self) -> bool:
-        """Whether the receiver does not keep up, as an item is put."""
+        """Whether the receiver does not keep up, as an item is put, so that only the newest one waits."""
         now = time.monotonic()
-        if not self._items:
+        if not self._items or now < self._late_until_s:
             self._empty_s = now
-        waits = self._items and (now - self._since[0] > self._patience_s or now - self._empty_s > _BUSY_S)
-        if not self._patience_s or not (waits or self._to_make_up):
-            return False
-        self._to_make_up = min(self._to_make_up + _CLEAN, 2 * _CLEAN) if self._items else self._to_make_up - 1
-        return True
+        elif self._patience_s and (now - self._since[0] > self._patience_s or now - self._empty_s > _BUSY_S):
+            self._late_until_s = now + _LATE_S
+        return now < self._late_until_s
 
     def _wait(self, timeout_s: float | None) -> None:
         self._changed.wait_for(lambda: self._items or self._closed_reason, timeout_s)

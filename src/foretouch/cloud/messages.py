@@ -65,7 +65,7 @@ def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
     """The fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
     layout, data = encode(cloud)
     header = header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name)
-    return SimpleNamespace(header=header, data=np.frombuffer(data, np.uint8), **vars(layout))
+    return SimpleNamespace(header=header, data=data, **vars(layout))
 
 
 class ObjectCloud(NamedTuple):

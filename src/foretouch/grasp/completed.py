@@ -36,8 +36,10 @@ _closing_lines = Kernel(
     *(np.float64, int, np.float64),
 )
 _outline = Kernel("outline", np.float64, int, np.float64, int, int, np.float32, np.float32)
-_hidden_points = Kernel(
-    "hidden_points", np.float64, int, float, np.float64, np.float32, np.float32, int, int, np.float64
+_complete_object = Kernel(
+    "complete_object",
+    *(np.float64, np.float64, int, float, np.float64, np.float64, np.float32, np.float32, int, int),
+    *(np.float64, np.float64, np.float64),
 )
 
 _ANGLES = 24  # directions in half a turn
@@ -45,13 +47,8 @@ _LINES = 17  # in each direction, next to the centre
 _STEP_M = 0.004  # from one line to the next; a line takes the points up to twice that beside it, with falling weight
 _NEAR = 2  # lines and directions on either side, of which the best grasp is a mean
 _END_SHARE = 0.03  # of the points of a line that are beyond either end
-_TOP_SHARE, _TOP_M = 0.12, 0.004  # of the height, and at least: what counts as the top of an object
-_TOP_CELL_M, _MASS_CELL_M = 0.003, 0.004  # of the grids for the middle of the top, and for the centre of mass
 _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
-_BEHIND_M = 0.004  # behind the seen surface, from where on a mirrored point is unseen
-_MOST_CELLS = 4e6  # of such a grid
-_FAR_M = 0.6  # from the centre: no hand reaches it
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
 _ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
@@ -65,12 +62,23 @@ _HOLLOW = 3.0  # cost of a line whose ends the camera sees through
 _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
 _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
-_BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
+_BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
+
+_ANGLE = np.pi * np.arange(_ANGLES) / _ANGLES  # (24,) [rad]
+_OFFSET = _STEP_M * (np.arange(_LINES) - _LINES // 2)  # (17,) [m]
+_PLACE_COST = (_OFFSET / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(_ANGLE))[:, None] + _BIAS * _OFFSET
+_TURNS, _STEPS = np.meshgrid(np.arange(-_NEAR, _NEAR + 1), np.arange(-_NEAR, _NEAR + 1), indexing="ij")
+# Means with two neighbours on either side: of the directions, with two of the other end before and after; of the places, whose last ones repeat.
+_MEAN_OF_ANGLES = np.stack([np.pad(_BINOMIAL, (k, _ANGLES - 1 - k)) for k in range(_ANGLES)])
+_MEAN_OF_LINES = np.stack([np.pad(_BINOMIAL, (k, _LINES - 1 - k)) for k in range(_LINES)], axis=1)
+_MEAN_OF_LINES = np.concatenate(
+    [_MEAN_OF_LINES[:3].sum(axis=0)[None], _MEAN_OF_LINES[3:-3], _MEAN_OF_LINES[-3:].sum(axis=0)[None]]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +99,7 @@ class Obstacles:
 
     def without(self, object_id: str) -> "Obstacles":
         """The obstacles for grasps on one object: all others."""
-        others = np.array([str(one) != object_id for one in self.object_ids.tolist()], np.bool_)
+        others = self.object_ids != (int(object_id) if object_id.isdecimal() else -1)
         return Obstacles(self.xyz[others], self.object_ids[others])
 
 
@@ -149,27 +157,27 @@ class CompletedObject:
         seen = (points.xyz - self._foot) @ self._basis.T
         eye = -self._foot @ self._basis.T
         self._horizontal = float(np.hypot(eye[0], eye[1]) / max(np.linalg.norm(eye), 1e-9)) if self._in_view else 1.0
-        mirrored = self._mirrored(seen)
-        self.n_completed = len(mirrored[1])
-        xyz, self._weights = np.vstack([seen, mirrored[0]]), np.concatenate([points.inlier, mirrored[1]])
-        shift = self._basis @ shift
-        centre = np.append(_centre_of_mass(xyz, self._weights) + shift[:2], 0.0)
-        self._foot, self._shift_m = self._foot + centre @ self._basis, float(shift[2])
-        self._xyz = np.ascontiguousarray(xyz - centre)
-        near = (np.abs(self._xyz[:, :2]) < _FAR_M).all(axis=1)
-        self._weights = np.where(near, self._weights, 0.0)
+        n, shift, found = len(seen), self._basis @ shift, np.empty(3)
+        xyz, weights = np.empty((2 * n, 3)), np.empty(2 * n)
+        heights = seen[points.inlier > 0.5, 2]
+        top = _quantile(heights, 1.0 - _END_SHARE) if len(heights) else np.nan
+        _complete_object(seen, points.inlier, n, top, shift, *self._camera(), xyz, weights, found)
+        size = int(found[0])
+        if size < 0:
+            raise CloudError("xyz: the points of the object are too far apart")
+        self.n_completed, self._xyz, self._weights = size - n, xyz[:size], weights[:size]
+        self._foot, self._shift_m = self._foot + np.append(found[1:], 0.0) @ self._basis, float(shift[2])
 
     @cached_property
     def _seen(self) -> tuple[Float64, Float32, Float32]:
         """A grid over the object's image: column, row and pitch; and as `outline` finds them, `nearest` [m] and `inside`."""
-        xyz = self._points.xyz
-        place = xyz[:, :2] / xyz[:, 2:]
-        pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / xyz[:, 2])))
-        low = place.min(axis=0) - 4.0 * pitch
-        columns, rows = (np.floor((place.max(axis=0) - low) / pitch).astype(np.int64) + 5).tolist()
-        nearest, inside = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
-        grid = np.array([*low, pitch])
-        _outline(xyz, len(xyz), grid, rows, columns, nearest, inside)
+        x, y, z = self._points.xyz.T.copy()  # reductions along rows of three are slow
+        pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / z)))
+        columns, rows = x / z, y / z
+        grid = np.array([columns.min() - 4.0 * pitch, rows.min() - 4.0 * pitch, pitch])
+        shape = int((rows.max() - grid[1]) / pitch) + 5, int((columns.max() - grid[0]) / pitch) + 5
+        nearest, inside = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        _outline(self._points.xyz, len(z), grid, *shape, nearest, inside)
         if np.isnan(inside[0, 0]):
             raise MemoryError("outline")
         return grid, nearest, inside
@@ -180,26 +188,6 @@ class CompletedObject:
             return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
         grid, nearest, inside = self._seen
         return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
-
-    def _mirrored(self, seen: Float64) -> tuple[Float64, Float64]:
-        """Points mirrored about the vertical line through the middle of the top, where the camera cannot see; and their weights."""
-        if not self._in_view:
-            return np.empty((0, 3)), np.empty(0)
-        weight, height = self._points.inlier, seen[:, 2]
-        certain = weight > 0.5
-        if not certain.any():
-            return np.empty((0, 3)), np.empty(0)
-        top = _quantile(height[certain], 1.0 - _END_SHARE)
-        below = max(_TOP_SHARE * top, _TOP_M)
-        places, highest = _filled_cells(seen[certain], _TOP_CELL_M)
-        upper = smoothstep(highest, top - 1.5 * below, top - 0.5 * below)
-        middle = upper @ places / upper.sum()
-        other = seen * np.array([-1.0, -1.0, 1.0]) + np.append(2.0 * middle, 0.0)
-        hidden = np.empty(len(other))
-        _hidden_points(other, len(other), _BEHIND_M, *self._camera(), hidden)
-        weight = weight * hidden
-        kept = weight > 0.0
-        return other[kept], weight[kept]
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
         """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
@@ -219,10 +207,10 @@ class CompletedObject:
     def lines(self) -> ClosingLines:
         """All closing lines with their costs."""
         turns = np.zeros((_ANGLES, 3))
-        turns[:, 0], turns[:, 2] = np.pi * np.arange(_ANGLES) / _ANGLES, np.nan
-        found = self._close(turns, _LINES)
-        low, high, height, top, blocker, solid = np.moveaxis(found, 2, 0)
-        slope, refused = np.stack([_slopes(low), _slopes(high)]), self._refused(found)
+        turns[:, 0], turns[:, 2] = _ANGLE, np.nan
+        found = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
+        low, high, height, top, blocker, solid = found
+        slope, refused = _slopes(found[:2]), self._refused(found)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
@@ -238,8 +226,8 @@ class CompletedObject:
         )
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
-        """Which lines (..., 6) of `_close` the hand cannot execute, by the names of `REASONS`."""
-        low, high, height, top, blocker, _ = np.moveaxis(found, -1, 0)
+        """Which lines (6, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        low, high, height, top, blocker, _ = found
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius_m),
             "n_too_wide": high - low > self._hand.opening_m,
@@ -249,31 +237,28 @@ class CompletedObject:
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64) -> Float64:
         """What speaks against each line, with the slopes of both ends (2, ...) and how certainly the object is there; the smallest is the best."""
-        offset = _STEP_M * (np.arange(_LINES) - _LINES // 2)
-        angle = np.pi * np.arange(_ANGLES) / _ANGLES
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
-        cost += (offset / _DISTANCE_M) ** 2 + _ACROSS * np.abs(np.cos(angle))[:, None] + _HOLLOW * (1.0 - solid)
+        cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         opening_m = self._hand.opening_m
-        return np.asarray(cost + _BIAS * offset + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
+        return np.asarray(cost + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
         values = (one[angle, line] for one in (lines.low, lines.high, lines.height))
-        return self._ends(np.pi * angle / _ANGLES, _STEP_M * (line - _LINES // 2), *values)
+        return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
     def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """The contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
-        turns, steps = np.meshgrid(np.arange(-_NEAR, _NEAR + 1), np.arange(-_NEAR, _NEAR + 1), indexing="ij")
-        half, rows = np.divmod(angle + turns, _ANGLES)
-        columns = np.where(half % 2 == 0, line + steps, _LINES - 1 - (line + steps))
+        half, rows = np.divmod(angle + _TURNS, _ANGLES)
+        columns = np.where(half % 2 == 0, line + _STEPS, _LINES - 1 - (line + _STEPS))
         inside = (columns >= 0) & (columns < _LINES)
         cost = np.where(inside, lines.cost[rows, np.clip(columns, 0, _LINES - 1)], np.inf)
         weight = np.exp(-np.minimum((cost - lines.cost[angle, line]) / _SOFT, 700.0)) * np.isfinite(cost)
         around = 1.0 * np.isfinite(cost)
         heights = np.where(np.isfinite(cost), lines.height[rows, np.clip(columns, 0, _LINES - 1)], 0.0)
         weight /= weight.sum()
-        turn = np.pi * (angle + float((weight * turns).sum())) / _ANGLES
-        beside_m = _STEP_M * (line - _LINES // 2 + float((weight * steps).sum()))
+        turn = np.pi * (angle + float((weight * _TURNS).sum())) / _ANGLES
+        beside_m = _STEP_M * (line - _LINES // 2 + float((weight * _STEPS).sum()))
         found = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
         if any(one.any() for one in self._refused(found).values()):
             return self.contacts(lines, angle, line)
@@ -303,9 +288,7 @@ def _final(cost: Float64, left: Bool, wide: Bool) -> Float64:
 def _smoothed(cost: Float64) -> Float64:
     """Costs averaged with those of two neighbours on every side, so that noise does not decide; half a turn reverses the places."""
     around = np.concatenate([cost[-2:, ::-1], cost, cost[:2, ::-1]])
-    cost = np.sum([weight * around[k : k + len(cost)] for k, weight in enumerate(_BINOMIAL)], axis=0)
-    beside = np.concatenate([cost[:, :1], cost[:, :1], cost, cost[:, -1:], cost[:, -1:]], axis=1)
-    return np.asarray(np.sum([weight * beside[:, k : k + _LINES] for k, weight in enumerate(_BINOMIAL)], axis=0))
+    return np.asarray(_MEAN_OF_ANGLES @ around @ _MEAN_OF_LINES, np.float64)
 
 
 def _table_basis(plane: Plane, centroid: Float64, in_view: bool) -> Float64:
@@ -336,36 +319,14 @@ def _quantile(values: Float64, share: float) -> float:
     return float(np.partition(values, k)[k])
 
 
-def _filled_cells(xyz: Float64, cell_m: float) -> tuple[Float64, Float64]:
-    """(M, 2) and (M,) float64 [m]: centres of the cells of a grid over the table with (N, 3) points, and the highest point of each."""
-    cells = np.floor(xyz[:, :2] / cell_m)
-    low = cells.min(axis=0)
-    rows, columns = (cells - low).astype(np.int64).T
-    width = int(columns.max()) + 1
-    if not float(rows.max() + 1) * width < _MOST_CELLS:
-        raise CloudError("xyz: the points of the object are too far apart")
-    highest = np.full((int(rows.max()) + 1) * width, -np.inf)
-    np.maximum.at(highest, rows * width + columns, xyz[:, 2])
-    filled = np.flatnonzero(highest > -np.inf)
-    return (np.stack(np.divmod(filled, width), axis=1) + low + 0.5) * cell_m, highest[filled]
-
-
-def _centre_of_mass(xyz: Float64, weights: Float64) -> Float64:
-    """(2,) float64 [m]: centre of columns from the table to the highest point in each cell of a grid."""
-    inside = weights > 0.5
-    places, highest = _filled_cells(xyz[inside] if inside.any() else xyz, _MASS_CELL_M)
-    mass = np.maximum(highest, 1e-6)
-    return np.asarray(mass @ places / mass.sum(), np.float64)
-
-
 def _slopes(ends: Float64) -> Float64:
-    """Root mean square slope from the ends of the lines to those of the second neighbours; 1 where one is unknown.
+    """Root mean square slope from (..., 17) ends of the lines to those of the second neighbours; 1 where one is unknown.
 
     A fitted line would hide a corner, whose two sides fall away from it.
     """
     slopes = np.full((2, *ends.shape), np.nan)
-    slopes[0, :, _NEAR:] = (ends[:, _NEAR:] - ends[:, :-_NEAR]) / (_NEAR * _STEP_M)
-    slopes[1, :, :-_NEAR] = slopes[0, :, _NEAR:]
+    slopes[0, ..., _NEAR:] = (ends[..., _NEAR:] - ends[..., :-_NEAR]) / (_NEAR * _STEP_M)
+    slopes[1, ..., :-_NEAR] = slopes[0, ..., _NEAR:]
     return np.asarray(np.nan_to_num(np.sqrt((slopes * slopes).mean(axis=0)), nan=1.0), np.float64)
 
 

@@ -46,7 +46,7 @@ class ObjectFrame:
 
 def smoothstep(values: Floating, low: float, high: float) -> Float64:
     """0 below `low`, 1 above `high`, with a continuous slope between."""
-    t = np.clip((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0, 1.0)
+    t = np.minimum(np.maximum((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0), 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t), np.float64)
 
 

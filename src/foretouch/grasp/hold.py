@@ -104,5 +104,5 @@ def _measure(cloud: Cloud) -> tuple[Float64, Float64]:
         xyz = xyz[np.isfinite(xyz).all(axis=1)]
     if len(xyz) == 0:
         return np.full(3, np.inf), np.full(3, np.inf)
-    centroid, columns = centred_columns(xyz)
+    centroid, columns, _ = centred_columns(xyz)
     return centroid, np.abs(columns).mean(axis=1)

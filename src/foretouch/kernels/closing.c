@@ -17,16 +17,24 @@
 #define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
 #define FOUND 6         /* values of a line */
+#define TOP_SHARE 0.12    /* of the height, and at least TOP_M: what counts as the top of an object */
+#define TOP_M 0.004
+#define TOP_CELL_M 0.003  /* of the grid for the middle of the top */
+#define MASS_CELL_M 0.004 /* of that for the centre of mass */
+#define MOST_CELLS 4e6    /* of such a grid */
+#define BEHIND_M 0.004    /* behind the seen surface, from where on a mirrored point is unseen */
+#define FAR_M 0.6         /* from the centre: no hand reaches it */
 
 typedef struct {
     const double *camera; /* rotation (9) and origin (3) of the table's frame in the camera's; column, row and pitch of the grid */
     const float *nearest; /* (rows, columns) depth of the nearest point of a cell, infinite in a gap */
     const float *inside;  /* (rows, columns) how certainly a cell is inside of the outline, 0 ... 1 */
     int64_t rows, columns;
+    double per_cell; /* 1 / pitch */
 } Outline;
 
 INLINE double smooth(double value, double low, double high) {
-    const double t = (value - low) / (high - low), inside = t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t);
+    const double t = (value - low) * (1.0 / (high - low)), inside = t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t);
     return inside * inside * (3.0 - 2.0 * inside);
 }
 
@@ -85,8 +93,9 @@ INLINE double hidden_by(const Outline *seen, double x, double y, double z, doubl
     if (!(depth > 0.0)) {
         return 0.0;
     }
-    const double column = floor(((c[0] * x + c[1] * y + c[2] * z + c[9]) / depth - c[12]) / c[14]);
-    const double row = floor(((c[3] * x + c[4] * y + c[5] * z + c[10]) / depth - c[13]) / c[14]);
+    const double near = 1.0 / depth;
+    const double column = ((c[0] * x + c[1] * y + c[2] * z + c[9]) * near - c[12]) * seen->per_cell;
+    const double row = ((c[3] * x + c[4] * y + c[5] * z + c[10]) * near - c[13]) * seen->per_cell;
     if (!(column >= 0.0 && row >= 0.0 && column < (double)seen->columns && row < (double)seen->rows)) {
         return 0.0;
     }
@@ -96,13 +105,81 @@ INLINE double hidden_by(const Outline *seen, double x, double y, double z, doubl
     return (double)seen->inside[cell] * smooth(behind, depth_behind - FADE_M, depth_behind + FADE_M);
 }
 
-/* hidden (n): how certainly the object hides each of the points (n, 3) from the camera, 0 ... 1, around a depth behind it. */
-void hidden_points(const double *points, int64_t n, double depth, const double *camera, const float *nearest, const float *inside,
-                   int64_t rows, int64_t columns, double *hidden) {
-    const Outline seen = {camera, nearest, inside, rows, columns};
+/* The centre (2) of columns over the table under the n points (n, 3) with weights above 0.5, or of all without such: one in each cell of a grid, as
+ * high as its highest point, weighing its height, or 0 below one height to 1 above another. 0 where the grid is too large, or without memory. */
+INLINE int centre_of_columns(const double *points, const double *weights, int64_t n, double cell_m, double low, double high, double *centre) {
+    double from[2] = {INFINITY, INFINITY}, to[2] = {-INFINITY, -INFINITY}, sums[3] = {0.0, 0.0, 0.0};
+    int all = 1;
     for (int64_t i = 0; i < n; i++) {
-        hidden[i] = hidden_by(&seen, points[3 * i], points[3 * i + 1], points[3 * i + 2], depth);
+        all = all && !(weights[i] > 0.5);
     }
+    for (int64_t i = 0; i < n; i++) {
+        for (int axis = 0; axis < 2 && (all || weights[i] > 0.5); axis++) {
+            const double cell = floor(points[3 * i + axis] / cell_m);
+            from[axis] = cell < from[axis] ? cell : from[axis], to[axis] = cell > to[axis] ? cell : to[axis];
+        }
+    }
+    const double rows = to[0] - from[0] + 1.0, columns = to[1] - from[1] + 1.0;
+    double *highest = rows * columns < MOST_CELLS ? malloc((size_t)(rows * columns) * sizeof(double)) : NULL;
+    if (!highest) {
+        return 0;
+    }
+    for (int64_t cell = 0; cell < (int64_t)(rows * columns); cell++) {
+        highest[cell] = -INFINITY;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        if (all || weights[i] > 0.5) {
+            const double row = floor(points[3 * i] / cell_m) - from[0], column = floor(points[3 * i + 1] / cell_m) - from[1];
+            double *one = highest + (int64_t)(row * columns + column);
+            *one = points[3 * i + 2] > *one ? points[3 * i + 2] : *one;
+        }
+    }
+    for (int64_t cell = 0; cell < (int64_t)(rows * columns); cell++) {
+        if (highest[cell] > -INFINITY) {
+            const double mass = low < high ? smooth(highest[cell], low, high) : (highest[cell] > 1e-6 ? highest[cell] : 1e-6);
+            const double row = (double)(cell / (int64_t)columns), column = (double)(cell % (int64_t)columns);
+            sums[0] += mass, sums[1] += mass * (row + from[0] + 0.5) * cell_m, sums[2] += mass * (column + from[1] + 0.5) * cell_m;
+        }
+    }
+    free(highest);
+    centre[0] = sums[1] / sums[0], centre[1] = sums[2] / sums[0];
+    return 1;
+}
+
+/* An object with its unseen side: its n points (n, 3) in the table's frame, and behind them the same mirrored about the vertical line through the
+ * middle of its top, where the camera cannot see, with their weights and how certainly they are hidden.
+ *
+ * top: height of the top, NaN where nothing is to be mirrored. shift (2): of the grasps. completed (2 n, 3): from the centre of mass, shifted. shares (2 n): their
+ * weights, 0 where no hand reaches. found (3): their number, -1 where they are too far apart or there is no memory; and the place of that centre. */
+void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift, const double *camera, const float *nearest,
+                     const float *inside, int64_t rows, int64_t columns, double *completed, double *shares, double *found) {
+    const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
+    int64_t size = n;
+    double centre[2];
+    memcpy(completed, points, (size_t)n * 3 * sizeof(double));
+    memcpy(shares, weights, (size_t)n * sizeof(double));
+    found[0] = -1.0;
+    if (rows > 0 && !isnan(top)) {
+        const double below = TOP_SHARE * top > TOP_M ? TOP_SHARE * top : TOP_M;
+        if (!centre_of_columns(points, weights, n, TOP_CELL_M, top - 1.5 * below, top - 0.5 * below, centre)) {
+            return;
+        }
+        for (int64_t i = 0; i < n; i++) {
+            double *one = completed + 3 * size;
+            one[0] = 2.0 * centre[0] - points[3 * i], one[1] = 2.0 * centre[1] - points[3 * i + 1], one[2] = points[3 * i + 2];
+            shares[size] = weights[i] * hidden_by(&seen, one[0], one[1], one[2], BEHIND_M);
+            size += shares[size] > 0.0;
+        }
+    }
+    if (!centre_of_columns(completed, shares, size, MASS_CELL_M, 0.0, 0.0, centre)) {
+        return;
+    }
+    centre[0] += shift[0], centre[1] += shift[1];
+    for (int64_t i = 0; i < size; i++) {
+        completed[3 * i] -= centre[0], completed[3 * i + 1] -= centre[1];
+        shares[i] = fabs(completed[3 * i]) < FAR_M && fabs(completed[3 * i + 1]) < FAR_M ? shares[i] : 0.0;
+    }
+    found[0] = (double)size, found[1] = centre[0], found[2] = centre[1];
 }
 
 typedef struct {
@@ -110,11 +187,6 @@ typedef struct {
     int64_t from, to; /* bins in use */
     double total;
 } Histogram;
-
-INLINE void clear(Histogram *one, int64_t from, int64_t to) {
-    one->from = from, one->to = to, one->total = 0.0;
-    memset(one->bins + from, 0, (size_t)(to - from + 1) * sizeof(float));
-}
 
 /* Interpolated quantile, in bins. */
 INLINE double quantile(const Histogram *one, double share) {
@@ -144,26 +216,83 @@ INLINE double mean_quantile(const Histogram *one, double first, double last, int
     return to > from ? sum / (to - from) : (double)one->to;
 }
 
-/* The points of one strip, which lie one after the other. */
-typedef struct {
-    const float *along, *height, *weight;
-    int64_t n, first, last; /* number of points; first and last bin along the line */
-    float *faded;           /* place for n weights */
-} Strip;
+/* The sum of a histogram's bins. */
+INLINE void add_up(Histogram *one) {
+    float8 sum = {0.0f};
+    int64_t i = one->from;
+    for (; i + 7 <= one->to; i += 8) {
+        sum += *(const float8u *)(one->bins + i);
+    }
+    float left = ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
+    for (; i <= one->to; i++) {
+        left += one->bins[i];
+    }
+    one->total = left;
+}
 
-/* Ends of a strip along its line: quantiles of the points above a height [bins]. */
-INLINE void ends(const Strip *one, Histogram *bins, float above, double share, double *low, double *high) {
-    float total = 0.0f;
-    clear(bins, one->first, one->last);
-    for (int64_t i = 0; i < one->n; i++) {
-        const float part = (one->height[i] - above) / FADE + 0.5f, positive = part < 0.0f ? 0.0f : part;
-        one->faded[i] = one->weight[i] * (positive > 1.0f ? 1.0f : positive);
+/* The points sorted by strips of one step, and two histograms of each strip.
+ *
+ * A line takes the points of four strips. Their weights rise over the first two and fall over the others, so that they follow from two sums for
+ * each bin: over the parts of a step by which points are behind the beginning of their strip, and over what is missing to whole steps. */
+typedef struct {
+    const float *along, *height, *weight, *across;
+    const int64_t *start, *least, *most; /* of each strip: its first point, and its first and last bin along the line */
+    float *heights, *alongs;             /* (strips, HEIGHTS + 8, 2) and (strips, ALONGS, 2): both sums */
+    float *faded;                        /* place for the weights of all points */
+} Strips;
+
+/* The histograms of a strip, of the bins up to a height, and from one to another along the line; also its first and last bin there. */
+INLINE void add_strip(const Strips *all, int64_t strip, int64_t highest, int64_t first, int64_t last, int64_t *least, int64_t *most) {
+    float *heights = all->heights + strip * (HEIGHTS + 8) * 2, *alongs = all->alongs + strip * ALONGS * 2;
+    memset(heights, 0, (size_t)(highest + 2) * 2 * sizeof(float));
+    memset(alongs + 2 * first, 0, (size_t)(last - first + 1) * 2 * sizeof(float));
+    *least = ALONGS, *most = 0;
+    for (int64_t i = all->start[strip]; i < all->start[strip + 1]; i++) {
+        const float behind = all->weight[i] * (all->across[i] - (float)strip), missing = all->weight[i] - behind;
+        /* Shared by two bins: depth comes in whole millimetres, which are borders of bins. */
+        const float at = all->height[i] < 0.5f ? 0.0f : all->height[i] - 0.5f, part = at - (float)(int32_t)at;
+        const float4 one = {behind, missing, behind, missing}, parts = {1.0f - part, 1.0f - part, part, part};
+        *(float4u *)(heights + 2 * (int32_t)at) += one * parts;
+        const int64_t bin = (int32_t)all->along[i];
+        alongs[2 * bin] += behind, alongs[2 * bin + 1] += missing;
+        *least = bin < *least ? bin : *least, *most = bin > *most ? bin : *most;
     }
-    for (int64_t i = 0; i < one->n; i++) {
-        bins->bins[(int32_t)one->along[i]] += one->faded[i];
-        total += one->faded[i];
+}
+
+/* The histogram of a line over the bins that it has, from those (width, 2) of its four strips. */
+INLINE void add_strips(const float *sums, int64_t width, Histogram *line) {
+    const float8 first = {0.5f, 0.0f, 0.5f, 0.0f, 0.5f, 0.0f, 0.5f, 0.0f}, second = {1.0f, 0.5f, 1.0f, 0.5f, 1.0f, 0.5f, 1.0f, 0.5f};
+    const float8 third = {0.5f, 1.0f, 0.5f, 1.0f, 0.5f, 1.0f, 0.5f, 1.0f}, fourth = {0.0f, 0.5f, 0.0f, 0.5f, 0.0f, 0.5f, 0.0f, 0.5f};
+    for (int64_t i = line->from; i <= line->to; i += 8) {
+        float both[16];
+        for (int64_t k = 0; k < 16; k += 8) {
+            const float *at = sums + 2 * i + k;
+            const float8 rising = first * *(const float8u *)at + second * *(const float8u *)(at + 2 * width);
+            *(float8u *)(both + k) = rising + (third * *(const float8u *)(at + 4 * width) + fourth * *(const float8u *)(at + 6 * width));
+        }
+        for (int64_t k = 0; k < 8; k++) {
+            line->bins[i + k] = both[2 * k] + both[2 * k + 1];
+        }
     }
-    bins->total = total;
+    add_up(line);
+}
+
+/* The histogram along a line, of the points from one to another above a height [bins]. */
+INLINE void add_points(const Strips *all, int64_t line, int64_t from, int64_t to, float above, Histogram *bins) {
+    memset(bins->bins + bins->from, 0, (size_t)(bins->to - bins->from + 1) * sizeof(float));
+    for (int64_t i = from; i < to; i++) { /* a point on the line counts once, one two steps beside it not at all */
+        const float part = (all->height[i] - above) * (1.0f / FADE) + 0.5f, positive = part < 0.0f ? 0.0f : part;
+        const float tent = all->weight[i] * (1.0f - 0.5f * fabsf(all->across[i] - (float)(line + 2)));
+        all->faded[i] = tent * (positive > 1.0f ? 1.0f : positive);
+    }
+    for (int64_t i = from; i < to; i++) {
+        bins->bins[(int32_t)all->along[i]] += all->faded[i];
+    }
+    add_up(bins);
+}
+
+/* Ends of an object along a line [bins], from the histogram along it. */
+INLINE void find_ends(const Histogram *bins, double share, double *low, double *high) {
     const double first = mean_quantile(bins, LEAST * share, MOST * share, 1);
     const double last = mean_quantile(bins, LEAST * share, MOST * share, -1);
     const double beyond = OUTWARDS * share * (last - first); /* of what an even density leaves beyond such a mean */
@@ -171,12 +300,13 @@ INLINE void ends(const Strip *one, Histogram *bins, float above, double share, d
     *high = last + beyond < ALONGS - 1.0 ? last + beyond : ALONGS - 1.0;
 }
 
-/* Mean height of the points of a strip around a place along its line [bins], the nearest with the largest weight. */
-INLINE double height_around(const Strip *one, double place, double reach) {
+/* Mean height of the points from one to another around a place along a line [bins], the nearest with the largest weight. */
+INLINE double height_around(const Strips *all, int64_t line, int64_t from, int64_t to, double place, double reach) {
     float sum = 0.0f, total = 1e-9f;
-    for (int64_t i = 0; i < one->n; i++) {
-        const float near = 1.0f - fabsf(one->along[i] - (float)place) / (float)reach, share = near < 0.0f ? 0.0f : near;
-        sum += one->weight[i] * share * one->height[i], total += one->weight[i] * share;
+    for (int64_t i = from; i < to; i++) {
+        const float near = 1.0f - fabsf(all->along[i] - (float)place) / (float)reach, share = near < 0.0f ? 0.0f : near;
+        const float weight = all->weight[i] * (1.0f - 0.5f * fabsf(all->across[i] - (float)(line + 2))) * share;
+        sum += weight * all->height[i], total += weight;
     }
     return (double)(sum / total);
 }
@@ -227,10 +357,11 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                               const double *others, int64_t m, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
-    const Outline seen = {camera, nearest, inside, rows, columns};
+    const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
-    float *memory = malloc(((size_t)n * 12 + HEIGHTS + ALONGS + 8) * sizeof(float));
-    int64_t *start = malloc((size_t)(bins + 1) * 3 * sizeof(int64_t)), used = 0, highest = 0;
+    const size_t sums = (size_t)bins * (HEIGHTS + 8 + ALONGS) * 2;
+    float *memory = malloc(((size_t)n * 12 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));
+    int64_t *start = malloc((size_t)(bins + 1) * 4 * sizeof(int64_t)), used = 0, highest = 0;
     for (int64_t i = 0; i < angles * lines * FOUND; i++) {
         found[i] = NAN;
     }
@@ -239,9 +370,11 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         return;
     }
     float *along = memory, *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
-    float *place = share_of + n, *beside = place + n, *across = beside + n, *tent = across + n, *faded = tent + n;
-    int64_t *least = start + bins + 1, *most = least + bins; /* bins along the line of the points in each strip of one step */
-    Histogram heights = {faded + n, 0, 0, 0.0}, alongs = {faded + n + HEIGHTS, 0, 0, 0.0};
+    float *place = share_of + n, *beside = place + n, *across = beside + n, *faded = across + n;
+    int32_t *strip = (int32_t *)(faded + n);
+    int64_t *least = start + bins + 3, *most = least + bins; /* bins along the line of the points in each strip of one step */
+    const Strips all = {along, height, weight, across, start, least, most, faded + 2 * n, faded + 2 * n + bins * (HEIGHTS + 8) * 2, faded};
+    Histogram heights = {faded + 2 * n + sums, 0, 0, 0.0}, alongs = {heights.bins + HEIGHTS + 16, 0, 0, 0.0};
     for (int64_t i = 0; i < n; i++) {
         if (weights[i] > 0.0) {
             const double bin = points[3 * i + 2] / (double)HEIGHT_M;
@@ -251,62 +384,56 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             used++;
         }
     }
+    heights.to = highest + 1;
     for (int64_t angle = 0; angle < angles; angle++) {
         const double c = cos(turns[3 * angle]), s = sin(turns[3 * angle]), beside_m = turns[3 * angle + 1];
         const float c_place = (float)c / ALONG_M, s_place = (float)s / ALONG_M, c_line = (float)(c / step), s_line = (float)(s / step);
         const float first = (float)((double)(bins / 2) - beside_m / step), last = (float)bins;
-        memset(start, 0, (size_t)(bins + 1) * sizeof(int64_t));
+        memset(start, 0, (size_t)(bins + 3) * sizeof(int64_t));
+        int32_t from_bin = ALONGS - 1, to_bin = 0;
         for (int64_t i = 0; i < used; i++) {
             const float value = x[i] * c_place + y[i] * s_place + (float)middle;
-            place[i] = value < 0.0f ? 0.0f : (value > ALONGS - 1.0f ? ALONGS - 1.0f : value);
+            place[i] = value > 0.0f ? (value < ALONGS - 1.0f ? value : ALONGS - 1.0f) : 0.0f;
             beside[i] = y[i] * c_line - x[i] * s_line + first;
+            strip[i] = beside[i] >= 0.0f && beside[i] < last ? (int32_t)beside[i] : (int32_t)bins; /* the last one holds all others */
         }
         for (int64_t i = 0; i < used; i++) {
-            if (beside[i] >= 0.0f && beside[i] < last) {
-                start[(int32_t)beside[i] + 1]++;
-            }
+            start[strip[i] + 2]++;
+            from_bin = (int32_t)place[i] < from_bin ? (int32_t)place[i] : from_bin, to_bin = (int32_t)place[i] > to_bin ? (int32_t)place[i] : to_bin;
         }
-        for (int64_t j = 0; j < bins; j++) {
+        for (int64_t j = 0; j <= bins; j++) {
             start[j + 1] += start[j];
-            least[j] = ALONGS, most[j] = 0;
         }
-        for (int64_t i = 0; i < used; i++) { /* sorted by strips of one step; afterwards start[j] is the end of strip j */
-            if (beside[i] >= 0.0f && beside[i] < last) {
-                const int64_t j = (int64_t)(int32_t)beside[i], at = start[j]++, bin = (int64_t)(int32_t)place[i];
-                least[j] = bin < least[j] ? bin : least[j], most[j] = bin > most[j] ? bin : most[j];
-                along[at] = place[i], height[at] = level[i], weight[at] = share_of[i], across[at] = beside[i];
-            }
+        for (int64_t i = 0; i < used; i++) { /* sorted by strips of one step; start[j + 1] moves from the first point of strip j to its end */
+            const int64_t at = start[strip[i] + 1]++;
+            along[at] = place[i], height[at] = level[i], weight[at] = share_of[i], across[at] = beside[i];
+        }
+        for (int64_t j = 0; j < bins && used; j++) {
+            add_strip(&all, j, highest, from_bin, to_bin, least + j, most + j);
         }
         for (int64_t line = 0; line < lines; line++) {
-            const int64_t from = line ? start[line - 1] : 0;
-            Strip strip = {along + from, height + from, tent, start[line + 3] - from, ALONGS, 0, faded};
+            const int64_t from = start[line], to = start[line + 4];
             double *one = found + (angle * lines + line) * FOUND, low, high;
-            if (strip.n < 8) {
+            if (to - from < 8) {
                 continue;
             }
-            for (int64_t i = 0; i < strip.n; i++) { /* a point on the line counts once, one two steps beside it not at all */
-                tent[i] = weight[from + i] * (1.0f - 0.5f * fabsf(across[from + i] - (float)(line + 2)));
-            }
+            alongs.from = ALONGS, alongs.to = 0;
             for (int64_t j = line; j < line + 4; j++) {
-                strip.first = least[j] < strip.first ? least[j] : strip.first;
-                strip.last = most[j] > strip.last ? most[j] : strip.last;
+                alongs.from = least[j] < alongs.from ? least[j] : alongs.from;
+                alongs.to = most[j] > alongs.to ? most[j] : alongs.to;
             }
-            clear(&heights, 0, highest + 1);
-            for (int64_t i = 0; i < strip.n; i++) { /* shared by two bins: depth comes in whole millimetres, which are borders of bins */
-                const float at = strip.height[i] < 0.5f ? 0.0f : strip.height[i] - 0.5f, part = at - (float)(int32_t)at;
-                float *bin = heights.bins + (int32_t)at;
-                bin[0] += strip.weight[i] * (1.0f - part), bin[1] += strip.weight[i] * part;
-            }
-            ends(&strip, &alongs, -FADE, share, &low, &high);
-            heights.total = alongs.total;
-            const double top = quantile(&heights, 0.95) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
+            add_strips(all.heights + line * (HEIGHTS + 8) * 2, HEIGHTS + 8, &heights);
+            add_strips(all.alongs + line * ALONGS * 2, ALONGS, &alongs);
+            find_ends(&alongs, share, &low, &high);
+            const double top = quantile(&heights, 0.95) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
             double grip = rows > 0 ? hidden_middle(&seen, c, s, mid, offset, top, tip) : top / 2.0;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
                 const double from_end = SIDE * (high - low), reach = AROUND * (high - low);
-                const double first = height_around(&strip, low + from_end, reach), second = height_around(&strip, high - from_end, reach);
-                const double side = (first > second ? first : second) * (double)HEIGHT_M;
+                const double near = height_around(&all, line, from, to, low + from_end, reach);
+                const double far = height_around(&all, line, from, to, high - from_end, reach);
+                const double side = (near > far ? near : far) * (double)HEIGHT_M, lowest = quantile(&heights, 0.03) * (double)HEIGHT_M;
                 const double arch = (top + round_underside(top, lowest, side, width, horizontal)) / 2.0;
                 grip = arch > grip ? arch : grip;
             }
@@ -315,17 +442,24 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < floor_m ? floor_m : z;
             one[2] = z, one[3] = top;
-            ends(&strip, &alongs, (float)((z - tip) / (double)HEIGHT_M), share, &low, &high);
+            add_points(&all, line, from, to, (float)((z - tip) / (double)HEIGHT_M), &alongs);
             if (!(alongs.total >= 3.0)) {
                 continue;
             }
+            find_ends(&alongs, share, &low, &high);
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
             one[4] = -1.0, one[5] = rows > 0 ? hidden_ends(&seen, c, s, one, offset, z) : 1.0;
-            for (int64_t i = 0; i < m && one[4] < 0.0; i++) {
-                const double x = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
-                const int beside = fabs(y - offset) < tip && others[3 * i + 2] > z - tip;
-                const int outside = (x > one[0] - way && x < one[0]) || (x > one[1] && x < one[1] + way);
-                one[4] = beside && outside ? (double)i : -1.0;
+        }
+        for (int64_t i = 0; i < m; i++) { /* the lines beside which it stands */
+            const double ahead = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];
+            const double nearest_line = (y - beside_m) / step - (double)(2 - bins / 2), reach = tip / step + 1.0;
+            const int64_t until = nearest_line + reach < (double)lines ? (int64_t)(nearest_line + reach) + 1 : lines;
+            for (int64_t line = nearest_line - reach > 0.0 ? (int64_t)(nearest_line - reach) : 0; line < until; line++) {
+                double *one = found + (angle * lines + line) * FOUND;
+                const double offset = beside_m + (double)(line + 2 - bins / 2) * step;
+                const int beside_it = fabs(y - offset) < tip && others[3 * i + 2] > one[2] - tip;
+                const int outside = (ahead > one[0] - way && ahead < one[0]) || (ahead > one[1] && ahead < one[1] + way);
+                one[4] = one[4] == -1.0 && beside_it && outside ? (double)i : one[4];
             }
         }
     }

@@ -19,10 +19,12 @@
 #define VECTORISED
 #endif
 
-/* Eight float32, eight int32 and four double at once, in any processor's registers; the u forms need no alignment. */
+/* Four or eight float32, eight int32 and four double at once, in any processor's registers; the u forms need no alignment. */
+typedef float float4 __attribute__((vector_size(16)));
 typedef float float8 __attribute__((vector_size(32)));
 typedef int32_t int8x32 __attribute__((vector_size(32)));
 typedef double double4 __attribute__((vector_size(32)));
+typedef float float4u __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float float8u __attribute__((vector_size(32), aligned(4), may_alias));
 typedef int32_t int8x32u __attribute__((vector_size(32), aligned(4), may_alias));
 typedef double double4u __attribute__((vector_size(32), aligned(8), may_alias));

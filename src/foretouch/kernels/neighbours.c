@@ -54,10 +54,17 @@ INLINE float value_of(int32_t bits) {
 }
 
 INLINE int32_t count_up_to(const float *squared, int64_t n, int32_t limit) {
-    int8x32 count = {0};
-    for (int64_t i = 0; i < n; i += LEAF) {
-        count -= *(const int8x32u *)(squared + i) <= limit;
+    int8x32 counts[4] = {{0}};
+    int64_t i = 0;
+    for (; i + 4 * LEAF <= n; i += 4 * LEAF) {
+        for (int k = 0; k < 4; k++) {
+            counts[k] -= *(const int8x32u *)(squared + i + k * LEAF) <= limit;
+        }
     }
+    for (; i < n; i += LEAF) {
+        counts[0] -= *(const int8x32u *)(squared + i) <= limit;
+    }
+    const int8x32 count = (counts[0] + counts[1]) + (counts[2] + counts[3]);
     return ((count[0] + count[4]) + (count[2] + count[6])) + ((count[1] + count[5]) + (count[3] + count[7]));
 }
 

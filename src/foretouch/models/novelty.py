@@ -40,7 +40,7 @@ def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Fl
         points = points[np.isfinite(points).all(axis=1)]
     if len(points) < _MINIMUM_POINTS:
         raise CloudError(f"cloud: {len(points)} finite points are fewer than {_MINIMUM_POINTS}")
-    if (points == points[0]).all():
+    if (points[-1] == points[0]).all() and (points == points[0]).all():
         raise CloudError(f"cloud: all {len(points)} finite points are in one place")
     return points
 
@@ -58,9 +58,8 @@ def object_sizes(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Flo
         CloudError: If fewer than eight points are finite, or all are at one position.
     """
     points = usable_points(xyz)
-    _, columns = centred_columns(points)
-    centred = columns.T.copy()
-    deviations, _ = principal_axes(centred.T @ centred / len(centred))
+    _, columns, covariance = centred_columns(points)
+    deviations, _ = principal_axes(covariance)
     return np.concatenate([np.ptp(points, axis=0), deviations, [distances(columns).max(), np.log(len(points))]])
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of nodes, and an entry point for each: `ros2 run` and the launch files start these.
 
-Threads: one serves requests and timers, one takes messages (see `runtime.executor`), and two work on clouds (see
+Threads: one serves requests and timers, one takes messages (see `runtime.executor`), and one works on clouds (see
 `runtime.workers`), so that a cloud in work delays no service, parameter or lifecycle request, nor the next message.
 """
 
@@ -55,8 +55,12 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv if args is None else args)
     _parser(names).parse_args(arguments[1:])
-    raise_interrupts()
+    end_at_once()  # the imports below may take seconds on a busy computer, and leave nothing to clean up
+    prepare_environment()
     try:
+        for name in names:
+            _node_class(name)
+        raise_interrupts()
         return _serve(names, arguments)
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
@@ -108,16 +112,19 @@ def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
     """
     nodes: list[ForetouchNode[Any]] = []
     try:
-        for name in names:
-            module, _, class_name = NODES[name].partition(":")
-            with needs_laboratory(f"node {name}"):
-                made = import_module(module)
-            nodes.append(getattr(made, class_name)(**options))
+        nodes.extend(_node_class(name)(**options) for name in names)  # those made before an error are kept
     except ForetouchError:
         for node in nodes:
             node.destroy_node()
         raise
     return nodes
+
+
+def _node_class(name: str) -> Any:
+    """The class of a node by its name; raises as `needs_laboratory`."""
+    module, _, class_name = NODES[name].partition(":")
+    with needs_laboratory(f"node {name}"):
+        return getattr(import_module(module), class_name)
 
 
 def spin(nodes: "Sequence[ForetouchNode[Any]]") -> bool:

@@ -8,7 +8,7 @@ import pytest
 from every_case import every_case
 from scipy.spatial.transform import Rotation
 
-from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
+from foretouch.cloud.geometry.columns import bounds, centred_columns, distances, quantiles
 from foretouch.cloud.geometry.pcl_filters import (
     count_without_normal,
     inlier_mask,
@@ -90,9 +90,15 @@ def test_more_deviations_keep_more_and_distances_and_quantiles_are_those_of_nump
 
     def check(count):
         points = rng.normal(size=(count, 3)) * 0.1 + [0.0, 0.1, 1.2]
-        centre, columns = centred_columns(points)
+        centre, columns, covariance = centred_columns(points)
         np.testing.assert_array_equal(centre, points.mean(axis=0))
         np.testing.assert_array_equal(columns.T, points - centre)
+        np.testing.assert_allclose(covariance, columns @ columns.T / count, rtol=1e-12, atol=1e-18)
+        some = points.astype(np.float32)
+        some[::5, count % 3], some[1::7, 0] = np.nan, np.inf
+        finite = some[np.isfinite(some).all(axis=1)]
+        low = finite.min(axis=0, initial=np.inf), finite.max(axis=0, initial=-np.inf)
+        np.testing.assert_array_equal(bounds(some), low)
         np.testing.assert_array_equal(distances(columns), np.sqrt(((points - centre) ** 2).sum(axis=1)))
         tied = np.where(np.arange(count) % 2, points[:, 0], points[0, 0])
         for shares in ((0.02, 0.98), (0.25, 0.5, 0.75, 0.98), (0.0, 1.0)):

@@ -24,9 +24,33 @@ def outline(points, n: int, grid, rows: int, columns: int, nearest, inside) -> N
     inside[:] = grey_closing(filled, size=(5, 5), mode="constant")
 
 
-def hidden_points(points, n, depth, camera, nearest, inside, rows: int, columns: int, hidden) -> None:
+def complete_object(
+    points, weights, n, top, shift, camera, nearest, inside, rows, columns, completed, shares, found
+) -> None:
     """See the kernel, whose arguments these are."""
-    hidden[:n] = _hidden(points[:n], depth, camera, nearest, inside) if rows * columns else 0.0
+    xyz, weight, certain = points[:n], weights[:n], weights[:n] > 0.5
+    if rows and not np.isnan(top):
+        below = max(0.12 * top, 0.004)
+        places, highest = _columns(points[:n][certain], 0.003)
+        upper = _smooth(highest, top - 1.5 * below, top - 0.5 * below)
+        middle = upper @ places / upper.sum()
+        other = xyz * [-1.0, -1.0, 1.0] + np.append(2.0 * middle, 0.0)
+        hidden = weight * _hidden(other, 0.004, camera, nearest, inside)
+        xyz, weight = np.vstack([xyz, other[hidden > 0.0]]), np.concatenate([weight, hidden[hidden > 0.0]])
+    places, highest = _columns(xyz[weight > 0.5] if (weight > 0.5).any() else xyz, 0.004)
+    mass = np.maximum(highest, 1e-6)
+    centre = mass @ places / mass.sum() + shift[:2]
+    xyz = xyz - np.append(centre, 0.0)
+    completed[: len(xyz)], found[:] = xyz, (len(xyz), *centre)
+    shares[: len(xyz)] = np.where((np.abs(xyz[:, :2]) < 0.6).all(axis=1), weight, 0.0)
+
+
+def _columns(xyz: Array, cell_m: float) -> tuple[Array, Array]:
+    """Centres of the cells of a grid over the table with points, and the highest point of each."""
+    cells, back = np.unique(np.floor(xyz[:, :2] / cell_m), axis=0, return_inverse=True)
+    highest = np.full(len(cells), -np.inf)
+    np.maximum.at(highest, back.reshape(-1), xyz[:, 2])
+    return (cells + 0.5) * cell_m, highest
 
 
 def closing_lines(

@@ -134,7 +134,7 @@ def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cl
     assert outsider.numbers["table"] == outsider.numbers["object_cloud"] == [1]  # the first that was sent
     assert [used for _, used, *_ in settle(graph, nodes, 4)] == [4, 4, 4]
     assert outsider.node.count_subscribers("/foretouch/table") == 3  # tools show who subscribes
-    assert {node._worker._threads for node in nodes} == {nodes[0]._worker._threads}
+    assert {node._worker._thread for node in nodes} == {nodes[0]._worker._thread}
 
 
 def test_what_is_kept_is_sent_once_somebody_outside_subscribes(graph, outsider, scene_cloud, model_card):

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
 import time
-from functools import partial
 
-from foretouch.ros.runtime.workers import Worker, WorkerThreads
+from foretouch.ros.runtime.workers import Worker, WorkerThread
 
 
 class Recorded(Worker):
-    """A worker that lists its items with the threads that worked on them, and what it dropped."""
+    """A worker that lists its items with the thread that worked on them, and what it dropped."""
 
-    def __init__(self, name="w", depth=10, then=None, threads=None):
+    def __init__(self, name="w", depth=10, then=None, thread=None):
         self.done, self.dropped, self._then = [], [], then or (lambda _: None)
-        super().__init__(name, depth, self._note, lambda item, reason: self.dropped.append((item, reason)), threads)
+        super().__init__(name, depth, self._note, lambda item, reason: self.dropped.append((item, reason)), thread)
 
     def _note(self, item):
         self.done.append((item, threading.current_thread().name))
@@ -67,8 +66,8 @@ def test_stopping_drops_what_waits_and_comes_later_of_one_worker_alone():
     worker.put("c")
     until(lambda: worker.items == ["a", "c"])
     worker.stop()
-    threads = WorkerThreads("shared")
-    one, other = Recorded(threads=threads), Recorded(threads=threads)
+    thread = WorkerThread("shared")
+    one, other = Recorded(thread=thread), Recorded(thread=thread)
     one.start()
     other.start()
     one.stop()
@@ -79,8 +78,8 @@ def test_stopping_drops_what_waits_and_comes_later_of_one_worker_alone():
 
 
 def chained(*steps):
-    """Workers of the same threads, of which each puts its items into the next."""
-    threads, workers = WorkerThreads("shared"), []
+    """Workers of the same thread, of which each puts its items into the next."""
+    thread, workers = WorkerThread("shared"), []
     for number, step in enumerate(steps):
 
         def then(item, number=number, step=step):
@@ -88,13 +87,13 @@ def chained(*steps):
             if number + 1 < len(workers):
                 workers[number + 1].put(item)
 
-        workers.append(Recorded(str(number), then=then, threads=threads))
+        workers.append(Recorded(str(number), then=then, thread=thread))
     for worker in workers:
         worker.start()
     return workers
 
 
-def test_an_item_goes_through_all_workers_in_one_thread_without_waking_another():
+def test_an_item_goes_through_all_workers_in_one_thread():
     one, last = workers = chained(lambda _: None, lambda _: None)
     for item in range(20):
         one.put(item)
@@ -104,49 +103,16 @@ def test_an_item_goes_through_all_workers_in_one_thread_without_waking_another()
     assert one.done == last.done == [(item, "shared") for item in range(20)]
 
 
-def test_no_item_is_begun_while_another_waits_for_its_next_step_and_two_are_in_work():
-    order, begun, go = [], threading.Semaphore(0), threading.Event()
-
-    def slow(item):
-        begun.release()
-        go.wait(5.0)
-        order.append(item)
-
-    one, last = workers = chained(lambda _: None, slow)
-    for item in (1, 2, 3, 4):
-        one.put(item)
-    assert begun.acquire(timeout=5.0)
-    until(lambda: len(one.done) == 2)  # the other thread waits for the last step of its item
-    time.sleep(0.05)
-    assert (one.items, last.items) == ([1, 2], [1])
-    go.set()
-    until(lambda: len(order) == 4)
+def test_no_item_is_begun_while_another_waits_for_its_next_step():
+    order = []
+    one, last = workers = chained(lambda item: order.append(("first", item)), lambda item: order.append(("last", item)))
+    with one._thread._changed:  # so that all wait
+        for item in (1, 2, 3):
+            one._queue.put(item)
+            one._thread._calls.append(one)
+    one.put(4)
+    until(lambda: len(order) == 8)
     for worker in workers:
         worker.stop()
-    assert one.items == last.items == order == [1, 2, 3, 4]
-
-
-def test_two_workers_work_side_by_side_and_each_on_one_item_at_a_time_in_order():
-    together, active, most = threading.Barrier(2), [], []
-
-    def work(name, item):
-        active.append(name)
-        most.append(active.count(name))
-        if item == "both":
-            together.wait(5.0)
-        time.sleep(0.001)
-        active.remove(name)
-
-    threads = WorkerThreads("shared")
-    workers = [Recorded(name, 1000, partial(work, name), threads) for name in "ab"]
-    for worker in workers:
-        worker.start()
-        worker.put("both")
-    for item in range(50):
-        for worker in workers:
-            worker.put(item)
-    until(lambda: len(most) == 102 and not active)
-    for worker in workers:
-        worker.stop()
-        assert worker.items == ["both", *range(50)]
-    assert max(most) == 1
+    assert order == [(step, item) for item in (1, 2, 3, 4) for step in ("first", "last")]
+    assert last.items == [1, 2, 3, 4]

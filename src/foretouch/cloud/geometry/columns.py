@@ -8,18 +8,28 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from foretouch.types import Float64
+from foretouch.kernels import Kernel
+from foretouch.types import Float32, Float64
+
+_centre_points = Kernel("centre_points", np.float64, int, *[np.float64] * 3)
+_bounds = Kernel("bounds", np.float32, int, np.float64, np.float64)
 
 
-def centred_columns(points: Float64) -> tuple[Float64, Float64]:
-    """(3,) mean of (N, 3) points, and (3, N) their coordinates from it.
+def centred_columns(points: Float64) -> tuple[Float64, Float64, Float64]:
+    """(3,) mean of (N, 3) points, N > 0, (3, N) their coordinates from it, and (3, 3) the covariance of these.
 
     Equal to `points.mean(axis=0)` and the difference from it.
     """
-    columns = points.T.copy()
-    centre = np.cumsum(columns, axis=1)[:, -1] / len(points)
-    columns -= centre[:, None]
-    return centre, columns
+    centre, columns, covariance = np.empty(3), np.empty((3, len(points))), np.empty((3, 3))
+    _centre_points(np.ascontiguousarray(points), len(points), centre, columns, covariance)
+    return centre, columns, covariance
+
+
+def bounds(points: Float32) -> tuple[Float64, Float64]:
+    """(3,) smallest and (3,) largest coordinates of those of (N, 3) points that are finite; inf and -inf without one."""
+    low, high = np.empty(3), np.empty(3)
+    _bounds(np.ascontiguousarray(points), len(points), low, high)
+    return low, high
 
 
 def distances(columns: Float64) -> Float64:

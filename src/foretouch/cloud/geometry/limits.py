@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import bounds
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, LimitError
 from foretouch.types import Float32, Plane
@@ -43,14 +44,9 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
     Raises:
         LimitError: Names the measure and its limit.
     """
-    columns = xyz.reshape(-1, 3).T.astype(np.float64, order="C")  # reductions along rows of three are slow
-    if not np.isfinite(columns).all():
-        columns = columns[:, np.isfinite(columns).all(axis=0)]
-    if columns.shape[1] == 0:
-        return
-    low, high = columns.min(axis=1), columns.max(axis=1)
+    low, high = bounds(np.asarray(xyz.reshape(-1, 3), np.float32))
     extent = float((high - low).max())
-    if extent == 0.0:
+    if extent in (0.0, -math.inf):
         return
     distance = math.hypot(*((low + high) / 2.0).tolist())
     if distance > limits.max_range_m:

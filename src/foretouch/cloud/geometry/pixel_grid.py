@@ -44,12 +44,14 @@ class PixelGrid:
             raise CloudError(f"pixels: {pixels.dtype} {pixels.shape} is not a list of indices")
         if len(pixels) and not (pixels.min() >= 0 and pixels.max() < height * width):
             raise CloudError(f"pixels: {pixels.min()} ... {pixels.max()} is outside of an image of {height}x{width}")
-        row, column = np.divmod(pixels.astype(np.int64), width)
+        flat: Int64 = pixels.astype(np.int64)
+        row = flat // width  # in a third of the time of divmod()
+        column = flat - row * width
         if len(pixels):
             tall, wide = int(np.ptp(row)), int(np.ptp(column))
             if max(tall, wide) > _IMAGE_SIDE or tall * wide > max(_IMAGE_CELLS, _LATTICE_CELLS * len(pixels)):
                 return None
-        grid = cls._cropped(row, column)
+        grid = cls._cropped(row, column, ascending=bool((pixels[1:] > pixels[:-1]).all()))
         if grid is None:
             raise CloudError("pixels: an index occurs twice")
         return grid
@@ -74,16 +76,17 @@ class PixelGrid:
         return cls._cropped(row, column)
 
     @classmethod
-    def _cropped(cls, row: Int64, column: Int64) -> Self | None:
-        """Indices relative to the first row and column; None if two points share a pixel."""
+    def _cropped(cls, row: Int64, column: Int64, *, ascending: bool = False) -> Self | None:
+        """Indices relative to the first row and column; None if two points share a pixel, unless they are in ascending order."""
         if len(row) == 0:
             return cls(row, column, 0, 0)
         row, column = row - row.min(), column - column.min()
         height, width = int(row.max()) + 1, int(column.max()) + 1
-        taken = np.zeros(height * width, np.bool_)
-        taken[row * width + column] = True
-        if np.count_nonzero(taken) != len(row):
-            return None
+        if not ascending:
+            taken = np.zeros(height * width, np.bool_)
+            taken[row * width + column] = True
+            if np.count_nonzero(taken) != len(row):
+                return None
         return cls(row, column, height, width)
 
 

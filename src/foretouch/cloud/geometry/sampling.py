@@ -117,7 +117,7 @@ class UnitSphereFrame:
             raise CloudError("xyz: contains points that are not finite")
         if np.abs(points).max() > _MAX_M:
             raise CloudError(f"xyz: {np.abs(points).max():g} m exceeds {_MAX_M:g} m")
-        centre, columns = centred_columns(points)
+        centre, columns, _ = centred_columns(points)
         scale = float(distances(columns).max())
         if scale < _MIN_SCALE_M:
             raise CloudError(f"xyz: all {len(points)} points coincide at {centre.tolist()}")

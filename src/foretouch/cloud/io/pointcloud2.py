@@ -157,7 +157,7 @@ def decode(
     return xyz, rgb
 
 
-def encode(cloud: Cloud, **columns: AnyArray) -> tuple[PointCloud2Layout, array.array[int]]:
+def encode(cloud: Cloud, **columns: AnyArray) -> tuple[PointCloud2Layout, UInt8]:
     """Layout and bytes of a message for a cloud.
 
     Args:
@@ -166,7 +166,7 @@ def encode(cloud: Cloud, **columns: AnyArray) -> tuple[PointCloud2Layout, array.
         columns: Further fields of its N points by name, (N,) uint16 or uint32.
 
     Returns:
-        Layout, and the bytes as `array.array("B")`: the only type that rclpy accepts without checking each byte.
+        Layout, and the bytes: those of the cloud itself where its points have no colour and no other columns.
     """
     shape = cloud.xyz.shape[:-1]
     height, width = shape if cloud.organised else (1, *shape)
@@ -187,8 +187,7 @@ def encode(cloud: Cloud, **columns: AnyArray) -> tuple[PointCloud2Layout, array.
             fields.append(PointField(name, step, _UINT[one.itemsize]))
             step += one.itemsize
         points = records
-    data = array.array("B")
-    data.frombytes(points.reshape(-1).view(np.uint8).data)
+    data = points.reshape(-1).view(np.uint8)
     layout = PointCloud2Layout(
         height=height,
         width=width,

@@ -92,19 +92,18 @@ class HandFrameFeatures:
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
         self._points = usable_points(xyz)
-        self._centre, self._columns = centred_columns(self._points)
-        centred = self._centred = self._columns.T.copy()
-        self._covariance = centred.T @ centred / len(centred)
+        self._centre, self._columns, self._covariance = centred_columns(self._points)
+        self._centred = self._points - self._centre
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
-        extents = [end - start for start, end in (quantiles(one, _LOW_HIGH) for one in (centred @ axes).T.copy())]
+        extents = [end - start for start, end in (quantiles(one, _LOW_HIGH) for one in axes.T @ self._columns)]
         low, high = quantiles(self._points[:, 2], _LOW_HIGH)
         self._top = low  # nearest to the camera
         self.object_features: Float64 = np.concatenate(
             [spreads, extents, quantiles(distances(self._columns), _QUARTERS), [high - low]]
         )
         away = np.sqrt((self._centre**2).sum())
-        self._conditions = np.array([away, np.sqrt(extents[1] * extents[2] / len(centred))])
+        self._conditions = np.array([away, np.sqrt(extents[1] * extents[2] / len(self._points))])
 
     @cached_property
     def _tree(self) -> cKDTree:

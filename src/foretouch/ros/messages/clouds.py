@@ -32,7 +32,7 @@ def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
     fields = [PointField(**vars(field)) for field in layout.fields]
     header = header_to_msg(cloud.frame_id, cloud.stamp_ns)
     message = PointCloud2(header=header, **{**vars(layout), "fields": fields})
-    message.data = data
+    message._data = data  # noqa: SLF001  its setter copies, byte by byte
     return message
 
 

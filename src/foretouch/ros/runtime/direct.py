@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSCompatibility, qos_check_compatible
 from rclpy.subscription import Subscription
 
 from foretouch.ros.messages.clouds import TargetCloud
-from foretouch.ros.runtime.workers import WorkerThreads
+from foretouch.ros.runtime.workers import WorkerThread
 
 _COPIES: Final = 1000  # at most, on their way to a subscription: more than its queue holds
 
@@ -115,12 +115,12 @@ class _DirectTopics:
         self._lock = threading.Lock()
         self._publishers: list[DirectPublisher] = []
         self._inputs: list[DirectInput] = []
-        self._threads: weakref.WeakValueDictionary[str, WorkerThreads] = weakref.WeakValueDictionary()
+        self._threads: weakref.WeakValueDictionary[str, WorkerThread] = weakref.WeakValueDictionary()
 
-    def threads(self, namespace: str) -> WorkerThreads:
-        """The threads that the workers of one graph share."""
+    def thread(self, namespace: str) -> WorkerThread:
+        """The thread that the workers of one graph share."""
         with self._lock:
-            return self._threads.setdefault(namespace, WorkerThreads(f"graph {namespace}"))
+            return self._threads.setdefault(namespace, WorkerThread(f"graph {namespace}"))
 
     def add(self, one: DirectPublisher | DirectInput) -> None:
         """Connect a publisher or a subscription."""

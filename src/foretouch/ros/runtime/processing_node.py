@@ -5,7 +5,7 @@ Messages of several topics that belong to one cloud are matched by their exact s
 of its cloud, so no tolerance is needed. A cloud that waits too long for a message is answered with FAILED and counted as
 dropped, `no_grasps` where these are missing; while that lasts, it is an error in /diagnostics.
 
-Threads: callbacks only sort messages by stamp and queue them. A worker computes and publishes, in one of two threads that the nodes of
+Threads: callbacks only sort messages by stamp and queue them. A worker computes and publishes, in a thread that the nodes of
 a process share, so that services, parameters, lifecycle and diagnostics respond meanwhile. The queue is bounded; where a node does not
 keep up, it answers the newest cloud next. What is dropped is counted as `superseded`.
 """
@@ -97,7 +97,7 @@ class ProcessingConfig(NodeConfig):
 
     queue_depth: int = setting(
         32,
-        "Number of inputs that may wait; only the newest where one has waited for 0.25 s, or some for 0.5 s without a pause",
+        "Number of inputs that may wait; only the newest for 20 s once one has waited for 0.25 s, or some for 0.5 s without a pause",
         bounds=(1, 10_000),
         read_only=True,
     )
@@ -127,7 +127,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.config.queue_depth,
             self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
             lambda _, reason: self.statistics.drop(reason),
-            self.direct_topics.threads(self.get_namespace()),
+            self.direct_topics.thread(self.get_namespace()),
         )
         self._arrived = 0.0  # of the set that is being answered, `time.monotonic` [s]
         self._lacking: Counter[str] = Counter()  # sets that were given up since the last complete one, by missing topic
