@@ -41,7 +41,9 @@ def test_batch_norm_by_moments_is_that_of_torch_in_double(dtype, inputs: int, mo
     def plain(x, linear, norm):
         return norm(linear(x).flatten(0, 1)).view(*x.shape[:2], -1)
 
-    nearness = 1e-9 if dtype is F64 else 1e-5
+    nearness = (
+        1e-9 if dtype is F64 else 5e-5
+    )  # of float32, less what is lost where a channel's mean exceeds its deviation
     pairs = zip(after_two_batches(quick, x.to(dtype), momentum), after_two_batches(plain, x, momentum), strict=True)
     for one, two in pairs:  # the gradient of the bias is zero: nothing to be relative to
         assert float((one - two).detach().abs().max()) <= nearness * max(1.0, float(two.detach().abs().max()))
