@@ -4,21 +4,17 @@
 Lines through points of the surface, in directions within 25° of the inward normal, level or not, meet the object from both sides. Those stay whose forces
 lie in the friction cones with a fifth to spare, whose contacts the hand can open to, and whose tips are clear of the table. They are ranked by
 the steeper of the two contacts, in parts of the friction angle, plus the arm of the weight about the line, in parts of 20 mm.
-The first row of the table simulates the first of them; the second counts as held if any of the first ten is.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from benchmarks.grasp_physics.analytic import Contacts, clearance, meet, slopes
 from benchmarks.grasp_physics.objects import Item, Placed
-from benchmarks.grasp_physics.simulation import OUTSIDE_M
+from benchmarks.grasp_physics.simulation import FORCE_N, OUTSIDE_M
 from foretouch.types import Float64
 
-FIRST: Final = "true surface, first"
-ANY: Final = "true surface, best of 10"
 COUNT: Final = 10
 _LINES = 6000
 _TILT_DEG = 25.0  # of a line from the normal that it starts at, at most
@@ -26,6 +22,36 @@ _SPARE = 0.8  # of the friction angle
 _ARM_M = 0.02
 _SMOOTHED = 150  # of the candidates, ranked by the normals of faces: normals around the contacts decide among them
 _APART_M = 0.01  # two grasps whose contacts are nearer are one
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Where the tips of one or more grasps first meet the object."""
+
+    points: Float64  # (n, 2, 3) float64 [m], NaN where a tip meets nothing
+    closing: Float64  # (n, 2, 3) float64, unit, the way in which each tip moves
+    normals: Float64  # (n, 2, 3) float64, outward, of the faces that they meet
+    starts: Float64  # (n, 2, 3) float64 [m], where the tips start
+
+
+def meet(surface: Placed, g1: Float64, g2: Float64, outside_m: float = OUTSIDE_M) -> Contacts:
+    """First contacts of tips that close from outside of planned contacts (n, 3) in the world."""
+    along = _unit(g2 - g1)
+    closing = np.stack([along, -along], axis=1)
+    starts = np.stack([g1, g2], axis=1) - outside_m * closing
+    distance, normals = surface.first(starts.reshape(-1, 3), closing.reshape(-1, 3))
+    with np.errstate(invalid="ignore"):
+        points = starts + distance.reshape(-1, 2, 1) * closing
+    points[~np.isfinite(points)] = np.nan
+    return Contacts(points, closing, normals.reshape(-1, 2, 3), starts)
+
+
+def slopes(contacts: Contacts, normals: Float64, weight_n: float) -> Float64:
+    """(n, 2) angle between each tip's force, of which half of the weight is a part, and the inward normal (n, 2, 3) [rad]."""
+    force = FORCE_N * contacts.closing + weight_n / 2.0 * _UP
+    cosine = -np.einsum("ijk,ijk->ij", force, normals) / np.linalg.norm(force, axis=2)
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
 def best_grasps(item: Item, surface: Placed, tip_radius_m: float, friction: float, opening_m: float) -> list[Float64]:
@@ -36,8 +62,10 @@ def best_grasps(item: Item, surface: Placed, tip_radius_m: float, friction: floa
     near = replace(found, starts=found.points - OUTSIDE_M * found.closing)
     width = np.linalg.norm(found.points[:, 1] - found.points[:, 0], axis=1)
     steep = slopes(near, near.normals, weight_n).max(axis=1)
+    touching = near.points - tip_radius_m * near.closing
+    clearance = np.minimum(touching, near.starts)[..., 2].min(axis=1) - tip_radius_m  # of the lower tip from the table
     with np.errstate(invalid="ignore"):
-        passes = (steep < limit) & (width < opening_m) & (width > 1e-3) & (clearance(near, tip_radius_m) > 0.0)
+        passes = (steep < limit) & (width < opening_m) & (width > 1e-3) & (clearance > 0.0)
     kept = np.flatnonzero(passes)
     order = kept[np.argsort(steep[kept] / limit + _arm(near, surface.centre)[kept] / _ARM_M, kind="stable")]
     ranked = []
@@ -70,19 +98,13 @@ def _arm(contacts: Contacts, centre: Float64) -> Float64:
 
 
 def _distinct(grasps: list[Float64]) -> list[Float64]:
-    """The first ten grasps of which no two are nearly the same."""
+    """The first ten grasps of which no two are nearly the same, whichever tip takes which contact."""
     kept: list[Float64] = []
     for grasp in grasps:
-        if all(_distance(grasp, other) > _APART_M for other in kept):
+        apart = (np.linalg.norm(grasp - turned, axis=1).max() for one in kept for turned in (one, one[::-1]))
+        if len(kept) < COUNT and all(distance > _APART_M for distance in apart):
             kept.append(grasp)
-        if len(kept) == COUNT:
-            break
     return kept
-
-
-def _distance(one: Float64, other: Float64) -> float:
-    """Of the contacts that are farther apart, whichever tip takes which [m]."""
-    return float(min(np.linalg.norm(one - turned, axis=1).max() for turned in (other, other[::-1])))
 
 
 def _unit(vectors: Float64) -> Float64:

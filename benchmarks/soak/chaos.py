@@ -13,10 +13,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +24,6 @@ from benchmarks.common import ROOT, write_csv
 from benchmarks.ros import NAMESPACE, end, prepare_domain, spawn
 from benchmarks.soak.accounting import Outage, account, slope_per_hour
 from benchmarks.soak.observer import DOMAIN, Observer
-from benchmarks.soak.plot import draw
 
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 NODES = (*PERCEPTION, "hand", "recorder", "camera")
@@ -53,15 +50,11 @@ class Disturbance:
         """Whether it took longer than the limit."""
         return self.recovered_s is None or self.recovered_s - self.end_s > RECOVERY_S
 
-    def row(self, origin: float, answers: Sequence[float]) -> dict[str, Any]:
+    def row(self, origin: float) -> dict[str, Any]:
         """A row of `disturbances.csv`."""
-        last = (self.recovered_s or self.end_s) + 2.0
-        times = [t for t in answers if self.start_s - 2.0 <= t <= last]
         recovery = "none" if self.recovered_s is None else f"{self.recovered_s - self.end_s:.2f}"
-        gap = max((b - a for a, b in pairwise(times)), default=float("nan"))
         start, lasted = f"{self.start_s - origin:.1f}", f"{self.end_s - self.start_s:.1f}"
-        return {"t_s": start, "disturbance": self.name, "lasted_s": lasted, "recovery_s": recovery,
-                "answer_gap_s": f"{gap:.2f}", "note": self.note}  # fmt: skip
+        return {"t_s": start, "disturbance": self.name, "lasted_s": lasted, "recovery_s": recovery, "note": self.note}
 
 
 @dataclass
@@ -348,7 +341,7 @@ def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[Disturbance], 
             break
         soak.watch()
         done.append(soak.disturb(name, action))
-        print("  ".join(map(str, done[-1].row(origin, soak.seen.answers).values())), flush=True)
+        print("  ".join(map(str, done[-1].row(origin).values())), flush=True)
         time.sleep(max(0.0, origin + quiet_s + (number + 1) * interval_s - time.monotonic()))
     while (left := origin + minutes * 60.0 - time.monotonic()) > 0.0:
         time.sleep(min(left, 10.0))
@@ -370,20 +363,6 @@ def verified(path: Path) -> str:
     return f"{text}: NOT CLEAN: {faults[0]}" if faults else text
 
 
-def timeline(soak: Soak, origin: float, minutes: float) -> list[dict[str, Any]]:
-    """Clouds and answers per second and the memory of each process, over time."""
-    step = 1.0 if minutes < 10 else 5.0
-    clouds, answers = (
-        Counter(int((t - origin) // step) for t in times) for times in (soak.seen.clouds.values(), soak.seen.answers)
-    )
-    sizes = {(one.node, int((t - origin) // step)): mb for one in soak.memory for t, mb in one.sizes}  # the last counts
-    return [
-        {"t_s": (k + 1) * step, "played_per_s": clouds[k] / step, "answered_per_s": answers[k] / step}
-        | {f"{name}_mb": f"{sizes[name, k]:.1f}" if (name, k) in sizes else "" for name in NODES}
-        for k in range(int(minutes * 60.0 / step))
-    ]
-
-
 def latency_rows(seen: Observer, origin: float, minutes: float) -> list[dict[str, Any]]:
     """Latency of the answers in each tenth of the time."""
     found: dict[int, list[float]] = {}
@@ -395,23 +374,6 @@ def latency_rows(seen: Observer, origin: float, minutes: float) -> list[dict[str
         | {f"p{q}_ms": round(float(np.percentile(values, q)), 1) for q in (50, 95, 99)}
         for tenth, values in sorted(found.items())
     ]
-
-
-def undisturbed(seen: Observer, done: Sequence[Disturbance]) -> dict[str, float]:
-    """What the computer manages without a disturbance, since it may be shared: gaps between answers, and latency."""
-    busy = [(one.start_s - 1.0, (one.recovered_s or one.end_s) + 3.0) for one in done]
-    times = sorted(seen.answered_at.values())
-    gaps = [b - a for a, b in pairwise(times) if not any(a <= last and b >= first for first, last in busy)]
-    latency = [
-        at - seen.clouds[stamp]
-        for stamp, at in seen.answered_at.items()
-        if stamp in seen.clouds and not any(first <= at <= last for first, last in busy)
-    ]
-    if not gaps or not latency:
-        return {}
-    latencies = {q: round(float(np.percentile(latency, q)), 3) for q in (50, 95, 100)}
-    return {"longest gap between answers, undisturbed [s]": round(max(gaps), 2),
-            **{f"latency p{q}, undisturbed [s]": value for q, value in latencies.items()}}  # fmt: skip
 
 
 def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Mapping[str, str]) -> dict[str, Any]:
@@ -447,7 +409,6 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         "disturbances": len(done),
         "recovered within 2 s": len(done) - len(late),
         **{f"dataset {name}, repaired": text for name, text in datasets.items()},
-        **undisturbed(seen, done),
         "load of the computer, processes per core": round(os.getloadavg()[2] / (os.cpu_count() or 1), 1),
         "longest recovery [s]": round(max(recoveries, default=0.0), 2),
         "median recovery [s]": round(float(np.median(recoveries or [0.0])), 2),
@@ -484,15 +445,13 @@ def main() -> int:
     tables = {
         "summary": [{"figure": key, "value": value} for key, value in figures.items()],
         "memory": memory,
-        "disturbances": [one.row(origin, soak.seen.answers) for one in done],
-        "timeline": timeline(soak, origin, options.minutes),
+        "disturbances": [one.row(origin) for one in done],
         "latency": latency_rows(soak.seen, origin, options.minutes),
     }
     for key, rows in tables.items():
         write_csv(options.out / f"{key}.csv", rows or [{"nothing": ""}])
     for row in (*tables["summary"], *memory, *tables["latency"]):
         print("  ".join(map(str, row.values())))
-    draw(options.out)
     return int(figures["limits broken"] > 0)
 
 
