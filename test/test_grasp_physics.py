@@ -174,14 +174,3 @@ def test_slopes_of_a_tilted_line() -> None:
 def test_shares_are_means_over_objects() -> None:
     rows = [{"object": "a", "held": True}] * 3 + [{"object": "b", "held": False}]
     assert bench.share(rows, "held") == "0.50 [0.00, 1.00]"
-
-
-def test_the_knee_is_the_fastest_of_the_best_of_ours() -> None:
-    points = [
-        {"method": method, "held": held} for method, held in (("simple rule", "0.90"), ("a", "0.5"), ("a", "0.89"), ("a", "0.91"))
-    ]  # fmt: skip
-    assert [one["place"] for one in bench.placed_on_frontier(points)] == ["frontier", "", "knee", "frontier"]
-    assert bench.combinations(["grasp.max_points=10,20", "method=a"]) == [
-        {"grasp.max_points": 10, "method": "a"},
-        {"grasp.max_points": 20, "method": "a"},
-    ]

@@ -8,8 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
-from itertools import product
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -37,7 +36,6 @@ NO_OBJECT: Final = "no object found"
 NO_GRASP: Final = "no grasp"
 TIPS_MM: Final = (8.0, 12.5)  # radius; the first is that of the table
 FRICTIONS: Final = (0.8, 0.5, 1.2)
-CLOSE: Final = 0.02  # so much less than the best may the knee of the frontier hold
 _DIRECTIONS = np.radians(np.arange(0.0, 180.0, 5.0))
 _TAIL = 0.01  # of the points, left out at either end
 _DRAWS = 10_000
@@ -56,7 +54,6 @@ class Task:
     conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
     opening_mm: float = 1e3 * OPENING_M
     settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
-    repeats: int = 1  # of each plan; the least time counts
 
     def row(self, pose: int, view: str, method: str, one: tuple[float, float], verdict: Verdict, ms: float) -> Row:
         """What became of one grasp: `reason` is "held", the kind of failure, or why there was no grasp."""
@@ -89,17 +86,16 @@ def _planned(task: Task, number: int) -> Iterator[Row]:
         seen = see(task.item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
         for method in chosen:
-            ms, contacts, reason = math.inf, None, NO_OBJECT
+            start, contacts, reason = time.thread_time(), None, NO_OBJECT
             settings = {} if method == RULE else {"grasp.method": method, **task.settings}
             pipeline = Pipeline(PipelineConfig().updated(settings))
-            for _ in range(task.repeats if targets else 0):
-                start = time.thread_time()
+            if targets:
                 contacts, reason = propose(method, pipeline, targets[0]), NO_GRASP
-                ms = min(ms, (time.thread_time() - start) * 1e3)
+            ms = 1e3 * (time.thread_time() - start) if targets else math.nan
             world = None if contacts is None else seen.camera.to_world(contacts)
             for one in task.conditions:
                 verdict = task.close(one, seen.pose, world, reason)
-                yield task.row(number, view, method, one, verdict, ms if targets else math.nan)
+                yield task.row(number, view, method, one, verdict, ms)
 
 
 def _best(task: Task, number: int) -> Iterator[Row]:
@@ -237,38 +233,6 @@ def committed(rows: Sequence[Row]) -> Iterator[Row]:
         yield dict(zip(names, key, strict=True)) | {"grasps": len(own), **counts, "reasons": ended}
 
 
-def combinations(vary: Sequence[str]) -> list[dict[str, Any]]:
-    """All combinations of settings given as `name=a,b`, values as in YAML."""
-    named = [text.partition("=") for text in vary]
-    given = [[(name, yaml.safe_load(one)) for one in text.split(",")] for name, _, text in named]
-    return [dict(chosen) for chosen in product(*given)]
-
-
-def frontier(todo: Sequence[Task], vary: Sequence[str], workers: int) -> list[dict[str, Any]]:
-    """Held and time of all methods and settings, by time; the knee is the fastest of ours that holds hardly less often than the best."""
-    points = []
-    for settings in combinations(vary):
-        methods = [name for name in todo[0].methods if name in OURS or (name == RULE and not points)]
-        varied = [replace(one, methods=methods, settings={**one.settings, **settings}, repeats=3) for one in todo]
-        rows = measure(varied, workers)
-        for method in methods:
-            own, text = select(rows, method=method), ", ".join(f"{name} {value}" for name, value in settings.items())
-            median, p95 = np.nanquantile([row["ms"] for row in own], [0.5, 0.95])
-            point = {"method": method, "settings": "" if method == RULE else text, "held": share(own, "held")}
-            point |= {"strict": f"{mean(own, 'strict'):.2f}", "median [ms]": float(median), "p95 [ms]": float(p95)}
-            points.append(point)
-    return placed_on_frontier(sorted(points, key=lambda point: point["median [ms]"]))
-
-
-def placed_on_frontier(points: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Points in order of time, each with its place: on the frontier if none before it holds as often, or the knee."""
-    shares = [float(point["held"].split()[0]) for point in points]
-    best = max((one for one, point in zip(shares, points, strict=True) if point["method"] != RULE), default=0.0)
-    knee = next((k for k, one in enumerate(shares) if points[k]["method"] != RULE and one >= best - CLOSE), None)
-    on = ["frontier" if one > max(shares[:k], default=-1.0) else "" for k, one in enumerate(shares)]
-    return [{**point, "place": "knee" if k == knee else on[k]} for k, point in enumerate(points)]
-
-
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table in Markdown."""
     return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
@@ -291,14 +255,6 @@ def main() -> None:
     parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
     parser.add_argument("--renew", action="store_true", help="write the committed tables")
-    parser.add_argument("--frontier", action="store_true", help="held against time, over settings of the planner")
-    parser.add_argument(
-        "--vary",
-        nargs="+",
-        default=["grasp.max_points=500,1000,2000,4000,8000"],
-        metavar="SETTING=A,B,…",
-        help="for --frontier: settings of the pipeline, all combinations",
-    )
     options = parser.parse_args()
     ensure_libusb()
     tips, frictions = (TIPS_MM, FRICTIONS) if options.all else (options.tip_mm, options.friction)
@@ -309,14 +265,6 @@ def main() -> None:
     todo = [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
     if not todo:
         parser.error(f"--only: {', '.join(options.only)}: there is no such object")
-    if options.frontier:
-        points = frontier(todo, options.vary, options.workers)
-        print_rows(points)
-        if options.renew:
-            untimed = [{k: v for k, v in one.items() if not k.endswith("[ms]")} for one in points]
-            write_csv(HERE / "frontier.csv", untimed)
-            replace_marked(HERE / "FRONTIER.md", markdown_of(points))
-        return
     rows = measure(todo, options.workers)
     if options.rows:
         write_csv(options.rows, rows)

@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -57,26 +57,15 @@ class Disturbance:
         return {"t_s": start, "disturbance": self.name, "lasted_s": lasted, "recovery_s": recovery, "note": self.note}
 
 
-@dataclass
-class Memory:
-    """Memory of one process: resident, without the pages that it shares with others.
-
-    Each reads the 64 MB of shared memory into which another writes its messages, page by page, which is counted as resident.
-    """
-
-    node: str
-    began_s: float
-    sizes: list[tuple[float, float]] = field(default_factory=list)  # time [s], [MB]
-
-    def row(self, warm_up_s: float) -> dict[str, Any] | None:
-        """A row of `memory.csv`, if it lived long enough."""
-        kept = [one for one in self.sizes if one[0] >= self.began_s + warm_up_s]
-        if len(kept) < 60:
-            return None
-        times, values = zip(*kept, strict=True)
-        return {"process": self.node, "watched_s": round(times[-1] - times[0]), "first_mb": round(values[0], 1),
-                "last_mb": round(values[-1], 1), "greatest_mb": round(max(values), 1),
-                "slope_mb_per_h": round(slope_per_hour(times, values), 2)}  # fmt: skip
+def memory_row(node: str, sizes: Sequence[tuple[float, float]], warm_up_s: float) -> dict[str, Any] | None:
+    """A row of `memory.csv` from times [s] and sizes [MB] of a process, if it lived long enough."""
+    kept = [one for one in sizes if one[0] >= sizes[0][0] + warm_up_s]
+    if len(kept) < 60:
+        return None
+    times, values = zip(*kept, strict=True)
+    ends = {"first_mb": values[0], "last_mb": values[-1], "greatest_mb": max(values)}
+    found = {"process": node, "watched_s": round(times[-1] - times[0])} | {k: round(v, 1) for k, v in ends.items()}
+    return {**found, "slope_mb_per_h": round(slope_per_hour(times, values), 2)}
 
 
 class Soak:
@@ -98,7 +87,7 @@ class Soak:
         }
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.memory: list[Memory] = []
+        self.memory: dict[str, list[tuple[float, float]]] = {}  # of the latest process of each node: time [s], [MB]
         self.outages: list[Outage] = []
         self.unexpected: list[str] = []  # processes that ended by themselves
         self.seen = Observer()
@@ -107,20 +96,19 @@ class Soak:
 
     # Processes.
 
-    def spawn(self, name: str, nodes: Sequence[str] = ()) -> subprocess.Popen[bytes]:
-        """Start a process of a node, or of several."""
-        parameters = {"diagnostics_period_s": 0.25, **self._parameters.get(name, {})}
-        return spawn(nodes or (name,), parameters, self.folder / f"{name}.log")
-
     def start(self, name: str) -> bool:
         """Start a node and wait until it reports that it is active."""
         before = self.seen.processes(name)
-        self.processes[name] = self.spawn(name)
-        self.memory.append(Memory(name, time.monotonic()))
+        parameters = {"diagnostics_period_s": 0.25, **self._parameters.get(name, {})}
+        self.processes[name] = spawn((name,), parameters, self.folder / f"{name}.log")
+        self.memory[name] = []
         return self.seen.wait(lambda: self.seen.active(name, before), START_S)
 
     def sample(self, period_s: float = 1.0) -> None:
-        """Read the memory of all processes until the end, in a thread."""
+        """Read the memory of all processes until the end, in a thread: resident, without the pages that they share.
+
+        Each reads the 64 MB of shared memory into which another writes its messages, page by page, which counts as resident.
+        """
         while not self._sampling.wait(period_s):
             for name, process in list(self.processes.items()):
                 try:
@@ -129,8 +117,7 @@ class Soak:
                     continue
                 sizes = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon:", "RssFile:"))]
                 if sizes:  # a process that has just ended has none
-                    last = [one for one in self.memory if one.node == name][-1]
-                    last.sizes.append((time.monotonic(), sum(sizes) * 1024 / 1e6))
+                    self.memory[name].append((time.monotonic(), sum(sizes) * 1024 / 1e6))
 
     def watch(self) -> None:
         """Note processes that ended by themselves, and start them again."""
@@ -206,16 +193,12 @@ class Soak:
         return "" if shown else "recorder_status does not show it"
 
     def record_anew(self, path: Path | None = None) -> str:
-        """End the recording and begin another one; gives the error."""
+        """End the recording and begin another one, by default in a new dataset on the disk; gives the error."""
         from foretouch_msgs.srv import StopRecording
 
         self.seen.call(StopRecording, f"{NAMESPACE}/stop_recording", StopRecording.Request())
-        return self.record(path) if path else self.resume()
-
-    def resume(self) -> str:
-        """Record into a new dataset on the disk; gives the error."""
-        self._sessions += 1
-        return self.record(f"main-{self._sessions}")
+        self._sessions += path is None
+        return self.record(path or f"main-{self._sessions}")
 
     def reported(self, began: float) -> str:
         """How soon the recorder has reported the end of its recording, and how."""
@@ -241,7 +224,7 @@ class Soak:
                     pass
             note = self.reported(began)
             ballast.unlink()
-            return f"{note}; {verified(disk / 'set')}" + self.resume()
+            return f"{note}; {verified(disk / 'set')}" + self.record_anew()
         finally:
             subprocess.run(["umount", "-l", disk], check=False)
 
@@ -252,20 +235,7 @@ class Soak:
         time.sleep(2.0)
         began = time.monotonic()
         shutil.rmtree(self.folder / f"main-{self._sessions}")
-        return self.reported(began) + self.resume()
-
-    def second_graph(self) -> str:
-        """A second graph in the same namespace for some seconds."""
-        before = {name: self.seen.processes(name) for name in PERCEPTION}
-        began, other = time.monotonic(), self.spawn("perception", PERCEPTION)
-        try:
-            self.seen.wait(lambda: all(self.seen.active(name, before[name]) for name in PERCEPTION), START_S)
-            time.sleep(6.0)
-        finally:
-            end(other, 15.0)
-        with self.seen.lock:
-            warnings = {f"{name}: {text}" for at, name, text in self.seen.warnings if at >= began}
-        return "diagnostics: " + ("; ".join(sorted(warnings)) or "NOTHING")
+        return self.reported(began) + self.record_anew()
 
     # The course of the soak.
 
@@ -311,12 +281,11 @@ def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str
         for skew in (-5.0837, 3599.0837)
     ]
     disk = [("disk full", soak.fill_disk), ("folder removed", soak.remove_folder)]
-    second = [("second graph", soak.second_graph)]
     if every:
-        rest = [*cycles, *stalls, *jumps, *disk, *second]
+        rest = [*cycles, *stalls, *jumps, *disk]
         mixed = [one for k in range(4) for one in rest[k::4]]
         return [*kills, *mixed, *mixed]
-    return [kills[2], cycles[0], disk[0], stalls[0], second[0], cycles[3], jumps[0], disk[1], jumps[3], kills[4]]
+    return [kills[2], cycles[0], disk[0], stalls[0], cycles[3], jumps[0], disk[1], jumps[3], kills[4]]
 
 
 def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[Disturbance], float]:
@@ -401,7 +370,6 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         "clouds with a repeated stamp": seen.repeated,
         **dict(sorted(fates.items())),
         "unexplained": len(unexplained),
-        "further answers to an answered cloud": len(seen.answers) - len(seen.answered_at),
         **{f"answers {name}": count for name, count in sorted(seen.statuses.items())},
         "answers that are not finite": seen.not_finite,
         "internal errors": len(errors),
@@ -441,7 +409,7 @@ def main() -> int:
         found = {str(p.parent.relative_to(name)): p.parent for p in Path(name).rglob("session-0001.mcap")}
         figures = summary(soak, done, origin, {key: verified(path) for key, path in sorted(found.items())})
     warm_up_s = min(WARM_UP_S, 20.0 * options.minutes)
-    memory = [row for one in {one.node: one for one in soak.memory}.values() if (row := one.row(warm_up_s))]
+    memory = [row for name, sizes in soak.memory.items() if (row := memory_row(name, sizes, warm_up_s))]
     tables = {
         "summary": [{"figure": key, "value": value} for key, value in figures.items()],
         "memory": memory,
