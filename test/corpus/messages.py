@@ -6,7 +6,6 @@ Messages of a kind follow each other in one process, so that the state of adapta
 
 import copy
 import json
-import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from itertools import count
@@ -15,35 +14,30 @@ from typing import Any, get_args
 
 import numpy as np
 from corpus.changes import Draw, absurd, damaged
+from corpus.clouds import bar
 from hypothesis import assume
 from hypothesis import strategies as st
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message, serialize_message
-from rich.console import Console
+from sensor_builders import XELA_REST, sens_stream
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane
 from std_msgs.msg import String
 
 from foretouch import reading
-from foretouch.cli.answers import answer_record
-from foretouch.cli.live import live_panel
-from foretouch.cli.output import print_json
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig, GraspHold
-from foretouch.grasp.messages import decode_grasp, has_orientation
 from foretouch.models import load_model
 from foretouch.models.hand_history import place_and_size
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.executables import NODES
-from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import plan_targets, read_arrays, read_cloud, read_plane, read_table, read_targets
-from foretouch.ros.nodes.monitor import View
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
@@ -51,12 +45,8 @@ from foretouch.ros.touch.grasp_actions import sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile import biotac_touch
-from foretouch.tactile.channels import BIOTAC_SP
-from foretouch.tactile.description import sensor_of
-from foretouch.tactile.messages.described import make_reader as make_described_reader
 from foretouch.tactile.messages.table import TactileConfig, make_reader
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane
@@ -84,15 +74,6 @@ def finite(what: str, *values: Any) -> None:
 # Valid messages.
 
 
-def box_cloud(points: int = 300) -> Cloud:
-    """An object cloud: a box of 6 x 4 x 8 cm."""
-    rng = np.random.default_rng(3)
-    xyz = rng.uniform(-0.5, 0.5, (points, 3))
-    axis = rng.integers(0, 3, points)
-    xyz[np.arange(points), axis] = np.sign(xyz[np.arange(points), axis]) * 0.5
-    return Cloud((xyz * [0.06, 0.04, 0.08] + [0.0, 0.0, 0.6]).astype(np.float32), None, FRAME, NOW_NS)
-
-
 def scene_message() -> Any:
     """A small organised cloud of a table with an object."""
     return cloud_to_msg(Cloud(warm_up_cloud().xyz[::2, ::2].copy(), None, FRAME, NOW_NS))
@@ -100,7 +81,7 @@ def scene_message() -> Any:
 
 def object_messages() -> list[Any]:
     """An `object_cloud` with labels and pixels, one with two objects, and one without labels."""
-    cloud = box_cloud()
+    cloud = Cloud((bar() + np.array([0.0, 0.0, 0.6])).astype(np.float32)[::10], None, FRAME, NOW_NS)
     pixels = np.arange(cloud.size, dtype=np.int64)
     one, other = (FoundObject(name, cloud, ASSUMED_TABLE, pixels, (20, 20)) for name in ("7", "8"))
     return [objects_to_msg([one], FRAME, NOW_NS), objects_to_msg([one, other], FRAME, NOW_NS), cloud_to_msg(cloud)]
@@ -137,14 +118,6 @@ def executed_message() -> Any:
     """An `ExecutedGrasp`."""
     times = {name: stamp_to_msg(NOW_NS + k * 10**8) for k, name in enumerate(("start", "contact", "release"), 1)}
     return ExecutedGrasp(header=header_to_msg(FRAME, NOW_NS), grasp_id="1/7/0", success=True, **times)
-
-
-def touch_message() -> Any:
-    """A `TouchPredictionArray`."""
-    touch, header = biotac_touch(np.full(50, 2000.0)), header_to_msg(FRAME, NOW_NS)
-    grasp = Grasp(np.array([0.03, 0, 0.6]), np.array([-0.03, 0, 0.6]), np.eye(3), 1.0, "1", "7")
-    prediction = TouchPrediction(grasp=grasp, value=touch, lower=touch, upper=touch)
-    return TouchAnswer(header, [grasp_message()], [prediction], sensor=BIOTAC_SP).message
 
 
 def touch_request() -> Any:
@@ -213,24 +186,6 @@ def object_clouds() -> Reader:
             finite("grasp", contacts(one), one.rotation)
 
     return object_messages(), read
-
-
-def tables() -> Reader:
-    """Tables."""
-    valid = table_message()
-    return [valid], lambda message: finite("plane", read_table(message, valid.header).coefficients)
-
-
-def grasps() -> Reader:
-    """Grasps, as the hand, the assembler and the predictor decode them."""
-
-    def read(message: Any) -> None:
-        for one in message.grasps:
-            has_orientation(one)
-            grasp = decode_grasp(one)
-            finite("grasp", grasp.g1, grasp.g2, grasp.rotation)
-
-    return [grasps_message()], read
 
 
 def check_predictions(message: Any) -> None:
@@ -368,20 +323,8 @@ def tactile_state() -> Reader:
 
 
 def described() -> Reader:
-    """Messages of a described sensor whose numbers have no range; a list of taxels is an array of objects."""
-    force = {"name": "F", "field": "taxels[].f", "unit": "N", "dtype": "float64", "rest": "zero", "noise": 0.01}
-    warmth = {"name": "T", "field": "warmth", "unit": "K", "dtype": "float64", "contact": "none", "rest": "none"}
-    fingers = [{"name": name, "field": f"sensors[place={name}]"} for name in ("TH", "FF")]
-    mapping = {
-        "name": "lab",
-        "fingers": fingers,
-        "array": {"rows": 2, "cols": 2, "size": [0.004, 0.004]},
-        "values": [force],
-        "scalars": [warmth],
-        "source": {"type": "lab_msgs/Pads", "stamp": "sensors[0].time"},
-    }
-    config: Any = SimpleNamespace(described=sensor_of(mapping, "lab"), fingers=("TH", "FF"))
-    reader = make_described_reader(config)
+    """Messages of a described sensor."""
+    reader = make_reader(TactileConfig(sensor="xela_uskin_4x4", thumb="TH", middle="FF"))
 
     def read(message: Any) -> None:
         found = reader.read(message)
@@ -389,21 +332,7 @@ def described() -> Reader:
         assert np.isfinite(found.others).all()
         assert abs(found.stamp_ns or 0) < 2**63
 
-    taxels = [SimpleNamespace(f=0.5 + k) for k in range(4)]
-    sensors = [SimpleNamespace(place=one["name"], time=1.7e9, warmth=300.0, taxels=taxels) for one in fingers]
-    return [SimpleNamespace(sensors=sensors)], read
-
-
-def touches() -> Reader:
-    """Predictions as `foretouch run` and the pictures read them."""
-    console, numbers = Console(file=sys.stderr), count()
-
-    def read(message: Any) -> None:
-        print_json(answer_record(message))
-        if next(numbers) % 10 == 0:  # drawing takes long
-            console.print(live_panel(View(last=message), "fuzz"))
-
-    return [touch_message()], read
+    return [sens_stream(XELA_REST)], read
 
 
 def parameters() -> Reader:
@@ -458,9 +387,6 @@ def changed(valid: Sequence[Any], read: Callable[[Any], object]) -> Callable[[Dr
 
 KINDS: dict[str, Callable[[], Reader]] = {
     make.__name__: make
-    for make in (
-        *(clouds, object_clouds, tables, grasps, hand, biotac_csv, tactile_state, described, touches, predicted),
-        *(sampled, parameters),
-    )
+    for make in (clouds, object_clouds, hand, biotac_csv, tactile_state, described, predicted, sampled, parameters)
 }
 """What makes valid messages of a kind and what reads them, by name."""
