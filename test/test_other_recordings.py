@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a grasp holds, from its touch alone: scores against scikit-learn, and what is learnt from other objects."""
+"""Whether a grasp holds, from its touch alone: what is learnt from other objects, and its scores."""
 
 import numpy as np
 from numpy.testing import assert_allclose
 
 from benchmarks.other_recordings import EXPERIMENT, OtherSettings, Records, folds_of, hold_chance
-from benchmarks.other_recordings.results import _pairs, auc, calibration_error, slip_first, tabulate
+from benchmarks.other_recordings.results import calibration_error, slip_first, tabulate
 from foretouch.dataset.record import SampleRecord
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import GraspSample
@@ -21,13 +21,7 @@ def record(number: int, shift: float, outcome: str) -> SampleRecord:
     return SampleRecord(sample=sample, outcome=outcome)  # type: ignore[arg-type]
 
 
-def test_area_and_calibration_agree_with_scikit_learn_and_by_hand() -> None:
-    from sklearn.metrics import roc_auc_score
-
-    held = RNG.random(500) < 0.4
-    chance = np.round(np.clip(held * 0.2 + RNG.random(500) * 0.8, 0.0, 1.0), 2)  # with ties
-    assert_allclose(auc(chance, held), roc_auc_score(held, chance), rtol=1e-12)
-    assert np.isnan(auc(chance, np.ones(500, bool)))
+def test_calibration_by_hand() -> None:
     # Two bins: .1, .1 with one of two held, .9 held: |.2 - 1| / 3 + |.9 - 1| / 3
     assert_allclose(calibration_error(np.array([0.1, 0.1, 0.9]), np.array([True, False, True])), 0.3, rtol=1e-12)
 
@@ -45,7 +39,7 @@ def test_what_holds_is_learnt_from_other_objects_and_tabulated_with_an_interval(
     chance = hold_chance("electrode mean", OtherSettings(), data, np.arange(40) < 20, held)
     assert chance is not None
     assert hold_chance("patterns", OtherSettings(), data, np.arange(40) < 20, held) is None  # two fingers
-    assert auc(chance[20:], held[20:]) == 1.0
+    assert chance[20:][held[20:]].min() > chance[20:][~held[20:]].max()
     sessions = data.sessions.tolist()
     cells = {"left_out": "objects", "objects": data.objects.tolist(), "held": held.tolist(), "sessions": sessions}
     rows = [
@@ -55,10 +49,6 @@ def test_what_holds_is_learnt_from_other_objects_and_tabulated_with_an_interval(
     good, blind = tabulate(rows, BootstrapConfig(draws=500))
     assert (good["score"], good["score_low"], good["grasps"], good["objects"]) == (1.0, 1.0, 40, 4)
     assert blind["score_low"] < blind["score"] < blind["score_high"]
-    wins, pairs = _pairs(chance, held, data.objects)
-    drawn = np.concatenate([np.flatnonzero(data.objects == f"object_{k}") for k in (0, 0, 1, 3)])
-    weights = np.array([2.0, 1.0, 0.0, 1.0])
-    assert_allclose(weights @ wins @ weights / (weights @ pairs @ weights), auc(chance[drawn], held[drawn]))
 
 
 def test_what_drifts_in_a_session_does_not_win_where_the_slip_came_first() -> None:

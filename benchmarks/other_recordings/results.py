@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+from sklearn.metrics import roc_auc_score
 
 from foretouch.types import Bool, Float64
 from foretouch_lab.experiments.framework.experiment import Row, Table
@@ -17,21 +18,6 @@ _COLUMNS: Final = (
     *("slip_first_high", "slip_first_pairs", "calibration_error"),
 )
 _NOTE: Final = "[95 % interval by bootstrap over objects]"
-
-
-def auc(chance: Float64, held: Bool) -> float:
-    """Probability that a grasp that held has the higher chance than one that did not; equal ones count half. NaN without both."""
-    wins, pairs = _pairs(chance, held, np.zeros(len(held)))
-    return float(wins.sum() / pairs.sum()) if pairs.sum() else float("nan")
-
-
-def _pairs(chance: Float64, held: Bool, objects: Any) -> tuple[Float64, Float64]:
-    """(O, O) won and all comparisons of the grasps on an object that held with those on another one that did not."""
-    names = np.unique(objects)
-    yes = [np.sort(chance[held & (objects == name)]) for name in names]
-    no = [np.sort(chance[~held & (objects == name)]) for name in names]
-    wins = [[(b.searchsorted(a, "left").sum() + b.searchsorted(a, "right").sum()) / 2.0 for b in no] for a in yes]
-    return np.array(wins), np.outer([len(a) for a in yes], [len(b) for b in no]).astype(np.float64)
 
 
 def slip_first(chance: Float64, held: Bool, sessions: Any) -> tuple[Float64, Float64]:
@@ -61,7 +47,7 @@ def _draws(objects: int, config: BootstrapConfig) -> Float64:
     )
 
 
-def _interval(scores: Float64, name: str = "score") -> dict[str, float]:
+def _interval(scores: Sequence[float] | Float64, name: str = "score") -> dict[str, float]:
     low, high = np.nanpercentile(scores, [2.5, 97.5])
     return {f"{name}_low": float(low), f"{name}_high": float(high)}
 
@@ -73,11 +59,11 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
         chance, held, objects, sessions = (
             np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects", "sessions")
         )
-        wins, pairs = _pairs(chance, held, objects)
-        drawn = _draws(len(wins), config)
-        won, against = (np.einsum("no,op,np->n", drawn, one, drawn, optimize=True) for one in (wins, pairs))
-        facts = {"grasps": len(held), "objects": len(np.unique(objects)), "score": auc(chance, held)}
-        facts |= {"calibration_error": calibration_error(chance, held), **_interval(won / against)}
+        names, numbers = np.unique(objects, return_inverse=True)
+        drawn = _draws(len(names), config)[:, numbers]  # how often each grasp is in a resample
+        facts: Row = {"grasps": len(held), "objects": len(names), "score": roc_auc_score(held, chance)}
+        facts |= _interval([roc_auc_score(held, chance, sample_weight=one) for one in drawn])
+        facts["calibration_error"] = calibration_error(chance, held)
         won, against = slip_first(chance, held, sessions)
         if against.any():
             drawn = _draws(len(won), config)
