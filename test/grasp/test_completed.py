@@ -74,7 +74,7 @@ def test_an_upright_box_is_taken_at_a_side_that_is_seen_and_at_one_that_is_not()
         x = np.sort(found[:, 0])
         np.testing.assert_allclose(x, [-0.025, 0.025], atol=0.008)  # the pair of sides that is 50 mm apart
         normals = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]) @ about_vertical(yaw).T
-        to_camera = Camera(55.0).pose[1]
+        to_camera = Camera(55.0).eye
         assert (normals @ to_camera > 0.0).sum() == 1
 
 
