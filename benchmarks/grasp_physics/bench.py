@@ -17,9 +17,8 @@ import yaml
 
 from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics.camera import VIEWS, see
-from benchmarks.grasp_physics.objects import Item, Placed, read_items
+from benchmarks.grasp_physics.objects import Item, read_items
 from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
-from benchmarks.grasp_physics.surface import best_grasps
 from foretouch.camera.libusb import ensure_libusb
 from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
@@ -28,8 +27,7 @@ from foretouch.types import Float64
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
 OURS: Final = get_args(GraspMethod)
-FIRST, ANY = "true surface, first", "true surface, best of 10"
-METHODS: Final = (*OURS, RULE, FIRST, ANY)
+METHODS: Final = (*OURS, RULE)
 DEFAULT: Final = PipelineConfig().grasp.method
 REFERENCE: Final = "original"  # whose time the others are compared with
 NO_OBJECT: Final = "no object found"
@@ -76,40 +74,23 @@ class Task:
 
 def rows_of(task: Task) -> list[Row]:
     """All rows of one object."""
-    return [row for pose in range(task.poses) for part in (_planned, _best) for row in part(task, pose)]
+    return [row for pose in range(task.poses) for view in task.views for row in _planned(task, pose, view)]
 
 
-def _planned(task: Task, number: int) -> Iterator[Row]:
-    """The rows of what is planned on images of one pose."""
-    chosen = [name for name in task.methods if name not in {FIRST, ANY}]
-    for view in task.views if chosen else ():
-        seen = see(task.item, number, view)
-        targets = Pipeline().segment(seen.cloud).targets
-        for method in chosen:
-            start, contacts, reason = time.thread_time(), None, NO_OBJECT
-            settings = {} if method == RULE else {"grasp.method": method, **task.settings}
-            pipeline = Pipeline(PipelineConfig().updated(settings))
-            if targets:
-                contacts, reason = propose(method, pipeline, targets[0]), NO_GRASP
-            ms = 1e3 * (time.thread_time() - start) if targets else math.nan
-            world = None if contacts is None else seen.camera.to_world(contacts)
-            for one in task.conditions:
-                verdict = task.close(one, seen.pose, world, reason)
-                yield task.row(number, view, method, one, verdict, ms)
-
-
-def _best(task: Task, number: int) -> Iterator[Row]:
-    """The rows of the best grasps on the true surface for one pose, which do not depend on the camera."""
-    if not {FIRST, ANY} & set(task.methods):
-        return
-    pose = task.item.pose(number)
-    surface = Placed(task.item, pose)
-    for one in task.conditions:
-        grasps = best_grasps(task.item, surface, one[0] * 1e-3, one[1], task.opening_mm * 1e-3)
-        verdicts = [task.close(one, pose, grasp) for grasp in grasps] or [Verdict(False, False, NO_GRASP)]
-        for method, verdict in ((FIRST, verdicts[0]), (ANY, max(verdicts, key=lambda found: found[:2]))):
-            for view in task.views if method in task.methods else ():
-                yield task.row(number, view, method, one, verdict, math.nan)
+def _planned(task: Task, number: int, view: str) -> Iterator[Row]:
+    """The rows of one image."""
+    seen = see(task.item, number, view)
+    targets = Pipeline().segment(seen.cloud).targets
+    for method in task.methods:
+        settings = {} if method == RULE else {"grasp.method": method, **task.settings}
+        pipeline = Pipeline(PipelineConfig().updated(settings))
+        start = time.thread_time()
+        contacts = propose(method, pipeline, targets[0]) if targets else None
+        ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
+        world = None if contacts is None else seen.camera.to_world(contacts)
+        for one in task.conditions:
+            verdict = task.close(one, seen.pose, world, reason)
+            yield task.row(number, view, method, one, verdict, ms)
 
 
 def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
@@ -177,15 +158,13 @@ def share(rows: Sequence[Row], what: str) -> str:
 
 
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Held and strict by view, of the best on the true surface, and time beside that of the reference."""
+    """Held and strict by view, and time beside that of the reference."""
     found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
     for (method,) in values(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
         for (view,) in values(rows, "view"):
-            mine, best = (select(rows, method=name, view=view) for name in (method, FIRST))
+            mine = select(rows, method=method, view=view)
             line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
-            if best:
-                line[f"{view}: of the best"] = f"{mean(mine, 'held') / mean(best, 'held'):.2f}"
         times = [row["ms"] for row in select(rows, method=method)]
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.common import scene
-from benchmarks.grasp_physics.objects import Item, Placed
+from benchmarks.grasp_physics.objects import Item
 from foretouch.types import Cloud, Float32, Float64
 from foretouch_lab.simulation.depth_scene import CameraView, DepthImage, to_millimetres
 from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
@@ -30,10 +30,11 @@ class Surface(Body):
     triangles: Float32  # (F, 3, 3) float32 [m]
 
     @classmethod
-    def of(cls, surface: Placed) -> "Surface":
-        """From an object at its pose."""
-        low, high = surface.mesh.bounds
-        triangles = np.ascontiguousarray(surface.mesh.triangles, np.float32)
+    def of(cls, item: Item, pose: Float64) -> "Surface":
+        """Of an object at a pose."""
+        mesh = item.at(pose)
+        low, high = mesh.bounds
+        triangles = np.ascontiguousarray(mesh.triangles, np.float32)
         return cls(shape="", variant=0, size=high - low, position=(low + high) / 2.0, rotation=np.eye(3), triangles=triangles)  # fmt: skip
 
     @cached_property
@@ -76,7 +77,7 @@ def see(item: Item, number: int, view: str) -> Seen:
     stands = {"camera__tilt_deg": 90.0 - elevation, "camera__distance_m": float(rng.uniform(*DISTANCE_M))}
     config = scene("rigid", objects=[{"name": item.name}], **stands)  # `stand` puts the object itself there
     camera, pose = config.camera.view(), item.pose(number)
-    body = Surface.of(Placed(item, pose))
+    body = Surface.of(item, pose)
 
     def stand(_job: Job, state: SampleState) -> None:
         state.bodies = [body]

@@ -14,7 +14,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,28 +32,6 @@ PATIENCE_S = 20.0  # that is waited for a recovery
 WARM_UP_S = 600.0  # of a process, at most a third of the run: the recorder keeps the clouds of the last minute
 STALL_S = 6.0  # longer than `silence_s`, so that diagnostics must name it
 TMPFS_MB = 64
-
-
-@dataclass
-class Disturbance:
-    """One disturbance as it happened."""
-
-    name: str
-    start_s: float
-    end_s: float = 0.0  # the cause is gone: the process is active, the topic flows, the space is free
-    recovered_s: float | None = None  # the first sign of normal work after that
-    note: str = ""
-
-    @property
-    def is_late(self) -> bool:
-        """Whether it took longer than the limit."""
-        return self.recovered_s is None or self.recovered_s - self.end_s > RECOVERY_S
-
-    def row(self, origin: float) -> dict[str, Any]:
-        """A row of `disturbances.csv`."""
-        recovery = "none" if self.recovered_s is None else f"{self.recovered_s - self.end_s:.2f}"
-        start, lasted = f"{self.start_s - origin:.1f}", f"{self.end_s - self.start_s:.1f}"
-        return {"t_s": start, "disturbance": self.name, "lasted_s": lasted, "recovery_s": recovery, "note": self.note}
 
 
 def memory_row(node: str, sizes: Sequence[tuple[float, float]], warm_up_s: float) -> dict[str, Any] | None:
@@ -249,14 +226,17 @@ class Soak:
             return lambda: seen.recorder is not None and seen.recorder.recording and seen.recorder.used != used
         return lambda: bool(seen.answers) and seen.answers[-1] > since
 
-    def disturb(self, name: str, action: Callable[[], str]) -> Disturbance:
-        """Disturb, and wait until the graph works again."""
-        done = Disturbance(name, time.monotonic())
-        done.note = action()
-        done.end_s = time.monotonic()
-        if self.seen.wait(self.works(name), PATIENCE_S):
-            done.recovered_s = time.monotonic()
-        return done
+    def disturb(self, name: str, action: Callable[[], str], origin: float) -> dict[str, Any]:
+        """Disturb, and wait until the graph works again; a row of `disturbances.csv`.
+
+        Recovery is the time from when the cause is gone (the process is active, the topic flows, the space is free) to the first sign of normal work.
+        """
+        start_s = time.monotonic()
+        note, end_s = action(), time.monotonic()
+        recovered = self.seen.wait(self.works(name), PATIENCE_S)
+        recovery = f"{time.monotonic() - end_s:.2f}" if recovered else "none"
+        times = {"t_s": f"{start_s - origin:.1f}", "disturbance": name, "lasted_s": f"{end_s - start_s:.1f}"}
+        return {**times, "recovery_s": recovery, "note": note}
 
 
 def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str]]]:
@@ -288,7 +268,7 @@ def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str
     return [kills[2], cycles[0], disk[0], stalls[0], cycles[3], jumps[0], disk[1], jumps[3], kills[4]]
 
 
-def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[Disturbance], float]:
+def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[dict[str, Any]], float]:
     """Start the graph, disturb it at equal intervals unless `quiet`, and end with some quiet seconds; gives the time of the start."""
     began = time.monotonic()
     for name in NODES:
@@ -309,8 +289,8 @@ def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[Disturbance], 
             print(f"{len(plan) - number} disturbances were left out: time is over", flush=True)
             break
         soak.watch()
-        done.append(soak.disturb(name, action))
-        print("  ".join(map(str, done[-1].row(origin).values())), flush=True)
+        done.append(soak.disturb(name, action, origin))
+        print("  ".join(done[-1].values()), flush=True)
         time.sleep(max(0.0, origin + quiet_s + (number + 1) * interval_s - time.monotonic()))
     while (left := origin + minutes * 60.0 - time.monotonic()) > 0.0:
         time.sleep(min(left, 10.0))
@@ -345,15 +325,16 @@ def latency_rows(seen: Observer, origin: float, minutes: float) -> list[dict[str
     ]
 
 
-def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Mapping[str, str]) -> dict[str, Any]:
+def summary(
+    soak: Soak, done: Sequence[Mapping[str, Any]], origin: float, datasets: Mapping[str, str]
+) -> dict[str, Any]:
     """The figures; what breaks a limit is printed, and `limits broken` counts it."""
     seen = soak.seen
     fates, unexplained = account(seen.clouds, seen.stamps, soak.outages, seen.drops)
-    errors = [
-        f"{name}: {key}" for (name, _), one in seen.reports.items() for key in one.values if "internal_errors." in key
-    ]
-    recoveries = [one.recovered_s - one.end_s for one in done if one.recovered_s is not None]
-    late = [one.name for one in done if one.is_late]
+    found = [(name, key) for (name, _), one in seen.reports.items() for key in one.values]
+    errors = [f"{name}: {key}" for name, key in found if "internal_errors." in key]
+    recoveries = [PATIENCE_S if one["recovery_s"] == "none" else float(one["recovery_s"]) for one in done]
+    late = [one["disturbance"] for one, recovery in zip(done, recoveries, strict=True) if recovery > RECOVERY_S]
     broken = [
         *(f"unexplained at {node}: {seen.clouds[stamp] - origin:.1f} s after the start" for stamp, node in unexplained),
         *["an answer is not finite"] * seen.not_finite,
@@ -361,7 +342,7 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         *errors,
         *(f"no recovery within {RECOVERY_S:g} s: {name}" for name in late),
         *(f"dataset {name}: {text}" for name, text in datasets.items() if "NOT " in text),
-        *(f"failed: {one.name}" for one in done if "NOT " in one.note or "REFUSED" in one.note),
+        *(f"failed: {one['disturbance']}" for one in done if "NOT " in one["note"] or "REFUSED" in one["note"]),
     ]
     print("".join(f"  {text}\n" for text in broken), end="")
     return {
@@ -378,7 +359,7 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         "recovered within 2 s": len(done) - len(late),
         **{f"dataset {name}, repaired": text for name, text in datasets.items()},
         "load of the computer, processes per core": round(os.getloadavg()[2] / (os.cpu_count() or 1), 1),
-        "longest recovery [s]": round(max(recoveries, default=0.0), 2),
+        "longest recovery [s]": max(recoveries, default=0.0),
         "median recovery [s]": round(float(np.median(recoveries or [0.0])), 2),
     }
 
@@ -413,7 +394,7 @@ def main() -> int:
     tables = {
         "summary": [{"figure": key, "value": value} for key, value in figures.items()],
         "memory": memory,
-        "disturbances": [one.row(origin) for one in done],
+        "disturbances": done,
         "latency": latency_rows(soak.seen, origin, options.minutes),
     }
     for key, rows in tables.items():
