@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from other_sensor import USKIN, readings, write_readings
 from recording_builders import IDENTITY, QUICK, record, write_dataset, write_sample
 
-from foretouch.cli.answers import prediction_from_record, read_answers
+from foretouch.cli.answers import prediction_from_record, prediction_record, read_answers
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml
 from foretouch.dataset.bag import Recording
@@ -37,9 +37,10 @@ from foretouch.errors import ForetouchError
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
+from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import load_sensor, sensor_files
 from foretouch.tactile.messages.described import SensorReader
-from foretouch.types import Cloud, Grasp
+from foretouch.types import Cloud, Grasp, TouchPrediction
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.experiments.framework.manifest import open_folder, read_results
 from foretouch_lab.learning.data.dataset import load_dataset
@@ -47,31 +48,6 @@ from foretouch_lab.learning.data.splits import read_splits
 from foretouch_lab.learning.training.run_folder import RunFolder, read_state, write_state
 from foretouch_lab.simulation.objects.mesh import read_mesh_file
 
-MESH = """ply
-format ascii 1.0
-element vertex 4
-property float x
-property float y
-property float z
-element face 4
-property list uchar int vertex_indices
-end_header
-0 0 0
-1 0 0
-0 1 0
-0 0 1
-3 0 2 1
-3 0 1 3
-3 0 3 2
-3 1 2 3
-"""
-ENDS = {
-    f"{kind}_{finger}": dict.fromkeys(("value", "lower", "upper"), [1.0] * 24 if kind == "E" else 1.0)
-    for kind in ("PDC", "E")
-    for finger in ("TH", "MF")
-}
-GRASP = {"g1": [0, 0, 1], "g2": [0, 0.1, 1], "rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "score": 1.0}
-PREDICTION = {"grasp": GRASP, **ENDS, "status": "ok", "reason": "", "reference": "none", "flags": []}
 SPLITS = {"random": [{"name": "a", "train": ["x"], "test": ["y"]}]}
 SWEEP: dict[str, Any] = {"experiment": "x", "settings": {}, "data": {"sha256": "0"}}
 RUN: dict[str, Any] = {"a": {"b": 1}, "c": [1, 2]}
@@ -350,6 +326,19 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
     return make
 
 
+def _answers(folder: Path) -> Path:
+    touch, grasp = biotac_touch(np.full(50, 2000.0)), Grasp(np.zeros(3), np.array([0.0, 0.1, 1.0]), np.eye(3), 1.0)
+    record = {"sample": "a/1", "predictions": [prediction_record(TouchPrediction(grasp, touch, touch, touch))]}
+    return _text("answers.json", json.dumps(record, default=np.ndarray.tolist))(folder)
+
+
+def _mesh(folder: Path) -> Path:
+    import trimesh
+
+    trimesh.creation.box().export(folder / "mesh.ply", encoding="ascii")
+    return folder / "mesh.ply"
+
+
 def _read_answers(path: Path) -> None:
     for one in read_answers(path):
         for prediction in one.get("predictions", []):
@@ -377,6 +366,6 @@ KINDS = {
     "run": Kind(_run, _read_run),
     "experiment": Kind(_sweep, _read_sweep),
     "splits": Kind(_text("a.json", json.dumps({"schema_version": 1, "splits": SPLITS})), read_splits, 0.5),
-    "answers": Kind(_text("a.json", json.dumps({"sample": "a/1", "predictions": [PREDICTION]})), _read_answers, 0.5),
-    "mesh": Kind(_text("mesh.ply", MESH), lambda path: read_mesh_file(str(path)), 0.02),
+    "answers": Kind(_answers, _read_answers, 0.5),
+    "mesh": Kind(_mesh, lambda path: read_mesh_file(str(path)), 0.02),
 }

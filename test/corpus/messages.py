@@ -7,6 +7,7 @@ Messages of a kind follow each other in one process, so that the state of adapta
 import copy
 import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
 from itertools import count
 from types import SimpleNamespace
@@ -29,7 +30,7 @@ from foretouch import reading
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
 from foretouch.models.hand_history import place_and_size
@@ -366,6 +367,8 @@ def changed(valid: Sequence[Any], read: Callable[[Any], object]) -> Callable[[Dr
     plain = [one for one in valid if not hasattr(one, "get_fields_and_field_types")]
     # Once: bytes between the fields, which are not set, differ each time.
     kept = [(type(one), bytes(serialize_message(one))) for one in valid if one not in plain]
+    with suppress(ForetouchError):  # what is loaded for the first one is no part of its time
+        read(valid[0])
 
     def change(draw: Draw) -> Callable[[], object]:
         if plain:
