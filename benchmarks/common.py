@@ -99,20 +99,14 @@ def _text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
-def timed(job: Callable[[], object], repeats: int, average: Callable[[Any], Any] = np.median) -> tuple[float, float]:
-    """Wall time and CPU time of a call, all threads of this process, after one call to warm up: medians by default [s]."""
+def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> float:
+    """CPU time of a call, all threads of this process, after one call to warm up: the median, or the least [ms]."""
     times = []
     for _ in range(repeats + 1):
-        began, used = time.perf_counter(), time.process_time()
+        used = time.process_time()
         job()
-        times.append((time.perf_counter() - began, time.process_time() - used))
-    wall, cpu = (float(average(values)) for values in zip(*times[1:], strict=True))
-    return wall, cpu
-
-
-def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> float:
-    """CPU time of a call, see `timed`: the median, or the least [ms]."""
-    return 1e3 * timed(job, repeats, min if least else np.median)[1]
+        times.append(time.process_time() - used)
+    return 1e3 * float(min(times[1:]) if least else np.median(times[1:]))
 
 
 class OthersLoad:
