@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several benchmarks need: tables as CSV, Markdown and text, and scenes. Run them from the root: `python -m benchmarks.guard.bench`."""
+"""What all benchmarks share: one command line, cells that become rows, tables as CSV, Markdown and text. Run them from the root.
+
+A benchmark is a function that yields rows, plain dicts with the same keys, from the options of its command line. `command` runs it: it prints
+each table, writes it as CSV where asked, and replaces what stands between the marks of its README.
+"""
 
 import csv
 import os
 import time
-from argparse import ArgumentParser
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +22,37 @@ ROOT: Final = Path(__file__).parents[1]
 BEGIN: Final = "<!-- written by the benchmark -->\n"
 END: Final = "<!-- end of what is written -->\n"
 
+Rows = Iterable[Mapping[str, Any]]
+
+
+def command(
+    doc: str | None,
+    tables: Callable[[Namespace], Mapping[Path, Rows]],
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    *,
+    data: bool = False,
+) -> Namespace:
+    """The whole of a benchmark: read the command line, measure, print and write the tables; returns the options.
+
+    Args:
+        doc: Docstring of the benchmark.
+        tables: From the options to rows by the CSV that holds them; a table is measured once the one before it is written.
+        options: Arguments of `add_argument` by flag.
+        data: Whether it reads recordings of others, which `--data` names.
+    """
+    parser = ArgumentParser(description=doc)
+    if data:
+        add_data(parser)
+    for flag, given in (options or {}).items():
+        parser.add_argument(flag, **given)
+    parser.add_argument("-o", "--out", type=Path, help="folder of the tables, instead of the committed ones")
+    arguments = parser.parse_args()
+    for path, rows in tables(arguments).items():
+        found = list(rows)
+        write_csv(arguments.out / path.name if arguments.out else path, found)
+        print_rows(found)
+    return arguments
+
 
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Rows of a table; none if it does not exist."""
@@ -27,7 +62,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def write_csv(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+def write_csv(path: Path, rows: Rows) -> None:
     """Write a table whose rows have the columns of the first one."""
     rows = list(rows)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,20 +99,14 @@ def _text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
-def timed(job: Callable[[], object], repeats: int, average: Callable[[Any], Any] = np.median) -> tuple[float, float]:
-    """Wall time and CPU time of a call, all threads of this process, after one call to warm up: medians by default [s]."""
+def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> float:
+    """CPU time of a call, all threads of this process, after one call to warm up: the median, or the least [ms]."""
     times = []
     for _ in range(repeats + 1):
-        began, used = time.perf_counter(), time.process_time()
+        used = time.process_time()
         job()
-        times.append((time.perf_counter() - began, time.process_time() - used))
-    wall, cpu = (float(average(values)) for values in zip(*times[1:], strict=True))
-    return wall, cpu
-
-
-def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> float:
-    """CPU time of a call, see `timed`: the median, or the least [ms]."""
-    return 1e3 * timed(job, repeats, min if least else np.median)[1]
+        times.append(time.process_time() - used)
+    return 1e3 * float(min(times[1:]) if least else np.median(times[1:]))
 
 
 class OthersLoad:

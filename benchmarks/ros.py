@@ -24,8 +24,6 @@ class Report:
     """Diagnostics of one node in one process."""
 
     time_s: float  # `time.monotonic`
-    level: int
-    message: str
     values: Mapping[str, str]
 
 
@@ -121,8 +119,7 @@ class Client:
         with self.lock:
             for status in message.status:
                 key = status.name.rpartition("/")[2], process
-                level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                report = Report(now, level, status.message, {pair.key: pair.value for pair in status.values})
+                report = Report(now, {pair.key: pair.value for pair in status.values})
                 self.reported(key[0], self.reports.get(key), report)
                 self.reports[key] = report
 

@@ -1,36 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solids on a table as an ideal depth camera sees them: each ray is intersected with the solid in closed form."""
+"""Solids of the simulator on a table, as an ideal depth camera sees them: each ray is intersected with the solid in closed form."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from foretouch.types import Cloud, Float64, Plane
+from foretouch_lab.simulation.depth_scene import CameraView
+from foretouch_lab.simulation.solids import Box, Cylinder, Primitive, Sphere
+from foretouch_lab.simulation.solids import about_z as about_vertical
 
-_FOCAL, _WIDTH, _HEIGHT = 610.0, 640, 480  # of a D415 at 640 x 480 [pixels]
-_COLUMN, _ROW = 318.3, 242.9  # where its axis meets the image: no solid is symmetric in pixels
+# Of a D415 at 640 x 480 [pixels]; no solid is symmetric about the pixel where its axis meets the image.
+_MATRIX = np.array([[610.0, 0.0, 318.3], [0.0, 610.0, 242.9], [0.0, 0.0, 1.0]])
 _RIGHT = np.array([0.0, -1.0, 0.0])  # of the camera, in the world, which looks along the world's x and down
-
-# Of an origin (3,) and directions (N, 3): where each line enters and leaves (N,), the first above the second without a hit.
-Interval = Callable[[Float64, Float64], tuple[Float64, Float64]]
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
     """A solid that stands on the table z = 0 of the world, over its origin."""
 
-    interval: Interval
+    body: Primitive
     height_m: float
 
-    def cast(self, origin: Float64, along: Float64) -> Float64:
-        """(N,) first distance of rays, infinite without a hit."""
-        near, far = self.interval(origin, along)
-        return np.where((near <= far) & (near > 0.0), near, np.inf)
-
     def contacts(self, middle: Float64, along: Float64) -> Float64:
-        """(2, 3), where a line through the solid enters and leaves it."""
-        return middle + np.concatenate(self.interval(middle, along[None]))[:, None] * along
+        """(2, 3), where a line through the solid enters and leaves it; `along` is of unit length."""
+        starts = (middle - along, middle + along)
+        t = [float(self.body.cast(start, way[None])[0]) for start, way in zip(starts, (along, -along), strict=True)]
+        return np.stack([starts[0] + t[0] * along, starts[1] - t[1] * along])
 
     def normal(self, at: Float64) -> Float64:
         """(3,) outward normal at a place on a side, from three lines beside each other."""
@@ -42,93 +38,42 @@ class Solid:
         return normal / np.linalg.norm(normal) * -np.sign(normal @ inwards)
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """Where the camera stands: at this elevation over the table, looking at a place above the world's origin."""
+class Camera(CameraView):
+    """A camera at this elevation over the table, looking at a place above the world's origin."""
 
-    elevation_deg: float
-    distance_m: float = 0.9
-    aim: tuple[float, float, float] = (0.0, 0.0, 0.05)
-
-    @property
-    def pose(self) -> tuple[Float64, Float64]:
-        """Rotation (3, 3) from world to camera, and the camera's place in the world (3,) [m]."""
-        e = np.radians(self.elevation_deg)
+    def __init__(self, elevation_deg: float, distance_m: float = 0.9) -> None:
+        e = np.radians(elevation_deg)
         forward = np.array([np.cos(e), 0.0, -np.sin(e)])
-        return np.stack([_RIGHT, np.cross(forward, _RIGHT), forward]), np.array(self.aim) - self.distance_m * forward
+        axes = np.stack([_RIGHT, np.cross(forward, _RIGHT), forward], axis=1)
+        super().__init__(640, 480, _MATRIX, np.array([0.0, 0.0, 0.05]) - distance_m * forward, axes)
 
     def table(self) -> Plane:
         """The table in the camera's frame."""
-        rotation, eye = self.pose
-        return Plane(rotation[:, 2].copy(), float(eye[2]))
-
-    def to_world(self, xyz: Float64) -> Float64:
-        """Points (..., 3) of the camera's frame in the world."""
-        rotation, eye = self.pose
-        return xyz @ rotation + eye
-
-    def to_camera(self, xyz: Float64) -> Float64:
-        """The reverse of `to_world`."""
-        rotation, eye = self.pose
-        return (xyz - eye) @ rotation.T
+        return Plane.from_coefficients(self.table_plane())
 
     def see(self, solid: Solid, *, at: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Cloud:
         """(H, W, 3) image of the solid alone, moved and turned about the vertical; NaN where it is not seen."""
-        rotation, eye = self.pose
-        v, u = np.mgrid[0:_HEIGHT, 0:_WIDTH]
-        rays = np.stack([(u - _COLUMN) / _FOCAL, (v - _ROW) / _FOCAL, np.ones(u.shape)], axis=-1)
-        turn = about_vertical(yaw)
-        distance = solid.cast((eye - np.array([*at, 0.0])) @ turn, rays.reshape(-1, 3) @ rotation @ turn)
-        depth = np.where(np.isfinite(distance), distance, np.nan).reshape(u.shape)
-        return Cloud((rays * depth[..., None]).astype(np.float32))
+        body = replace(solid.body, rotation=about_vertical(yaw)).moved(np.array([*at, 0.0]))
+        rays = self.directions()
+        depth = body.cast(self.eye, rays)
+        depth[~np.isfinite(depth)] = np.nan
+        return Cloud((rays @ self.R_world_camera * depth[..., None]).astype(np.float32))
 
 
-def about_vertical(yaw: float) -> Float64:
-    """(3, 3) rotation about the world's z [rad]."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def _standing(height_m: float) -> Float64:
+    return np.array([0.0, 0.0, height_m / 2.0])
 
 
 def box(x: float, y: float, z: float) -> Solid:
     """A box with these edges [m]."""
-    half, centre = np.array([x, y, z]) / 2.0, np.array([0.0, 0.0, z / 2.0])
-    return Solid(lambda origin, along: _slabs(origin - centre, along, half), z)
-
-
-def _slabs(origin: Float64, along: Float64, half: Float64) -> tuple[Float64, Float64]:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.stack([(-half - origin) / along, (half - origin) / along])
-    inside = np.abs(origin) <= half
-    low = np.where(np.isnan(ends[0]) | (along == 0.0), np.where(inside, -np.inf, np.inf), ends.min(axis=0))
-    high = np.where(np.isnan(ends[0]) | (along == 0.0), np.where(inside, np.inf, -np.inf), ends.max(axis=0))
-    return low.max(axis=1), high.min(axis=1)
+    return Solid(Box(position=_standing(z), size=np.array([x, y, z])), z)
 
 
 def can(radius_m: float, height_m: float) -> Solid:
     """An upright cylinder."""
-
-    def interval(origin: Float64, along: Float64) -> tuple[Float64, Float64]:
-        side = _roots((along[:, :2] ** 2).sum(axis=1), along[:, :2] @ origin[:2], origin[:2] @ origin[:2] - radius_m**2)
-        middle = np.array([0.0, 0.0, height_m / 2.0])
-        caps = _slabs((origin - middle)[2:], along[:, 2:], np.array([height_m / 2.0]))
-        return np.maximum(side[0], caps[0]), np.minimum(side[1], caps[1])
-
-    return Solid(interval, height_m)
+    return Solid(Cylinder(position=_standing(height_m), radius=radius_m, height=height_m), height_m)
 
 
 def ball(radius_m: float) -> Solid:
     """A ball that touches the table."""
-
-    def interval(origin: Float64, along: Float64) -> tuple[Float64, Float64]:
-        offset = origin - np.array([0.0, 0.0, radius_m])
-        return _roots((along**2).sum(axis=1), along @ offset, offset @ offset - radius_m**2)
-
-    return Solid(interval, 2.0 * radius_m)
-
-
-def _roots(a: Float64, b: Float64, c: float) -> tuple[Float64, Float64]:
-    """Both solutions of a t² + 2 b t + c = 0; infinite, the first above the second, without any."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(b * b - a * c)
-        low, high = (-b - root) / a, (-b + root) / a
-    return np.where(np.isnan(low), np.inf, low), np.where(np.isnan(high), -np.inf, high)
+    return Solid(Sphere(position=_standing(2.0 * radius_m), radius=radius_m), 2.0 * radius_m)

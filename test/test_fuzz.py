@@ -1,51 +1,71 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The short form of `benchmarks/fuzz`: some changed files and some absurd messages of each kind."""
+"""Changed files, messages and requests of every kind: each is read or refused in one line, within a second, and answers are finite.
 
-import subprocess
-import sys
-from importlib import import_module
+`FORETOUCH_FUZZ=5000 pytest test/test_fuzz.py` is the campaign, with so many other cases of each kind; what they found is in `benchmarks/fuzz`.
+"""
+
+import os
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from corpus import files
+from corpus.changes import Draw
 from every_case import every_case
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from benchmarks.fuzz import driver
+from foretouch.errors import ForetouchError
 
-ROOT = Path(__file__).parents[1]
+CASES = int(os.environ.get("FORETOUCH_FUZZ", "0"))
+LONGEST = 3000  # characters of a refusal
+
+pytestmark = [pytest.mark.filterwarnings("ignore"), pytest.mark.timeout(600 + CASES)]
 
 
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("module", "cases"), [("files", 20), ("messages", 40)])
-def test_nothing_changed_crashes_a_reader_is_used_in_silence_or_is_answered_with_what_is_not_finite(
-    module: str, cases: int, tmp_path: Path
-) -> None:
-    if module == "messages":
-        pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-        pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
-    kinds = import_module(f"benchmarks.fuzz.{module}").KINDS
+def judge(read: Callable[[], object]) -> None:
+    began = time.process_time()
+    try:
+        read()
+    except ForetouchError as err:
+        text = str(err)
+        assert text
+        assert "\n" not in text
+        assert len(text) < LONGEST
+    assert time.process_time() - began < 1.0
 
+
+def fuzz(change: Callable[[Draw], Callable[[], object]], usual: int, weight: float) -> None:
+    """Judge cases; those of a campaign are other ones each time."""
+    count = max(3, round((CASES or usual) * weight))
+
+    @settings(
+        max_examples=count, deadline=None, derandomize=not CASES, database=None, suppress_health_check=HealthCheck
+    )
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        judge(change(data.draw))
+
+    check()
+
+
+def test_a_changed_file_is_read_as_it_was_written_or_refused_and_no_file_outside_is_changed(tmp_path: Path) -> None:
     def check(name: str) -> None:
         (tmp_path / name).mkdir()
-        case = kinds[name].prepare(tmp_path / name)
-        for number in range(max(3, round(cases * kinds[name].weight))):
-            outcome, detail, _ = driver.read_case(case, driver.generator(name, 0, number))
-            assert outcome in ("read", "refused"), f"{number}: {detail}"
+        fuzz(files.Changed(files.KINDS[name], tmp_path / name).change, 20, files.KINDS[name].weight)
 
-    every_case({name: name for name in kinds}, check)
-
-
-def test_a_crash_by_a_signal_is_detected_named_and_followed_by_the_next_case() -> None:
-    row, faults = driver.run("benchmarks.fuzz.driver", "crash", 10, 0)
-    assert faults == [f"crash 0 {number}: signal: exit status -11" for number in (3, 7)]
-    assert (row["read"], row["signal"]) == (8, 2)
+    every_case(list(files.KINDS), check)
 
 
 @pytest.mark.ros
-@pytest.mark.slow
-@pytest.mark.timeout(320)
-def test_the_live_graph_answers_a_good_cloud_as_before() -> None:
+def test_what_the_nodes_make_of_a_changed_message_is_finite_or_refused() -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    kinds = [word for kind in ("grasps", "executed_grasp", "predict_touch") for word in ("--kind", kind)]
-    command = [sys.executable, "-m", "benchmarks.fuzz.live", "--batch", "15", "--cases", "45", *kinds]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=ROOT)
-    assert done.returncode == 0, done.stdout + done.stderr
+    pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
+    from corpus import messages
+
+    def check(name: str) -> None:
+        valid, read = messages.KINDS[name]()
+        fuzz(messages.changed(valid, read), 40, messages.WEIGHTS.get(name, 1.0))
+
+    every_case(list(messages.KINDS), check)

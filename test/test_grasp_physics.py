@@ -9,14 +9,12 @@ pytest.importorskip("trimesh", reason="needs the extra physics")
 
 import trimesh
 
-from benchmarks.grasp_physics import analytic, frontier, report
+from benchmarks.grasp_physics import bench
 from benchmarks.grasp_physics.camera import see
-from benchmarks.grasp_physics.measure import Row
-from benchmarks.grasp_physics.methods import NO_OBJECT, Planner, find
-from benchmarks.grasp_physics.objects import Item, Placed, placed, read_items
-from benchmarks.grasp_physics.simulation import BESIDE, HANGS, HELD, INSIDE, LIFT, OUT, SHAKE, Outcome, held, verdict
-from benchmarks.grasp_physics.surface import best_grasps
+from benchmarks.grasp_physics.objects import Item, placed, read_items
+from benchmarks.grasp_physics.simulation import BESIDE, HANGS, HELD, INSIDE, LIFT, OUT, SHAKE, held
 from foretouch.errors import FileError
+from foretouch.pipeline import Pipeline
 
 SOLIDS = {
     "box": Item("box", (trimesh.creation.box((0.06, 0.10, 0.12)),), 0.2),
@@ -41,12 +39,10 @@ def across(name: str, y: float = 0.0, z: float | None = None, tilt_m: float = 0.
 @pytest.mark.parametrize("name", SOLIDS)
 def test_a_grasp_through_the_middle_holds_and_needs_friction(name: str) -> None:
     item, pose = stood(name)
-    surface, grasp = Placed(item, pose), across(name)
+    grasp = across(name)
     assert held(item, pose, *grasp) == (True, True, HELD)
     assert held(item, pose, *grasp[::-1], tip_radius_m=0.0125) == (True, True, HELD)
-    assert verdict(analytic.close(item, surface, *grasp)).strict
     assert held(item, pose, *grasp, friction=0.01)[::2] == (False, LIFT)
-    assert not verdict(analytic.close(item, surface, *grasp, friction=0.01)).held
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -56,7 +52,6 @@ def test_twice_the_friction_of_both_tips_must_carry_the_weight(name: str) -> Non
     for mass_kg, carried in ((0.4, True), (1.2, False)):
         other = Item(name, item.parts, mass_kg)
         assert held(other, pose, *across(name)).held == carried, mass_kg
-        assert verdict(analytic.close(other, Placed(other, pose), *across(name))).held == carried
 
 
 def test_a_grasp_beside_the_middle_slips_off_what_is_round() -> None:
@@ -67,7 +62,6 @@ def test_a_grasp_beside_the_middle_slips_off_what_is_round() -> None:
         found = held(item, pose, *across(name, y))
         assert not found.held, name
         assert found.reason in {OUT, LIFT, SHAKE}
-        assert analytic.close(item, Placed(item, pose), *across(name, y)).reason == analytic.CONE
 
 
 def test_a_bar_that_is_held_at_its_end_swings_down_to_the_table() -> None:
@@ -77,12 +71,10 @@ def test_a_bar_that_is_held_at_its_end_swings_down_to_the_table() -> None:
     for y, reason in ((0.0, HELD), (0.07, HANGS)):
         grasp = np.array([-0.02, y, 0.02]), np.array([0.02, y, 0.02])
         assert held(bar, pose, *grasp).reason == reason
-        assert analytic.close(bar, Placed(bar, pose), *grasp).reason == reason
 
 
 def test_a_grasp_that_misses_names_its_reason() -> None:
     item, pose = stood("box")
-    surface = Placed(item, pose)
     for grasp, reason in (
         (across("box", y=0.07), BESIDE),
         (across("box", z=0.16), BESIDE),
@@ -90,7 +82,6 @@ def test_a_grasp_that_misses_names_its_reason() -> None:
         ((np.array([0.03, 0.0, 0.06]), np.array([0.05, 0.0, 0.06])), INSIDE),
     ):
         assert held(item, pose, *grasp) == (False, False, reason)
-        assert not verdict(analytic.close(item, surface, *grasp)).held
 
 
 def test_what_holds_may_be_too_wide_or_through_the_table() -> None:
@@ -99,34 +90,31 @@ def test_what_holds_may_be_too_wide_or_through_the_table() -> None:
     assert held(item, pose, *low)[:2] == (True, False)
     assert held(item, pose, *low).reason == "held, through the table"
     assert held(item, pose, *across("box"), opening_m=0.05).reason == "held, too wide"
-    second = analytic.close(item, Placed(item, pose), *low)
-    assert second.clearance_m == pytest.approx(-0.004, abs=1e-6)
-    assert second.opening_m == pytest.approx(0.06, abs=1e-6)
-    assert not verdict(second).strict
-
-
-@pytest.mark.parametrize("name", SOLIDS)
-def test_the_best_grasps_on_the_true_surface_hold(name: str) -> None:
-    item, pose = stood(name)
-    found = best_grasps(item, Placed(item, pose), 0.008, 0.8, 0.10)
-    assert len(found) > 3
-    assert all(held(item, pose, *grasp).strict for grasp in found[:3])
-    assert best_grasps(item, Placed(item, pose), 0.008, 0.8, 0.05) == []
 
 
 def test_an_image_of_the_box_leads_to_a_grasp_that_holds() -> None:
     item = SOLIDS["box"]
     for view in ("oblique", "above"):
         seen = see(item, 0, view)
-        planner = Planner("simple rule")
-        target = find(seen, planner.pipeline)
-        assert target is not None
-        low, high = seen.camera.to_world(target.cloud.xyz.astype(np.float64)).max(axis=0)[2], Placed(item, seen.pose)
-        assert low == pytest.approx(high.mesh.bounds[1, 2], abs=0.006)
-        proposal = planner.propose(seen, target)
-        assert proposal.contacts is not None
-        assert held(item, seen.pose, *proposal.contacts).strict
-        assert planner.propose(seen, None).reason == NO_OBJECT
+        (target,) = Pipeline().segment(seen.cloud).targets
+        low, high = seen.camera.to_world(target.cloud.xyz.astype(np.float64)).max(axis=0)[2], item.at(seen.pose)
+        assert low == pytest.approx(high.bounds[1, 2], abs=0.006)
+        contacts = bench.propose("simple rule", Pipeline(), target)
+        assert contacts is not None
+        assert held(item, seen.pose, *seen.camera.to_world(contacts)).strict
+
+
+def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object() -> None:
+    task = bench.Task(SOLIDS["sphere"], poses=1, views=("above",), conditions=((8.0, 0.8), (8.0, 0.01)))
+    rows = bench.rows_of(task)
+    assert [(row["method"], row["friction"]) for row in rows] == [
+        (name, friction) for name in bench.METHODS for friction in (0.8, 0.01)
+    ]
+    assert [row["held"] for row in rows if row["method"] == bench.RULE] == [True, False]
+    counted = list(bench.committed(rows))
+    assert [row["held"] for row in counted if row["method"] == bench.RULE] == [1, 0]
+    assert {row["reasons"] for row in counted if row["held"]} == {"held 1"}
+    assert len(bench.tables(rows)) == 4
 
 
 def test_objects_rest_on_the_table_and_their_poses_do_not_depend_on_each_other() -> None:
@@ -134,9 +122,8 @@ def test_objects_rest_on_the_table_and_their_poses_do_not_depend_on_each_other()
     for number in range(6):
         pose = item.pose(number)
         np.testing.assert_array_equal(pose, item.pose(number))
-        surface = Placed(item, pose)
-        assert surface.mesh.bounds[0, 2] == pytest.approx(0.0, abs=1e-9)
-        assert number % 2 or surface.centre[2] == pytest.approx(0.06)  # upright
+        assert item.at(pose).bounds[0, 2] == pytest.approx(0.0, abs=1e-9)
+        assert number % 2 or (pose[:3, :3] @ item.centre + pose[:3, 3])[2] == pytest.approx(0.06)  # upright
     mass, (x, y, z) = item.mass_kg, (0.06, 0.10, 0.12)
     np.testing.assert_allclose(
         np.diag(item.inertia), mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
@@ -162,45 +149,6 @@ def test_a_folder_of_objects_is_read_or_refused_by_name(tmp_path) -> None:
     np.testing.assert_allclose(item.mesh.extents, (0.06, 0.10, 0.12))
 
 
-def test_both_opinions_on_a_tilted_contact() -> None:
-    """A line at 30° to the wall's normal, without weight: 30° on either side."""
-    item = Item("box", SOLIDS["box"].parts, 1e-9)
-    pose = placed(item, np.eye(4), np.zeros(2))
-    grasp = across("box", tilt_m=0.06 * np.tan(np.radians(30.0)))
-    contacts = analytic.meet(Placed(item, pose), grasp[0][None], grasp[1][None])
-    np.testing.assert_allclose(np.degrees(analytic.slopes(contacts, contacts.normals, 0.0)), 30.0, atol=1e-4)
-    np.testing.assert_allclose(contacts.points[0], grasp, atol=1e-7)
-
-
-def test_verdicts_of_outcomes() -> None:
-    assert verdict(Outcome(HELD, 0.05, 0.0)) == (True, True, HELD)
-    assert verdict(Outcome(HELD, 0.12, -0.01)) == (True, False, "held, through the table, too wide")
-    assert verdict(Outcome(LIFT, 0.05, 0.0)) == (False, False, LIFT)
-
-
-def row(name: str, pose: int, *, holds: bool) -> Row:
-    return Row(name, pose, "above", "original", 8.0, 0.8, holds, holds, "held", holds, 50.0, 5.0, "ok", 1.0)
-
-
 def test_shares_are_means_over_objects() -> None:
-    rows = [row("a", k, holds=True) for k in range(3)] + [row("b", 0, holds=False)]
-    assert report.share(rows, lambda one: one.held) == "0.50 [0.00, 1.00]"
-
-
-def test_the_knee_is_the_fastest_of_the_best() -> None:
-    def point(method: str, held_share: float, ms: float) -> frontier.Point:
-        return frontier.Point(method, "", held_share, "", held_share, ms, ms)
-
-    slow, fast, worse, rule = (
-        point("a", 0.80, 9.0),
-        point("a", 0.79, 3.0),
-        point("a", 0.5, 1.0),
-        point("simple rule", 0.9, 0.5),
-    )
-    points = [slow, fast, worse, rule]
-    assert frontier.knee_of(points) is fast
-    assert [frontier.on_frontier(one, points) for one in points] == [False, False, False, True]
-    assert frontier.combinations(["grasp.max_points=10,20", "method=a"]) == [
-        {"grasp.max_points": 10, "method": "a"},
-        {"grasp.max_points": 20, "method": "a"},
-    ]
+    rows = [{"object": "a", "held": True}] * 3 + [{"object": "b", "held": False}]
+    assert bench.share(rows, "held") == "0.50 [0.00, 1.00]"

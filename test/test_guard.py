@@ -1,23 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guard of `make bench`: what it calls lost, that it measures again, and that its cases can be told apart."""
+"""The guard of `make bench`: what it calls lost, that it measures again, and that that what it writes is read."""
 
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks.guard import bench, cases
 
 
 def busy(seconds: float):
-    """A job that takes CPU time, and answers."""
+    """A job that takes CPU time."""
 
-    def job() -> np.ndarray:
+    def job() -> None:
         end = time.process_time() + seconds
         while time.process_time() < end:
             pass
-        return np.ones(2)
 
     return job
 
@@ -39,10 +37,7 @@ def test_a_ratio_of_cpu_times_that_stays_low_is_measured_again_and_lost(capsys: 
     assert bench.guard([runner], {"made": 4.0})["made"].ratio == 4.0
 
 
-def test_different_answers_are_not_timed_and_renewed_ratios_are_those_of_the_next_run(tmp_path: Path) -> None:
-    other = cases.Case("made", "another", lambda: (lambda: np.zeros(2), lambda: np.full(2, 1e-3)), 1e-6)
-    with pytest.raises(SystemExit, match="made: its answer is not that of its peer"):
-        bench.Runner(other)
+def test_renewed_ratios_are_those_of_the_next_run(tmp_path: Path) -> None:
     path, names = tmp_path / "ratios.csv", [case.name for case in cases.all_cases()]
     for count, name in enumerate(names[:2], 1):
         bench.renew([bench.Runner(made(0.001, 0.003, name))], path)

@@ -170,19 +170,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
 }
 
 
-def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
-    makers = {"fifo": os.mkfifo, "folder": os.mkdir, "device": lambda p: Path(p).symlink_to("/dev/zero")}
-
-    def check(kind: str, reader: str) -> None:
-        path = tmp_path / f"{kind} {reader}" / (f"x{reader}" if reader.startswith(".") else "manifest.json")
-        path.parent.mkdir()
-        makers[kind](path)
-        refused(lambda: READERS.get(reader, read_cloud)(path), path.parent.name)
-
-    readers = (".pcd", ".ply", ".npz", ".npy", *READERS)
-    every_case([(kind, reader) for kind in makers for reader in readers], check)
-
-
 YAML = {
     "alias bomb": "a: &a [x, x, x, x, x, x, x, x, x]\n"
     + "".join(f"{y}: &{y} [{', '.join([f'*{x}'] * 9)}]\n" for x, y in pairwise("abcdefghijk")),

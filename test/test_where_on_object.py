@@ -8,7 +8,7 @@ from calibrated_models import make_calibration
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, in_order, predicted, recorded, variant
+from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, predicted, recorded, variant
 from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import MODALITIES, biotac_touch
 from foretouch_lab.experiments import find_experiment
@@ -45,13 +45,6 @@ def test_no_later_grasp_changes_an_earlier_prediction() -> None:
     for whole, other in zip((counts, half), others, strict=True):
         assert_array_equal(other[8:13], whole[8:13])
         assert not np.array_equal(other[13:16], whole[13:16])
-
-
-def test_samples_of_a_day_without_stamps_are_taken_object_by_object() -> None:
-    mixed = [replace(SAMPLES[8 * (k % 3) + k // 3], stamp_ns=0) for k in range(24)]
-    found = in_order(mixed)
-    assert [one.object for one in found] == sorted(one.object for one in mixed)
-    assert_allclose(np.diff([one.stamp_ns for one in found]), 60e9)
 
 
 def test_rows_and_tables_are_those_of_the_cells() -> None:

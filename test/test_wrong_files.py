@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from corpus.files import KINDS
 from every_case import every_case, every_refusal
 from recording_builders import write_dataset
 
@@ -121,6 +122,15 @@ def test_tables_of_experiments_are_read_as_they_were_written_or_refused(tmp_path
     os.mkfifo(path)
     with pytest.raises(FileError, match=r"results.csv: is a FIFO"):
         read_results(path)
+
+
+def test_a_fifo_in_the_place_of_a_table_of_an_export_does_not_wait(tmp_path: Path) -> None:
+    export = KINDS["lerobot"].make(tmp_path)
+    (table,) = export.glob("data/chunk-*/file-*.parquet")
+    table.unlink()
+    os.mkfifo(table)
+    with pytest.raises(FileError, match=r"file-000\.parquet: is a FIFO"):
+        KINDS["lerobot"].read(export)
 
 
 def test_a_file_of_the_kernel_that_waits_and_one_that_grows_are_refused(tmp_path: Path) -> None:

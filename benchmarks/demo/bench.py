@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from benchmarks.common import ROOT, print_rows, scene, write_csv
+from benchmarks.common import ROOT, Rows, command, scene
 from foretouch.config import load_yaml
 from foretouch.models import TouchModel, load_model
 from foretouch.models.contact.estimator import ContactEstimator
@@ -23,6 +23,7 @@ from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation
 
+HERE = Path(__file__).parent
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
 TOUCHES = (0, 2)  # of the object before the grasps that are drawn and counted
 OTHERS = 60  # objects that the model was not trained on
@@ -30,23 +31,12 @@ REPEATS = 10
 SIZES = {name: channel.size for name, channel in BIOTAC.channel_of.items()}
 
 
-def main() -> None:
-    """Measure, print, and write tables and picture."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--model", default="simulated")
-    parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent)
-    parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "touch.png")
-    arguments = parser.parse_args()
+def tables(arguments: argparse.Namespace) -> dict[Path, Rows]:
+    """Both tables, and the picture."""
     model = load_model(arguments.model)
     runs = [demo_run(model, seed) for seed in range(arguments.runs)]
-    rows = demo_rows(runs)
-    write_csv(arguments.out / "demo.csv", rows)
-    print_rows(rows)
     draw(runs, arguments.picture)
-    rows = shares(model)
-    write_csv(arguments.out / "ceiling.csv", rows)
-    print_rows(rows)
+    return {HERE / "demo.csv": demo_rows(runs), HERE / "ceiling.csv": shares(model)}
 
 
 def demo_run(model: TouchModel, seed: int) -> ModelReplay:
@@ -145,4 +135,9 @@ def _cells(
 
 
 if __name__ == "__main__":
-    main()
+    picture = {"type": Path, "default": ROOT / "docs" / "touch.png"}
+    command(
+        __doc__,
+        tables,
+        {"--runs": {"type": int, "default": 20}, "--model": {"default": "simulated"}, "--picture": picture},
+    )

@@ -2,127 +2,260 @@
 """How often does the first grasp hold the object? See README.md."""
 
 import argparse
+import math
+import multiprocessing
 import time
-from dataclasses import asdict
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
+import numpy as np
 import yaml
 
-from benchmarks.common import add_data, print_rows, replace_marked, write_csv
-from benchmarks.grasp_physics import report
-from benchmarks.grasp_physics.camera import VIEWS
-from benchmarks.grasp_physics.measure import ALL_METHODS, FRICTIONS, TIPS_MM, Conditions, Row, Task, measure
-from benchmarks.grasp_physics.objects import read_items
-from benchmarks.grasp_physics.simulation import OPENING_M
+from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
+from benchmarks.grasp_physics.camera import VIEWS, see
+from benchmarks.grasp_physics.objects import Item, read_items
+from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
 from foretouch.camera.device import ensure_libusb
+from foretouch.grasp.config import GraspMethod
+from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.types import Float64
 
 HERE: Final = Path(__file__).parent
-RESULTS: Final = HERE / "results.csv"
-PICTURE: Final = HERE / "grasps.png"
+RULE: Final = "simple rule"
+OURS: Final = get_args(GraspMethod)
+METHODS: Final = (*OURS, RULE)
+DEFAULT: Final = PipelineConfig().grasp.method
+REFERENCE: Final = "original"  # whose time the others are compared with
+NO_OBJECT: Final = "no object found"
+NO_GRASP: Final = "no grasp"
+TIPS_MM: Final = (8.0, 12.5)  # radius; the first is that of the table
+FRICTIONS: Final = (0.8, 0.5, 1.2)
+_DIRECTIONS = np.radians(np.arange(0.0, 180.0, 5.0))
+_TAIL = 0.01  # of the points, left out at either end
+_DRAWS = 10_000
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What one process does: all images of one object."""
+
+    item: Item
+    poses: int = 8
+    views: Sequence[str] = VIEWS
+    methods: Sequence[str] = METHODS
+    conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
+    opening_mm: float = 1e3 * OPENING_M
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
+
+    def row(self, pose: int, view: str, method: str, one: tuple[float, float], verdict: Verdict, ms: float) -> Row:
+        """What became of one grasp: `reason` is "held", the kind of failure, or why there was no grasp."""
+        found = {
+            "object": self.item.name,
+            "pose": pose,
+            "view": view,
+            "method": method,
+            "tip_mm": one[0],
+            "friction": one[1],
+        }
+        return found | verdict._asdict() | {"ms": ms}
+
+    def close(self, one: tuple[float, float], pose: Float64, contacts: Float64 | None, reason: str = "") -> Verdict:
+        """The simulated closing on contacts (2, 3) in the world; where there are none, the reason."""
+        if contacts is None:
+            return Verdict(False, False, reason)
+        return held(self.item, pose, *contacts, one[0] * 1e-3, one[1], self.opening_mm * 1e-3)
+
+
+def rows_of(task: Task) -> list[Row]:
+    """All rows of one object."""
+    return [row for pose in range(task.poses) for view in task.views for row in _planned(task, pose, view)]
+
+
+def _planned(task: Task, number: int, view: str) -> Iterator[Row]:
+    """The rows of one image."""
+    seen = see(task.item, number, view)
+    targets = Pipeline().segment(seen.cloud).targets
+    for method in task.methods:
+        settings = {} if method == RULE else {"grasp.method": method, **task.settings}
+        pipeline = Pipeline(PipelineConfig().updated(settings))
+        start = time.thread_time()
+        contacts = propose(method, pipeline, targets[0]) if targets else None
+        ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
+        world = None if contacts is None else seen.camera.to_world(contacts)
+        for one in task.conditions:
+            verdict = task.close(one, seen.pose, world, reason)
+            yield task.row(number, view, method, one, verdict, ms)
+
+
+def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
+    """Contacts (2, 3) in the camera frame of the first grasp; None where there is none."""
+    if method == RULE:
+        return simple_rule(target)
+    plan = pipeline.plan(target)
+    return np.stack([plan.grasps[0].g1, plan.grasps[0].g2]) if plan.grasps else None
+
+
+def simple_rule(target: FoundObject) -> Float64:
+    """(2, 3) contacts in the camera frame: a horizontal line across the narrower side of the visible footprint.
+
+    It passes through the middle of the footprint, at half of the height that is seen, 10 mm or more over the table.
+    """
+    up = target.plane.normal
+    xyz = target.cloud.xyz[np.isfinite(target.cloud.xyz).all(axis=1)].astype(np.float64)
+    height = xyz @ up + target.plane.offset
+    east = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    east /= np.linalg.norm(east)
+    axes = np.stack([east, np.cross(up, east)])
+    flat = xyz @ axes.T
+    turned = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
+    low, high = np.quantile(flat @ turned, [_TAIL, 1.0 - _TAIL], axis=0)
+    k = int(np.argmin(high - low))
+    across = turned[:, k]
+    along = np.array([-across[1], across[0]])
+    middle = along * np.quantile(flat @ along, [_TAIL, 1.0 - _TAIL]).mean()
+    level = max(0.5 * float(np.quantile(height, 1.0 - 2.0 * _TAIL)), 0.010) - target.plane.offset
+    return np.stack([(middle + end * across) @ axes + level * up for end in (low[k], high[k])])
+
+
+def measure(tasks: Sequence[Task], workers: int = 1) -> list[Row]:
+    """All rows, in the order of the tasks."""
+    if workers == 1:
+        return [row for task in tasks for row in rows_of(task)]
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        return [row for rows in pool.map(rows_of, tasks) for row in rows]
+
+
+# --- tables: intervals are over objects ------------------------------------------------------------------------------
+
+
+def select(rows: Sequence[Row], **wanted: Any) -> list[Row]:
+    """The rows that have these values."""
+    return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+
+
+def values(rows: Sequence[Row], *names: str) -> list[tuple[Any, ...]]:
+    """What the columns hold, in order of appearance."""
+    return list(dict.fromkeys(tuple(row[name] for name in names) for row in rows))
+
+
+def mean(rows: Sequence[Row], what: str) -> float:
+    """Share of grasps that are held, or held and strict."""
+    return float(np.mean([row[what] for row in rows]))
+
+
+def share(rows: Sequence[Row], what: str) -> str:
+    """Mean over objects with its interval of 95 %, by drawing as many objects again, with replacement."""
+    means = np.array([mean(select(rows, object=name), what) for (name,) in values(rows, "object")])
+    again = means[np.random.default_rng(0).integers(len(means), size=(_DRAWS, len(means)))].mean(axis=1)
+    low, high = np.quantile(again, [0.025, 0.975])
+    return f"{means.mean():.2f} [{low:.2f}, {high:.2f}]"
+
+
+def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
+    """Held and strict by view, and time beside that of the reference."""
+    found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
+    for (method,) in values(rows, "method"):
+        line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
+        for (view,) in values(rows, "view"):
+            mine = select(rows, method=method, view=view)
+            line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
+        times = [row["ms"] for row in select(rows, method=method)]
+        if reference:
+            ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
+            line["time, median (p95)"] = "" if np.isnan(times).all() else "{:.2f} ({:.2f})".format(*ratios)
+        found.append(line)
+    return found
+
+
+def by_method_and(rows: Sequence[Row], names: Sequence[str], cell: Callable[[list[Row]], str]) -> list[dict[str, str]]:
+    """A line for each value of some columns, and in it a cell of the rows of each method."""
+    return [
+        {", ".join(names): ", ".join(map(str, value))}
+        | {method: cell(select(own, method=method)) for (method,) in values(rows, "method")}
+        for value in values(rows, *names)
+        for own in [select(rows, **dict(zip(names, value, strict=True)))]
+    ]
+
+
+def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
+    """All tables by what they hold; but for the last one, under the first conditions."""
+    tip, friction = values(rows, "tip_mm", "friction")[0]
+    first = select(rows, tip_mm=tip, friction=friction)
+    often = Counter(row["reason"] for row in first)
+    ended = sorted(first, key=lambda row: (not row["reason"].startswith("held"), -often[row["reason"]]))
+    both = lambda own: f"{mean(own, 'held'):.2f} / {mean(own, 'strict'):.2f}"  # noqa: E731
+    return {
+        f"Tips of {tip:g} mm radius, friction {friction:g}": by_method(first),
+        "What became of the grasps": by_method_and(ended, ["reason"], lambda own: str(len(own))),
+        "Held, by object": by_method_and(first, ["object"], lambda own: f"{mean(own, 'held'):.2f}"),
+        "Held / strict under all conditions": by_method_and(rows, ["tip_mm", "friction"], both),
+    }
+
+
+def committed(rows: Sequence[Row]) -> Iterator[Row]:
+    """One row for each method, conditions, view and object: how many grasps ended how. Without times."""
+    names = ("tip_mm", "friction", "method", "view", "object")
+    order = {name: values(rows, name) for name in names}
+    keys = sorted(
+        values(rows, *names), key=lambda key: [order[name].index((one,)) for name, one in zip(names, key, strict=True)]
+    )
+    for key in keys:
+        own = select(rows, **dict(zip(names, key, strict=True)))
+        ended = "; ".join(f"{reason} {len(select(own, reason=reason))}" for (reason,) in values(own, "reason"))
+        counts = {what: sum(row[what] for row in own) for what in ("held", "strict")}
+        yield dict(zip(names, key, strict=True)) | {"grasps": len(own), **counts, "reasons": ended}
+
+
+def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A table in Markdown."""
+    return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
 
 
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    add_options(parser)
-    options = parser.parse_args()
-    todo = tasks(options)
-    if not todo:
-        parser.error(f"--only: {', '.join(options.only)}: there is no such object")
-    ensure_libusb()
-    if options.frontier:
-        from benchmarks.grasp_physics.frontier import run
-
-        run(todo, options.vary, options.workers, renew=options.renew)
-        return
-    start = time.perf_counter()
-    rows, used = measure(todo, options.workers), todo[0].conditions
-    if options.rows:
-        write_csv(options.rows, [asdict(row) for row in rows])
-    print_all(rows, used)
-    print(f"\n{len(rows)} grasps in {time.perf_counter() - start:.0f} s")
-    if options.renew:
-        renew(rows, todo, used)
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options of all modes."""
     add_data(parser)
     parser.add_argument("--objects", type=Path, help="folder of objects (default: ycb in the folder of recordings)")
     parser.add_argument("--only", nargs="+", metavar="OBJECT", help="these objects alone")
     parser.add_argument("--poses", type=int, default=8, help="of each object")
     parser.add_argument("--views", nargs="+", choices=VIEWS, default=VIEWS)
-    parser.add_argument("--methods", nargs="+", choices=ALL_METHODS, default=ALL_METHODS, metavar="METHOD",
-                        help=f"out of {', '.join(ALL_METHODS)}")  # fmt: skip
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS, metavar="METHOD")
     parser.add_argument("--tip-mm", nargs="+", type=float, default=TIPS_MM[:1], help="radius of the tips [mm]")
     parser.add_argument("--friction", nargs="+", type=float, default=FRICTIONS[:1], help="between tip and object")
     parser.add_argument("--opening-mm", type=float, default=1e3 * OPENING_M, help="how far the hand opens [mm]")
     parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
     parser.add_argument("--workers", type=int, choices=(1, 2), default=1)
-    parser.add_argument("--cache", type=Path, help="folder where images are kept")
-    parser.add_argument(
-        "--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline, such as grasp.max_points=1000"
-    )
+    parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
-    parser.add_argument("--renew", action="store_true", help="write the committed tables and pictures")
-    parser.add_argument("--frontier", action="store_true", help="held against time, over settings of the planner")
-    parser.add_argument("--vary", nargs="+", default=["grasp.max_points=500,1000,2000,4000,8000"], metavar="SETTING=A,B,…",
-                        help="for --frontier: settings of the pipeline, all combinations")  # fmt: skip
-
-
-def conditions(options: argparse.Namespace) -> tuple[Conditions, ...]:
-    """The first tip with each friction, and the other tips with the first friction."""
+    parser.add_argument("--renew", action="store_true", help="write the committed tables")
+    options = parser.parse_args()
+    ensure_libusb()
     tips, frictions = (TIPS_MM, FRICTIONS) if options.all else (options.tip_mm, options.friction)
-    pairs = [(tips[0], friction) for friction in frictions] + [(tip, frictions[0]) for tip in tips[1:]]
-    return tuple(Conditions(tip, friction, options.opening_mm) for tip, friction in pairs)
-
-
-def tasks(options: argparse.Namespace) -> list[Task]:
-    """One task for each object."""
+    conditions = [(tips[0], friction) for friction in frictions] + [(tip, frictions[0]) for tip in tips[1:]]
+    chosen = options.poses, options.views, options.methods, conditions, options.opening_mm
+    settings = {name: yaml.safe_load(value) for name, _, value in (text.partition("=") for text in options.set)}
     items = read_items(options.objects or Path(options.data or "") / "ycb")
-    chosen = options.poses, tuple(options.views), tuple(options.methods), conditions(options), options.cache
-    settings = dict(parsed(text) for text in options.set)
-    return [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
-
-
-def parsed(text: str) -> tuple[str, Any]:
-    """Name and value of a setting given as `name=value`, the value as in YAML."""
-    name, _, value = text.partition("=")
-    return name, yaml.safe_load(value)
-
-
-def print_all(rows: list[Row], used: tuple[Conditions, ...]) -> None:
-    """All tables on the terminal."""
-    print_rows(report.by_method(rows, used[0]))
-    for lines in (report.by_reason(rows, used[0]), report.by_name(rows, used[0])):
-        print()
+    todo = [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
+    if not todo:
+        parser.error(f"--only: {', '.join(options.only)}: there is no such object")
+    rows = measure(todo, options.workers)
+    if options.rows:
+        write_csv(options.rows, rows)
+    found = tables(rows)
+    for title, lines in found.items():
+        print(f"\n{title}")
         print_rows(lines)
-    if len(used) > 1:
-        print("\nheld / strict")
-        print_rows(report.by_conditions(rows, used))
-    print(f"\n{report.agreement(rows)}")
-
-
-def renew(rows: list[Row], todo: list[Task], used: tuple[Conditions, ...]) -> None:
-    """Write the table, the page and the picture."""
-    from benchmarks.grasp_physics.figure import draw
-
-    write_csv(RESULTS, report.committed(rows, used))
-    first = used[0]
-    text = [
-        f"{len(todo)} objects, {todo[0].poses} poses each, tips of {first.tip_mm:g} mm radius, friction {first.friction:g}, opening {first.opening_mm:g} mm:",
-        report.table(report.by_method(rows, first)),
-        "What became of the grasps, both views:",
-        report.table(report.by_reason(rows, first)),
-        "Held, by object, both views:",
-        report.table(report.by_name(rows, first)),
-        "Held / strict under other conditions, both views:",
-        report.table(report.by_conditions(rows, used)),
-        report.agreement(rows),
-    ]
-    replace_marked(HERE / "README.md", "\n\n".join(part.strip() for part in text))
-    draw(rows, todo, PICTURE)
+    if options.renew:
+        write_csv(HERE / "results.csv", committed(rows))
+        text = [f"{len(todo)} objects, {options.poses} poses each, opening {options.opening_mm:g} mm."]
+        text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
+        replace_marked(HERE / "README.md", "\n\n".join(text).strip())
 
 
 if __name__ == "__main__":

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the depth camera of `config/scenes/rigid.yaml`, with all its faults, sees of one object on the table."""
 
-import hashlib
 import zlib
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.common import scene
-from benchmarks.grasp_physics.objects import Item, Placed
+from benchmarks.grasp_physics.objects import Item
 from foretouch.types import Cloud, Float32, Float64
 from foretouch_lab.simulation.depth_scene import CameraView, DepthImage, to_millimetres
 from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
@@ -33,10 +30,11 @@ class Surface(Body):
     triangles: Float32  # (F, 3, 3) float32 [m]
 
     @classmethod
-    def of(cls, surface: Placed) -> "Surface":
-        """From an object at its pose."""
-        low, high = surface.mesh.bounds
-        triangles = np.ascontiguousarray(surface.mesh.triangles, np.float32)
+    def of(cls, item: Item, pose: Float64) -> "Surface":
+        """Of an object at a pose."""
+        mesh = item.at(pose)
+        low, high = mesh.bounds
+        triangles = np.ascontiguousarray(mesh.triangles, np.float32)
         return cls(shape="", variant=0, size=high - low, position=(low + high) / 2.0, rotation=np.eye(3), triangles=triangles)  # fmt: skip
 
     @cached_property
@@ -70,44 +68,21 @@ class Seen:
     cloud: Cloud  # (H, W, 3), camera frame
 
 
-def see(item: Item, number: int, view: str, cache: Path | None = None) -> Seen:
-    """An image of an object at its pose of this number.
-
-    Args:
-        item: The object.
-        number: Of its pose.
-        view: One of `VIEWS`.
-        cache: Folder where images are kept, by object, pose and view.
-    """
+def see(item: Item, number: int, view: str) -> Seen:
+    """An image of an object at its pose of this number, in one of `VIEWS`."""
     slot = len(VIEWS) * number + VIEWS.index(view)
-    rng = np.random.default_rng([zlib.crc32(item.name.encode()), slot, 1])
+    seed = zlib.crc32(item.name.encode())
+    rng = np.random.default_rng([seed, slot, 1])
     elevation = rng.uniform(*ELEVATION_DEG) if view == "oblique" else 90.0
     stands = {"camera__tilt_deg": 90.0 - elevation, "camera__distance_m": float(rng.uniform(*DISTANCE_M))}
     config = scene("rigid", objects=[{"name": item.name}], **stands)  # `stand` puts the object itself there
     camera, pose = config.camera.view(), item.pose(number)
-    body = Surface.of(Placed(item, pose))
-    path = None if cache is None else cache / f"{item.name}_{number}_{view}_{_hash(body, camera)}.npz"
-    if path is not None and path.is_file():
-        depth = np.load(path)["depth_mm"]
-    else:
+    body = Surface.of(item, pose)
 
-        def stand(_job: Job, state: SampleState) -> None:
-            state.bodies = [body]
+    def stand(_job: Job, state: SampleState) -> None:
+        state.bodies = [body]
 
-        engine = Engine(config, (Effect("object", stand, "objects", writes=("bodies",)), *FRAME_EFFECTS), ("depth",))
-        depth = to_millimetres(engine.run(SampleKey(zlib.crc32(item.name.encode()), slot)).depth)
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            np.savez_compressed(path, depth_mm=depth)
-    return Seen(item, pose, camera, _cloud(depth, camera))
-
-
-def _cloud(depth: npt.NDArray[np.uint16], camera: CameraView) -> Cloud:
-    nothing = np.zeros(depth.shape, np.int32)
-    rgb = np.zeros((*depth.shape, 3), np.uint8)
-    return DepthImage(depth, rgb, nothing, camera.matrix, camera.table_plane()).cloud()
-
-
-def _hash(body: Surface, camera: CameraView) -> str:
-    content = body.triangles.tobytes() + camera.eye.tobytes() + camera.matrix.tobytes()
-    return hashlib.sha256(content).hexdigest()[:12]
+    engine = Engine(config, (Effect("object", stand, "objects", writes=("bodies",)), *FRAME_EFFECTS), ("depth",))
+    depth = to_millimetres(engine.run(SampleKey(seed, slot)).depth)
+    nothing, rgb = np.zeros(depth.shape, np.int32), np.zeros((*depth.shape, 3), np.uint8)
+    return Seen(item, pose, camera, DepthImage(depth, rgb, nothing, camera.matrix, camera.table_plane()).cloud())

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
 
 from foretouch.errors import FileError
 from foretouch.types import Float64
@@ -38,6 +37,12 @@ class Item:
     def mesh(self) -> trimesh.Trimesh:
         """The surfaces of all parts; those inside of another part are never met from outside."""
         return trimesh.util.concatenate(list(self.parts))
+
+    def at(self, pose: Float64) -> trimesh.Trimesh:
+        """The mesh at a pose (4, 4), object to world."""
+        moved = self.mesh.copy()
+        moved.apply_transform(pose)
+        return moved
 
     @cached_property
     def centre(self) -> Float64:
@@ -112,47 +117,3 @@ def read_items(folder: Path) -> list[Item]:
     if not found:
         raise FileError(folder, f"holds no folder with {PARTS}")
     return [read_item(one) for one in found]
-
-
-class Placed:
-    """The surface of an object at a pose in the world, for rays and normals.
-
-    Args:
-        item: The object.
-        pose: (4, 4) float64, object to world.
-    """
-
-    _SAMPLES = 20000
-
-    def __init__(self, item: Item, pose: Float64) -> None:
-        self.mesh = item.mesh.copy()
-        self.mesh.apply_transform(pose)
-        self.centre = trimesh.transform_points(item.centre[None], pose)[0]
-        self.samples, faces = trimesh.sample.sample_surface(self.mesh, self._SAMPLES, seed=0)
-        self.normals = self.mesh.face_normals[faces]
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.samples)
-
-    def first(self, origins: Float64, directions: Float64) -> tuple[Float64, Float64]:
-        """Where rays first meet the surface.
-
-        Args:
-            origins: (n, 3) float64 [m].
-            directions: (n, 3) float64, unit.
-
-        Returns:
-            (n,) distance, inf where there is none [m]; (n, 3) outward normal of the face, NaN where there is none.
-        """
-        hits, rays, faces = self.mesh.ray.intersects_location(origins, directions, multiple_hits=False)
-        distance, normal = np.full(len(origins), np.inf), np.full((len(origins), 3), np.nan)
-        distance[rays] = np.einsum("ij,ij->i", hits - origins[rays], directions[rays])
-        normal[rays] = self.mesh.face_normals[faces]
-        return distance, normal
-
-    def smooth_normal(self, point: Float64, normal: Float64, radius_m: float = 0.003) -> Float64:
-        """(3,) mean normal around a point of the surface, of what faces the same way as the face there."""
-        near = self.normals[self._tree.query_ball_point(point, radius_m)]
-        mean = near[near @ normal > 0.5].sum(axis=0) + 1e-6 * normal
-        return np.asarray(mean / np.linalg.norm(mean), np.float64)

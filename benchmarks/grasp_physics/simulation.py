@@ -11,7 +11,6 @@ There is no hand: no kinematics, no palm, nothing that could meet the object but
 table. How far below it they would be is part of the answer.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -53,15 +52,6 @@ class Verdict(NamedTuple):
     reason: str
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one grasp."""
-
-    reason: str  # "held", or the kind of failure
-    opening_m: float = float("nan")  # distance of the contacts once closed; NaN where it never closed
-    clearance_m: float = float("nan")  # of the lower tip from the table, the least on its way in; negative below it
-
-
 def held(
     item: Item,
     pose: Float64,
@@ -82,16 +72,7 @@ def held(
         friction: Between tips and object.
         opening_m: Largest distance of the contacts [m].
     """
-    return verdict(grip(item, tip_radius_m, friction).close(pose, g1, g2), opening_m)
-
-
-def verdict(outcome: Outcome, opening_m: float = OPENING_M) -> Verdict:
-    """What an outcome means for a hand that opens so far."""
-    if outcome.reason != HELD:
-        return Verdict(False, False, outcome.reason)
-    faults = {"through the table": outcome.clearance_m < -SUNK_M, "too wide": outcome.opening_m > opening_m}
-    found = [name for name, there in faults.items() if there]
-    return Verdict(True, not found, ", ".join([HELD, *found]))
+    return grip(item, tip_radius_m, friction).close(pose, g1, g2, opening_m)
 
 
 @lru_cache(maxsize=16)
@@ -118,13 +99,13 @@ class Grip:
         self._tips = [self.model.geom(name).id for name in ("tip1", "tip2")]
         self._table, self._joint = self.model.geom("table").id, self.model.joint("close1")
 
-    def close(self, pose: Float64, g1: Float64, g2: Float64) -> Outcome:
+    def close(self, pose: Float64, g1: Float64, g2: Float64, opening_m: float = OPENING_M) -> Verdict:
         """Close on the object from outside of two contacts (3,) in the world [m], lift and shake."""
         if not float(np.linalg.norm(g2 - g1)) > 1e-4:
-            return Outcome(BESIDE)
+            return Verdict(False, False, BESIDE)
         self._reset(pose, g1, g2)
         if self._starts_inside():
-            return Outcome(INSIDE)
+            return Verdict(False, False, INSIDE)
         clear = self._clearance()
         touched = False
         for _ in range(round(CLOSED_S / _STEP_S) // _CHECKED):
@@ -132,9 +113,13 @@ class Grip:
             both = self._both_touch()
             touched |= both
         if not both:
-            return Outcome(OUT if touched else BESIDE)
-        opening, clear = self._opening(), min(clear, self._clearance())
-        return Outcome(self._lift_and_shake(), opening, clear)
+            return Verdict(False, False, OUT if touched else BESIDE)
+        faults = {"through the table": min(clear, self._clearance()) < -SUNK_M, "too wide": self._opening() > opening_m}
+        reason = self._lift_and_shake()
+        if reason != HELD:
+            return Verdict(False, False, reason)
+        found = [name for name, there in faults.items() if there]
+        return Verdict(True, not found, ", ".join([HELD, *found]))
 
     def _reset(self, pose: Float64, g1: Float64, g2: Float64) -> None:
         model, data = self.model, self.data

@@ -63,7 +63,9 @@ def main() -> None:
     held = np.array([one.outcome == "success" for one in records])
     objects = np.array([one.sample.object for one in records])
     model, refused = calibrated(readings, held, folds_of(objects, _FOLDS, 0), 0)
-    rows = [row for row in read_csv(arguments.results) if row["what"] == "hold"]
+    rows = [
+        row for row in read_csv(arguments.results) if row.get("what", "hold") == "hold"
+    ]  # before 0.3.1: others, too
     facts = {
         "summary": "whether a grasp of three BioTac SP holds when it is lifted, from one reading; read skill and limits first",
         "config": {**CONFIG, "fingers": list(FINGERS)},

@@ -31,16 +31,8 @@ def fit(readings: Float64, held: Bool, seed: int) -> TouchHold:
 
     found = patterns(readings)
     mean, deviation = standardisation(found)
-    networks = [
-        MLPClassifier(
-            (CONFIG["units"],),
-            activation="tanh",
-            alpha=CONFIG["decay"],
-            max_iter=CONFIG["epochs"],
-            random_state=seed + k,
-        )
-        for k in range(CONFIG["networks"])
-    ]
+    how = {"activation": "tanh", "alpha": CONFIG["decay"], "max_iter": CONFIG["epochs"]}
+    networks = [MLPClassifier((CONFIG["units"],), random_state=seed + k, **how) for k in range(CONFIG["networks"])]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is part of the recipe
         for one in networks:
@@ -48,9 +40,7 @@ def fit(readings: Float64, held: Bool, seed: int) -> TouchHold:
     # The standardisation is part of the first layer.
     hidden = np.stack([one.coefs_[0] / deviation[:, None] for one in networks])
     bias = np.stack([one.intercepts_[0] for one in networks]) - np.einsum("d,kdh->kh", mean, hidden)
-    out, last = (
-        np.stack([one.coefs_[1][:, 0] for one in networks]),
-        np.array([one.intercepts_[1][0] for one in networks]),
-    )
+    out = np.stack([one.coefs_[1][:, 0] for one in networks])
+    last = np.array([one.intercepts_[1][0] for one in networks])
     low, high = np.quantile(found, _USUAL, axis=0)
     return TouchHold(low, high, hidden, bias, out, last, np.array([1.0, 0.0]))

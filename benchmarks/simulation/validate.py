@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.common import markdown, scene
+from benchmarks.common import print_rows, scene
 from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.errors import SimulationError
 from foretouch.types import GraspSample
@@ -115,13 +115,18 @@ def main() -> None:
     layer_calls = rigid.timings["contact_layer"].calls
     rows = [*camera(), *sensor(), *counts(samples), ("rigid: calls of the layer solver", layer_calls, 0, 0)]
     rows += [*forces("rigid", 60), *forces("deformables", 60)]
-    lines = []
-    for what, found, least, most in rows:
-        verdict = "ok" if least <= found <= most else "**no**"
-        lines.append((what, f"{found:.3g}", f"{least:g} to {most:g}", verdict))
-    print(markdown(("what", "found", "must", ""), lines))
+    lines = [
+        {
+            "what": what,
+            "found": f"{found:.3g}",
+            "must": f"{least:g} to {most:g}",
+            "": "ok" if least <= found <= most else "no",
+        }
+        for what, found, least, most in rows
+    ]
+    print_rows(lines)
     print(f"Failed tries in {arguments.n} rigid grasps: {rigid.failures_by_reason or 'none'}")
-    sys.exit(any(not least <= found <= most for _, found, least, most in rows))
+    sys.exit(any(line[""] == "no" for line in lines))
 
 
 if __name__ == "__main__":

@@ -13,10 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,6 @@ from benchmarks.common import ROOT, write_csv
 from benchmarks.ros import NAMESPACE, end, prepare_domain, spawn
 from benchmarks.soak.accounting import Outage, account, slope_per_hour
 from benchmarks.soak.observer import DOMAIN, Observer
-from benchmarks.soak.plot import draw
 
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 NODES = (*PERCEPTION, "hand", "recorder", "camera")
@@ -38,52 +34,15 @@ STALL_S = 6.0  # longer than `silence_s`, so that diagnostics must name it
 TMPFS_MB = 64
 
 
-@dataclass
-class Disturbance:
-    """One disturbance as it happened."""
-
-    name: str
-    start_s: float
-    end_s: float = 0.0  # the cause is gone: the process is active, the topic flows, the space is free
-    recovered_s: float | None = None  # the first sign of normal work after that
-    note: str = ""
-
-    @property
-    def is_late(self) -> bool:
-        """Whether it took longer than the limit."""
-        return self.recovered_s is None or self.recovered_s - self.end_s > RECOVERY_S
-
-    def row(self, origin: float, answers: Sequence[float]) -> dict[str, Any]:
-        """A row of `disturbances.csv`."""
-        last = (self.recovered_s or self.end_s) + 2.0
-        times = [t for t in answers if self.start_s - 2.0 <= t <= last]
-        recovery = "none" if self.recovered_s is None else f"{self.recovered_s - self.end_s:.2f}"
-        gap = max((b - a for a, b in pairwise(times)), default=float("nan"))
-        start, lasted = f"{self.start_s - origin:.1f}", f"{self.end_s - self.start_s:.1f}"
-        return {"t_s": start, "disturbance": self.name, "lasted_s": lasted, "recovery_s": recovery,
-                "answer_gap_s": f"{gap:.2f}", "note": self.note}  # fmt: skip
-
-
-@dataclass
-class Memory:
-    """Memory of one process: resident, without the pages that it shares with others.
-
-    Each reads the 64 MB of shared memory into which another writes its messages, page by page, which is counted as resident.
-    """
-
-    node: str
-    began_s: float
-    sizes: list[tuple[float, float]] = field(default_factory=list)  # time [s], [MB]
-
-    def row(self, warm_up_s: float) -> dict[str, Any] | None:
-        """A row of `memory.csv`, if it lived long enough."""
-        kept = [one for one in self.sizes if one[0] >= self.began_s + warm_up_s]
-        if len(kept) < 60:
-            return None
-        times, values = zip(*kept, strict=True)
-        return {"process": self.node, "watched_s": round(times[-1] - times[0]), "first_mb": round(values[0], 1),
-                "last_mb": round(values[-1], 1), "greatest_mb": round(max(values), 1),
-                "slope_mb_per_h": round(slope_per_hour(times, values), 2)}  # fmt: skip
+def memory_row(node: str, sizes: Sequence[tuple[float, float]], warm_up_s: float) -> dict[str, Any] | None:
+    """A row of `memory.csv` from times [s] and sizes [MB] of a process, if it lived long enough."""
+    kept = [one for one in sizes if one[0] >= sizes[0][0] + warm_up_s]
+    if len(kept) < 60:
+        return None
+    times, values = zip(*kept, strict=True)
+    ends = {"first_mb": values[0], "last_mb": values[-1], "greatest_mb": max(values)}
+    found = {"process": node, "watched_s": round(times[-1] - times[0])} | {k: round(v, 1) for k, v in ends.items()}
+    return {**found, "slope_mb_per_h": round(slope_per_hour(times, values), 2)}
 
 
 class Soak:
@@ -105,7 +64,7 @@ class Soak:
         }
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.memory: list[Memory] = []
+        self.memory: dict[str, list[tuple[float, float]]] = {}  # of the latest process of each node: time [s], [MB]
         self.outages: list[Outage] = []
         self.unexpected: list[str] = []  # processes that ended by themselves
         self.seen = Observer()
@@ -114,20 +73,19 @@ class Soak:
 
     # Processes.
 
-    def spawn(self, name: str, nodes: Sequence[str] = ()) -> subprocess.Popen[bytes]:
-        """Start a process of a node, or of several."""
-        parameters = {"diagnostics_period_s": 0.25, **self._parameters.get(name, {})}
-        return spawn(nodes or (name,), parameters, self.folder / f"{name}.log")
-
     def start(self, name: str) -> bool:
         """Start a node and wait until it reports that it is active."""
         before = self.seen.processes(name)
-        self.processes[name] = self.spawn(name)
-        self.memory.append(Memory(name, time.monotonic()))
+        parameters = {"diagnostics_period_s": 0.25, **self._parameters.get(name, {})}
+        self.processes[name] = spawn((name,), parameters, self.folder / f"{name}.log")
+        self.memory[name] = []
         return self.seen.wait(lambda: self.seen.active(name, before), START_S)
 
     def sample(self, period_s: float = 1.0) -> None:
-        """Read the memory of all processes until the end, in a thread."""
+        """Read the memory of all processes until the end, in a thread: resident, without the pages that they share.
+
+        Each reads the 64 MB of shared memory into which another writes its messages, page by page, which counts as resident.
+        """
         while not self._sampling.wait(period_s):
             for name, process in list(self.processes.items()):
                 try:
@@ -136,8 +94,7 @@ class Soak:
                     continue
                 sizes = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon:", "RssFile:"))]
                 if sizes:  # a process that has just ended has none
-                    last = [one for one in self.memory if one.node == name][-1]
-                    last.sizes.append((time.monotonic(), sum(sizes) * 1024 / 1e6))
+                    self.memory[name].append((time.monotonic(), sum(sizes) * 1024 / 1e6))
 
     def watch(self) -> None:
         """Note processes that ended by themselves, and start them again."""
@@ -213,16 +170,12 @@ class Soak:
         return "" if shown else "recorder_status does not show it"
 
     def record_anew(self, path: Path | None = None) -> str:
-        """End the recording and begin another one; gives the error."""
+        """End the recording and begin another one, by default in a new dataset on the disk; gives the error."""
         from foretouch_msgs.srv import StopRecording
 
         self.seen.call(StopRecording, f"{NAMESPACE}/stop_recording", StopRecording.Request())
-        return self.record(path) if path else self.resume()
-
-    def resume(self) -> str:
-        """Record into a new dataset on the disk; gives the error."""
-        self._sessions += 1
-        return self.record(f"main-{self._sessions}")
+        self._sessions += path is None
+        return self.record(path or f"main-{self._sessions}")
 
     def reported(self, began: float) -> str:
         """How soon the recorder has reported the end of its recording, and how."""
@@ -248,7 +201,7 @@ class Soak:
                     pass
             note = self.reported(began)
             ballast.unlink()
-            return f"{note}; {verified(disk / 'set')}" + self.resume()
+            return f"{note}; {verified(disk / 'set')}" + self.record_anew()
         finally:
             subprocess.run(["umount", "-l", disk], check=False)
 
@@ -259,20 +212,7 @@ class Soak:
         time.sleep(2.0)
         began = time.monotonic()
         shutil.rmtree(self.folder / f"main-{self._sessions}")
-        return self.reported(began) + self.resume()
-
-    def second_graph(self) -> str:
-        """A second graph in the same namespace for some seconds."""
-        before = {name: self.seen.processes(name) for name in PERCEPTION}
-        began, other = time.monotonic(), self.spawn("perception", PERCEPTION)
-        try:
-            self.seen.wait(lambda: all(self.seen.active(name, before[name]) for name in PERCEPTION), START_S)
-            time.sleep(6.0)
-        finally:
-            end(other, 15.0)
-        with self.seen.lock:
-            warnings = {f"{name}: {text}" for at, name, text in self.seen.warnings if at >= began}
-        return "diagnostics: " + ("; ".join(sorted(warnings)) or "NOTHING")
+        return self.reported(began) + self.record_anew()
 
     # The course of the soak.
 
@@ -286,14 +226,17 @@ class Soak:
             return lambda: seen.recorder is not None and seen.recorder.recording and seen.recorder.used != used
         return lambda: bool(seen.answers) and seen.answers[-1] > since
 
-    def disturb(self, name: str, action: Callable[[], str]) -> Disturbance:
-        """Disturb, and wait until the graph works again."""
-        done = Disturbance(name, time.monotonic())
-        done.note = action()
-        done.end_s = time.monotonic()
-        if self.seen.wait(self.works(name), PATIENCE_S):
-            done.recovered_s = time.monotonic()
-        return done
+    def disturb(self, name: str, action: Callable[[], str], origin: float) -> dict[str, Any]:
+        """Disturb, and wait until the graph works again; a row of `disturbances.csv`.
+
+        Recovery is the time from when the cause is gone (the process is active, the topic flows, the space is free) to the first sign of normal work.
+        """
+        start_s = time.monotonic()
+        note, end_s = action(), time.monotonic()
+        recovered = self.seen.wait(self.works(name), PATIENCE_S)
+        recovery = f"{time.monotonic() - end_s:.2f}" if recovered else "none"
+        times = {"t_s": f"{start_s - origin:.1f}", "disturbance": name, "lasted_s": f"{end_s - start_s:.1f}"}
+        return {**times, "recovery_s": recovery, "note": note}
 
 
 def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str]]]:
@@ -318,15 +261,14 @@ def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str
         for skew in (-5.0837, 3599.0837)
     ]
     disk = [("disk full", soak.fill_disk), ("folder removed", soak.remove_folder)]
-    second = [("second graph", soak.second_graph)]
     if every:
-        rest = [*cycles, *stalls, *jumps, *disk, *second]
+        rest = [*cycles, *stalls, *jumps, *disk]
         mixed = [one for k in range(4) for one in rest[k::4]]
         return [*kills, *mixed, *mixed]
-    return [kills[2], cycles[0], disk[0], stalls[0], second[0], cycles[3], jumps[0], disk[1], jumps[3], kills[4]]
+    return [kills[2], cycles[0], disk[0], stalls[0], cycles[3], jumps[0], disk[1], jumps[3], kills[4]]
 
 
-def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[Disturbance], float]:
+def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[dict[str, Any]], float]:
     """Start the graph, disturb it at equal intervals unless `quiet`, and end with some quiet seconds; gives the time of the start."""
     began = time.monotonic()
     for name in NODES:
@@ -347,8 +289,8 @@ def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[Disturbance], 
             print(f"{len(plan) - number} disturbances were left out: time is over", flush=True)
             break
         soak.watch()
-        done.append(soak.disturb(name, action))
-        print("  ".join(map(str, done[-1].row(origin, soak.seen.answers).values())), flush=True)
+        done.append(soak.disturb(name, action, origin))
+        print("  ".join(done[-1].values()), flush=True)
         time.sleep(max(0.0, origin + quiet_s + (number + 1) * interval_s - time.monotonic()))
     while (left := origin + minutes * 60.0 - time.monotonic()) > 0.0:
         time.sleep(min(left, 10.0))
@@ -370,20 +312,6 @@ def verified(path: Path) -> str:
     return f"{text}: NOT CLEAN: {faults[0]}" if faults else text
 
 
-def timeline(soak: Soak, origin: float, minutes: float) -> list[dict[str, Any]]:
-    """Clouds and answers per second and the memory of each process, over time."""
-    step = 1.0 if minutes < 10 else 5.0
-    clouds, answers = (
-        Counter(int((t - origin) // step) for t in times) for times in (soak.seen.clouds.values(), soak.seen.answers)
-    )
-    sizes = {(one.node, int((t - origin) // step)): mb for one in soak.memory for t, mb in one.sizes}  # the last counts
-    return [
-        {"t_s": (k + 1) * step, "played_per_s": clouds[k] / step, "answered_per_s": answers[k] / step}
-        | {f"{name}_mb": f"{sizes[name, k]:.1f}" if (name, k) in sizes else "" for name in NODES}
-        for k in range(int(minutes * 60.0 / step))
-    ]
-
-
 def latency_rows(seen: Observer, origin: float, minutes: float) -> list[dict[str, Any]]:
     """Latency of the answers in each tenth of the time."""
     found: dict[int, list[float]] = {}
@@ -397,32 +325,16 @@ def latency_rows(seen: Observer, origin: float, minutes: float) -> list[dict[str
     ]
 
 
-def undisturbed(seen: Observer, done: Sequence[Disturbance]) -> dict[str, float]:
-    """What the computer manages without a disturbance, since it may be shared: gaps between answers, and latency."""
-    busy = [(one.start_s - 1.0, (one.recovered_s or one.end_s) + 3.0) for one in done]
-    times = sorted(seen.answered_at.values())
-    gaps = [b - a for a, b in pairwise(times) if not any(a <= last and b >= first for first, last in busy)]
-    latency = [
-        at - seen.clouds[stamp]
-        for stamp, at in seen.answered_at.items()
-        if stamp in seen.clouds and not any(first <= at <= last for first, last in busy)
-    ]
-    if not gaps or not latency:
-        return {}
-    latencies = {q: round(float(np.percentile(latency, q)), 3) for q in (50, 95, 100)}
-    return {"longest gap between answers, undisturbed [s]": round(max(gaps), 2),
-            **{f"latency p{q}, undisturbed [s]": value for q, value in latencies.items()}}  # fmt: skip
-
-
-def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Mapping[str, str]) -> dict[str, Any]:
+def summary(
+    soak: Soak, done: Sequence[Mapping[str, Any]], origin: float, datasets: Mapping[str, str]
+) -> dict[str, Any]:
     """The figures; what breaks a limit is printed, and `limits broken` counts it."""
     seen = soak.seen
     fates, unexplained = account(seen.clouds, seen.stamps, soak.outages, seen.drops)
-    errors = [
-        f"{name}: {key}" for (name, _), one in seen.reports.items() for key in one.values if "internal_errors." in key
-    ]
-    recoveries = [one.recovered_s - one.end_s for one in done if one.recovered_s is not None]
-    late = [one.name for one in done if one.is_late]
+    found = [(name, key) for (name, _), one in seen.reports.items() for key in one.values]
+    errors = [f"{name}: {key}" for name, key in found if "internal_errors." in key]
+    recoveries = [PATIENCE_S if one["recovery_s"] == "none" else float(one["recovery_s"]) for one in done]
+    late = [one["disturbance"] for one, recovery in zip(done, recoveries, strict=True) if recovery > RECOVERY_S]
     broken = [
         *(f"unexplained at {node}: {seen.clouds[stamp] - origin:.1f} s after the start" for stamp, node in unexplained),
         *["an answer is not finite"] * seen.not_finite,
@@ -430,7 +342,7 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         *errors,
         *(f"no recovery within {RECOVERY_S:g} s: {name}" for name in late),
         *(f"dataset {name}: {text}" for name, text in datasets.items() if "NOT " in text),
-        *(f"failed: {one.name}" for one in done if "NOT " in one.note or "REFUSED" in one.note),
+        *(f"failed: {one['disturbance']}" for one in done if "NOT " in one["note"] or "REFUSED" in one["note"]),
     ]
     print("".join(f"  {text}\n" for text in broken), end="")
     return {
@@ -439,7 +351,6 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         "clouds with a repeated stamp": seen.repeated,
         **dict(sorted(fates.items())),
         "unexplained": len(unexplained),
-        "further answers to an answered cloud": len(seen.answers) - len(seen.answered_at),
         **{f"answers {name}": count for name, count in sorted(seen.statuses.items())},
         "answers that are not finite": seen.not_finite,
         "internal errors": len(errors),
@@ -447,9 +358,8 @@ def summary(soak: Soak, done: Sequence[Disturbance], origin: float, datasets: Ma
         "disturbances": len(done),
         "recovered within 2 s": len(done) - len(late),
         **{f"dataset {name}, repaired": text for name, text in datasets.items()},
-        **undisturbed(seen, done),
         "load of the computer, processes per core": round(os.getloadavg()[2] / (os.cpu_count() or 1), 1),
-        "longest recovery [s]": round(max(recoveries, default=0.0), 2),
+        "longest recovery [s]": max(recoveries, default=0.0),
         "median recovery [s]": round(float(np.median(recoveries or [0.0])), 2),
     }
 
@@ -480,19 +390,17 @@ def main() -> int:
         found = {str(p.parent.relative_to(name)): p.parent for p in Path(name).rglob("session-0001.mcap")}
         figures = summary(soak, done, origin, {key: verified(path) for key, path in sorted(found.items())})
     warm_up_s = min(WARM_UP_S, 20.0 * options.minutes)
-    memory = [row for one in {one.node: one for one in soak.memory}.values() if (row := one.row(warm_up_s))]
+    memory = [row for name, sizes in soak.memory.items() if (row := memory_row(name, sizes, warm_up_s))]
     tables = {
         "summary": [{"figure": key, "value": value} for key, value in figures.items()],
         "memory": memory,
-        "disturbances": [one.row(origin, soak.seen.answers) for one in done],
-        "timeline": timeline(soak, origin, options.minutes),
+        "disturbances": done,
         "latency": latency_rows(soak.seen, origin, options.minutes),
     }
     for key, rows in tables.items():
         write_csv(options.out / f"{key}.csv", rows or [{"nothing": ""}])
     for row in (*tables["summary"], *memory, *tables["latency"]):
         print("  ".join(map(str, row.values())))
-    draw(options.out)
     return int(figures["limits broken"] > 0)
 
 

@@ -41,7 +41,6 @@ class Observer(Client):
         self.drops: list[Drop] = []
         self._losses = {topic: Losses(partial(self._missed, topic)) for topic in self.stamps}
         self._seen_s = dict.fromkeys(self.stamps, time.monotonic())  # when each topic was last heard
-        self.warnings: list[tuple[float, str, str]] = []  # time, node, message
         for topic, kind in zip(_TOPICS, (PointCloud2, PointCloud2, TablePlane, GraspArray), strict=True):
             self.node.create_subscription(kind, topic, partial(self._see, topic), self.deep, raw=True)
         self.node.create_subscription(TouchPredictionArray, "touch", self._see_touch, self.deep)
@@ -65,9 +64,7 @@ class Observer(Client):
         return any(report.values.get("state") == "active" for report in found)
 
     def reported(self, node: str, before: Report | None, now: Report) -> None:
-        """Note warnings, and what was dropped since the report before."""
-        if now.level and (before is None or before.message != now.message):
-            self.warnings.append((now.time_s, node, now.message))
+        """Note what was dropped since the report before."""
         counts = {key: key.removeprefix("dropped.") for key in now.values if key.startswith("dropped.")}
         counts |= {f"lost_on_the_way.{topic}": f"lost on the way, {topic}" for topic in _TOPICS}
         for key, reason in counts.items():

@@ -2,13 +2,14 @@
 """How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp, real and made objects."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.common import add_data, print_rows, write_csv
-from benchmarks.invariances.bench import Change, changes
+from benchmarks.common import Rows, command
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
 from foretouch.types import Cloud, Float32, Float64, Plane
@@ -17,18 +18,40 @@ TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 METHODS = ("original", "completed")
 TUNED_ON = 8  # each k-th recorded cloud served to tune an earlier method
 MOVED_MM = 10.0
-CHANGES = ("order of points", "jitter 1 µm", "jitter 0.1 mm", "shift 1 mm", "shift 1 m", "turn 1°", "turn 90°", "turn 180°")  # fmt: skip
 
 
-def main() -> None:
-    """Measure, print and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_data(parser)
-    parser.add_argument(
-        "--all", action="store_true", help="also the recorded clouds that did not tune an earlier method"
-    )
-    parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "results.csv")
-    arguments = parser.parse_args()
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change of a cloud: a turn about the vertical through its centroid, a shift, and noise or another order of the points."""
+
+    turn_deg: float = 0.0
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m]
+    more: Callable[[Float64, np.random.Generator], Float64] = lambda xyz, _: xyz
+
+    def carry(self, points: Float64, centre: Float64) -> Float64:
+        """Where points (..., 3) are carried."""
+        c, s = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return np.asarray((points - centre) @ turn.T + centre + self.shift)
+
+
+def jitter(sigma_m: float) -> Change:
+    """Independent normal noise on each coordinate."""
+    return Change(more=lambda xyz, rng: xyz + rng.normal(0.0, sigma_m, xyz.shape))
+
+
+CHANGES: Mapping[str, Change] = {
+    "order of points": Change(more=lambda xyz, rng: rng.permutation(xyz)),
+    "jitter 1 µm": jitter(1e-6),
+    "jitter 0.1 mm": jitter(1e-4),
+    "shift 1 mm": Change(shift=(0.001, 0.0, 0.0)),
+    "shift 1 m": Change(shift=(1.0, 0.0, 0.0)),
+    **{f"turn {degrees:g}°": Change(degrees) for degrees in (1.0, 90.0, 180.0)},
+}
+
+
+def tables(arguments: argparse.Namespace) -> dict[Path, Rows]:
+    """The one table."""
     groups = {"made": list(made_clouds())}
     paths = sorted(Path(arguments.data).glob("vision2tactile/*/*/cloud-object.pcd")) if arguments.data else []
     if not paths:
@@ -37,38 +60,27 @@ def main() -> None:
         chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
         if chosen and (tuned or arguments.all):
             groups[name] = [read_cloud(path).xyz.reshape(-1, 3) for path in chosen]
-    rows = [row for name, clouds in groups.items() for row in measure(name, clouds)]
-    write_csv(arguments.out, rows)
-    print_rows(rows)
+    rows = (row for name, clouds in groups.items() for row in measure(name, clouds))
+    return {Path(__file__).parent / "results.csv": rows}
 
 
-def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:
+def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, Any]]:
     """The rows of the table for some clouds."""
     moved: dict[tuple[str, str], list[float]] = {(change, method): [] for change in CHANGES for method in METHODS}
     for seed, xyz in enumerate(clouds):
+        centre = xyz.mean(axis=0, dtype=np.float64)
         for method in METHODS:
             before, rng = plan(xyz, method), np.random.default_rng(seed)
-            for change in (*changes(), HALF_TURN):
-                if change.name in CHANGES:
-                    about = about_centroid(change, xyz)
-                    after = plan(about.points(xyz, rng), method)
-                    moved[change.name, method].append(distance_mm(before, after, about))
-    for change in CHANGES:
-        values = {method: np.array(moved[change, method]) for method in METHODS}
-        share = {method: f"{100.0 * np.mean(v > MOVED_MM):.2f}" for method, v in values.items()}
+            for key, change in CHANGES.items():
+                after = change.more(change.carry(xyz.astype(np.float64), centre), rng).astype(np.float32)
+                moved[key, method].append(distance_mm(before, plan(after, method), change, centre))
+    for key in CHANGES:
+        values = {method: np.array(moved[key, method]) for method in METHODS}
         first = {"clouds": name, "n": len(clouds)}
-        yield {**first, "quantity": f"{change}: moved > {MOVED_MM:g} mm", "unit": "%", **share}
+        share = {method: f"{100.0 * np.mean(v > MOVED_MM):.2f}" for method, v in values.items()}
+        yield {**first, "quantity": f"{key}: moved > {MOVED_MM:g} mm", "unit": "%", **share}
         largest = {method: f"{v.max():.2f}" for method, v in values.items()}
-        yield {**first, "quantity": f"{change}: largest move", "unit": "mm", **largest}
-
-
-HALF_TURN = Change("turn 180°", np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-
-
-def about_centroid(change: Change, xyz: Float32) -> Change:
-    """A turn about the vertical through the object's centroid; other changes as they are."""
-    centre = xyz.mean(axis=0, dtype=np.float64)
-    return Change(change.name, change.linear, change.shift + centre - change.linear @ centre, change.more)
+        yield {**first, "quantity": f"{key}: largest move", "unit": "mm", **largest}
 
 
 def plan(xyz: Float32, method: str) -> GraspPlan:
@@ -76,12 +88,12 @@ def plan(xyz: Float32, method: str) -> GraspPlan:
     return plan_grasps(Cloud(xyz), TOP_VIEW, GeoGraspConfig(method=method))
 
 
-def distance_mm(before: GraspPlan, after: GraspPlan, change: Change) -> float:
+def distance_mm(before: GraspPlan, after: GraspPlan, change: Change, centre: Float64) -> float:
     """How far the contact that moved more is from where the change carries it; infinite if one plan has no grasp."""
     if not before.grasps or not after.grasps:
         return 0.0 if before.grasps == after.grasps else float("inf")
     one, other = (np.stack([plan.grasps[0].g1, plan.grasps[0].g2]) for plan in (before, after))
-    return float(np.linalg.norm(change.carry(one) - other, axis=1).max() * 1e3)
+    return float(np.linalg.norm(change.carry(one, centre) - other, axis=1).max() * 1e3)
 
 
 def made_clouds() -> Iterator[Float32]:
@@ -109,4 +121,5 @@ def made_clouds() -> Iterator[Float32]:
 
 
 if __name__ == "__main__":
-    main()
+    more = {"action": "store_true", "help": "also the recorded clouds that did not tune an earlier method"}
+    command(__doc__, tables, {"--all": more}, data=True)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """How often does the best grasp jump while nothing moves but the camera's noise? See README.md."""
 
-import argparse
 import time
+from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.common import print_rows, scene, write_csv
+from benchmarks.common import Rows, command, scene
 from foretouch.grasp import GraspHold, GraspPlan, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.nodes.grasp import HOLD_TOLERANCE_M, GraspNodeConfig
@@ -22,26 +23,13 @@ JUMP_M = 0.005
 RATE_HZ = 30.0
 
 
-def main() -> None:
-    """Measure, print and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--scene", nargs=2, metavar=("NAME", "SAMPLE"), help="only this one")
-    parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "still.csv")
-    arguments = parser.parse_args()
-    scenes = [(arguments.scene[0], int(arguments.scene[1]))] if arguments.scene else SCENES
-    rows = [one.row() for name, slot in scenes for one in watch(name, slot, arguments.frames)]
-    write_csv(arguments.out, rows)
-    print_rows(rows)
-
-
 class Stream:
     """The best grasps of one method in one stream of clouds, as the nodes `segmentation` and `grasp` make them."""
 
-    def __init__(self, scene: str, method: str, hold: float, tolerance_m: float) -> None:
-        self._scene, self._method, self._margin = scene, method, hold
+    def __init__(self, method: str, hold: float) -> None:
+        self._method, self._margin = method, hold
         self._pipeline = Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
-        self._hold = GraspHold(tolerance_m)
+        self._hold = GraspHold(HOLD_TOLERANCE_M)
         self._contacts: list[Float64] = []
         self._scores: list[float] = []
         self._ms: list[float] = []
@@ -64,31 +52,20 @@ class Stream:
         self._hold.next_cloud()
         return plan
 
-    def row(self) -> dict[str, object]:
+    def row(self) -> dict[str, Any]:
         """The figures of the stream."""
         moves = np.linalg.norm(np.diff(self._contacts, axis=0), axis=2).max(axis=1)
         return {
-            "scene": self._scene,
-            "frames": len(self._ms),
-            "method": self._method,
-            "hold": f"{self._margin:g}",
-            "jumps": int((moves > JUMP_M).sum()),
-            "largest_mm": f"{moves.max() * 1e3:.2f}",
-            "score": f"{np.nanmean(self._scores):.3f}",
-            "cpu_ms": f"{np.median(self._ms):.1f}",
-            "cpu_p95_ms": f"{np.percentile(self._ms, 95):.1f}",
-            "answered": len(self._contacts),
-        }
+            "frames": len(self._ms), "method": self._method, "hold": f"{self._margin:g}", "jumps": int((moves > JUMP_M).sum()),
+            "largest_mm": f"{moves.max() * 1e3:.2f}", "score": f"{np.nanmean(self._scores):.3f}", "cpu_ms": f"{np.median(self._ms):.1f}",
+            "cpu_p95_ms": f"{np.percentile(self._ms, 95):.1f}", "answered": len(self._contacts),
+        }  # fmt: skip
 
 
-def watch(name: str, slot: int, frames: int) -> list[Stream]:
-    """The streams of one still scene."""
-    maker, pipeline, node = FrameMaker(scene(name).updated(CAMERA)), Pipeline(), GraspNodeConfig()
-    label = f"{name} {slot}"
-    streams = [
-        Stream(label, method, hold, HOLD_TOLERANCE_M)
-        for method, hold in (("original", 0.0), ("completed", node.grasp_hold))
-    ]
+def watch(name: str, slot: int, frames: int) -> list[dict[str, Any]]:
+    """The rows of one still scene, one for each method."""
+    maker, pipeline = FrameMaker(scene(name).updated(CAMERA)), Pipeline()
+    streams = [Stream("original", 0.0), Stream("completed", GraspNodeConfig().grasp_hold)]
     previous = None
     for frame in range(frames):
         cloud = maker.frame(slot, repeat=frame).cloud(stamp_ns=round(frame / RATE_HZ * 1e9))
@@ -101,8 +78,15 @@ def watch(name: str, slot: int, frames: int) -> list[Stream]:
         previous = target.cloud.xyz.mean(axis=0, dtype=np.float64)
         for stream in streams:
             stream.see(target, segmented_s)
-    return streams
+    return [{"scene": f"{name} {slot}", **stream.row()} for stream in streams]
+
+
+def tables(arguments: Namespace) -> dict[Path, Rows]:
+    """The one table."""
+    chosen = [(arguments.scene[0], int(arguments.scene[1]))] if arguments.scene else SCENES
+    return {Path(__file__).parent / "still.csv": (row for one in chosen for row in watch(*one, arguments.frames))}
 
 
 if __name__ == "__main__":
-    main()
+    one_scene = {"nargs": 2, "metavar": ("NAME", "SAMPLE"), "help": "only this one"}
+    command(__doc__, tables, {"--frames": {"type": int, "default": 300}, "--scene": one_scene})

@@ -24,7 +24,7 @@ from foretouch.config import Settings, setting
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.shared.scores import interval_columns, labelled
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, SIGNS, grouped, select, short, with_notes
@@ -135,53 +135,26 @@ def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
     held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects, channels)
     group = fit_group(held_out, new=True)
     level, features = fit_tracker(others, group, group), features_of(data.samples)
-    reference, rows = other_objects_mean(recording), []
+    reference, touches, rows = other_objects_mean(recording), recording.touches(), []
     for name in settings.variants:
         where, parameters = variant(name, recording, features, settings.seed), level
         if where is not None:
             parameters = fit_places(level, replace(others, where=where[~own]))
         counts, half = predicted(recording, where, target, parameters)
-        scored = np.isfinite(counts).all(axis=1)
-        parts = {"counts": counts, "half": half, "readings": recording.readings, "reference": reference}
-        rows.append(
-            {
-                "variant": name,
-                "touches": recording.touches()[scored].tolist(),
-                "modalities": {one: channel.size for one, channel in channels.channel_of.items()},
-                **{key: values[scored].tolist() for key, values in parts.items()},
-            }
-        )
+        scored, off = np.isfinite(counts).all(axis=1), counts - recording.readings
+        sums = {
+            "squared": off**2,
+            "reference": (reference - recording.readings) ** 2,
+            "inside": np.abs(off) <= half,
+            "half": half,
+        }
+        for regime, (low, high) in REGIMES.items():
+            chosen = scored & (touches >= low) & (touches <= high)
+            if chosen.any():
+                row: Row = {"variant": name, "regime": regime, "count": int(chosen.sum())}
+                row |= {key: values[chosen].sum(axis=0).tolist() for key, values in sums.items()}
+                rows.append(row | {"modalities": {one: channel.size for one, channel in channels.channel_of.items()}})
     return rows
-
-
-class _Scores:
-    """Predictions of all objects with one variant."""
-
-    def __init__(self, rows: Sequence[Row]) -> None:
-        own = [row for row in rows if row["touches"]]
-        self.objects = np.repeat([row["object"] for row in own], [len(row["touches"]) for row in own]).astype(np.str_)
-        self.touches = np.concatenate([row["touches"] for row in own])
-        names = ("counts", "half", "readings", "reference")
-        self.counts, self.half, self.readings, self.reference = (np.concatenate([row[k] for row in own]) for k in names)
-        columns = np.split(np.arange(self.counts.shape[1]), np.cumsum(list(rows[0]["modalities"].values()))[:-1])
-        self.columns = dict(zip(rows[0]["modalities"], columns, strict=True))
-        self._channels: Any = SimpleNamespace(  # what `metrics` reads of the channels of a sensor
-            modality_columns=self.columns, modalities=tuple(self.columns), size=self.counts.shape[1]
-        )
-
-    def errors(self, chosen: Bool) -> ObjectErrors:
-        """Squared errors by object."""
-        rows = (values[chosen] for values in (self.objects, self.counts, self.readings, self.reference))
-        return ObjectErrors.of_predictions(*rows, self._channels)
-
-    def coverage(self, modality: str, chosen: Bool) -> Row:
-        """Number of grasps, and of one modality the share within its 90 % intervals and their mean half width."""
-        if modality == MEAN:
-            return {"grasps": int(chosen.sum())}
-        own = np.ix_(chosen, self.columns[modality])
-        inside = np.abs(self.readings - self.counts)[own] <= self.half[own]
-        found = {"coverage": float(inside.mean()), "half_width": float(self.half[own].mean())}
-        return {"grasps": int(chosen.sum()), **found}
 
 
 _COLUMNS: Final = (
@@ -192,19 +165,25 @@ _COLUMNS: Final = (
 
 def _tabulate(settings: WhereSettings, cells: Sequence[Row]) -> list[Row]:
     """A row for each variant, regime and modality, and their mean, of all objects together."""
-    scores = {name: _Scores(rows) for name, rows in grouped(cells, "variant")}
+    sizes = cells[0]["modalities"]
+    parts = np.split(np.arange(sum(sizes.values())), np.cumsum(list(sizes.values()))[:-1])
+    columns = dict(zip(sizes, parts, strict=True))
+    # What `metrics` reads of the channels of a sensor.
+    channels: Any = SimpleNamespace(modality_columns=columns, modalities=tuple(sizes), size=sum(sizes.values()))
     rows: list[Row] = []
-    for regime, (low, high) in REGIMES.items():
-        for name, scored in scores.items():
-            chosen = (scored.touches >= low) & (scored.touches <= high)
-            if not chosen.any():
-                continue
-            errors = scored.errors(chosen)
-            found = skills(errors, settings.bootstrap)
-            gains = compare(errors, scores[LEVEL].errors(chosen), settings.bootstrap)
-            for modality in (*scored.columns, MEAN):
+    for regime in REGIMES:
+        own = dict(grouped(select(cells, regime=regime), "variant"))
+        errors = {name: ObjectErrors.of_rows(found, channels) for name, found in own.items()}
+        for name, found in own.items():
+            estimates, grasps = skills(errors[name], settings.bootstrap), sum(row["count"] for row in found)
+            gains = compare(errors[name], errors[LEVEL], settings.bootstrap)
+            shares = {key: sum(np.array(row[key]) for row in found) / grasps for key in ("inside", "half")}
+            for modality in (*sizes, MEAN):
                 row: Row = {"variant": name, "regime": regime, "object": ALL_OBJECTS, "modality": modality}
-                row |= interval_columns("skill", found[modality]) | scored.coverage(modality, chosen)
+                row |= interval_columns("skill", estimates[modality]) | {"grasps": grasps}
+                if modality != MEAN:
+                    row |= {"coverage": float(shares["inside"][columns[modality]].mean())}
+                    row |= {"half_width": float(shares["half"][columns[modality]].mean())}
                 if name != LEVEL:
                     row |= interval_columns("gain", gains[modality]) | {"gain_verdict": gains[modality].verdict}
                 rows.append({column: row.get(column) for column in _COLUMNS})

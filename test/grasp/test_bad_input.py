@@ -63,14 +63,9 @@ def test_clouds_that_are_hardly_an_object(rng: np.random.Generator) -> None:
         found = outcome(xyz, table)
         assert expected in ("", found) or expected in found, found
 
-    cases = {f"{n} points": (brick[:: len(brick) // n][:n], "") for n in range(3, 11)}
-    cases |= {f"{n} points": (brick[:n], f"{n} finite points, GeoGrasp needs 3") for n in (0, 1, 2)}
-    cases |= {
+    cases = {
         "ten equal points": (np.tile(brick[:1], (10, 1)), ""),
-        "a plane above the table": (placed(flat), ""),
         "an upright plane": (placed(flat[:, [0, 2, 1]]), ""),
-        "a plane across the view": (placed(flat[:, [2, 0, 1]]), ""),
-        "a line": (placed(line), ""),
         "an upright line": (placed(line[:, [2, 1, 0]]), ""),
         "a sheet": (seen(box(0.08, 0.08, 0.0005)), "no"),
         "a sheet thinner than the noise": (placed(flat - over + rng.normal(0.0, [0.0, 0.0, 0.002], flat.shape)), ""),
@@ -78,7 +73,6 @@ def test_clouds_that_are_hardly_an_object(rng: np.random.Generator) -> None:
         "half out of the picture": (seen(can(0.033, 0.12), at=(0.0, 0.46)), ""),
         "behind another": (brick[brick[:, 0] > np.quantile(brick[:, 0], 0.6)], ""),
         "with a hole": (brick[np.linalg.norm(brick - brick.mean(axis=0), axis=1) > 0.015], ""),
-        "in two parts": (np.concatenate([brick, np.add(brick, [0.15, 0.0, 0.0])]), ""),
         "of points far apart": (placed(rng.uniform(-0.25, 0.25, (40, 3))), ""),
     }
     every_case(cases, check)
@@ -96,11 +90,8 @@ def test_tables_that_are_hardly_one() -> None:
             "above the object": (Plane(up, table.offset - 0.2), "ok"),
             "through the object": (Plane(up, table.offset - 0.025), "ok"),
             "far below": (Plane(up, table.offset + 0.5), ""),
-            "upside down": (Plane(-up, -table.offset), "ok"),
             "none: the assumed one": (assumed_table(Cloud(brick.astype(np.float32))), ""),
             "a wall": (Plane.from_coefficients([1.0, 0.0, 0.0, 0.5]), ""),
-            "behind the camera": (Plane.from_coefficients([0.0, 0.0, 1.0, 1.0]), "is behind the camera"),
-            "far away": (Plane.from_coefficients([0.0, 0.0, 1.0, -50.0]), "more than max_range_m"),
         },
         check,
     )
@@ -115,7 +106,6 @@ def test_hands_that_hold_nothing() -> None:
     small = ball(0.012)
     every_case(
         {
-            "tips larger than the object": (small, HandConfig(tip_radius_m=0.05), "too low for a fingertip"),
             "tips as large as the object": (small, HandConfig(tip_radius_m=0.012), "ok"),
             "hardly open": (box(0.08, 0.08, 0.05), HandConfig(opening_m=0.005), ""),
             "above the object": (small, HandConfig(clearance_m=0.1), "no"),

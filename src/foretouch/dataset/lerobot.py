@@ -29,7 +29,7 @@ from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import ExportResult, SampleSet, has_points, open_samples
 from foretouch.errors import ConfigError, FileError, shown
-from foretouch.files import read_json, require_schema
+from foretouch.files import open_regular, read_json, require_schema
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64
@@ -421,7 +421,7 @@ def _require_consistent(path: Path) -> None:
         if outside := next((one for one in files if not one.resolve().is_relative_to(path.resolve())), None):
             raise FileError(outside, "is a link out of the dataset")
         try:
-            tables = {file: pq.ParquetFile(file) for file in files}
+            tables = {file: pq.ParquetFile(open_regular(file)) for file in files}
             firsts = {file: next(table.iter_batches(1)) for file, table in tables.items() if folder == "data"}
         except (OSError, StopIteration, pa.ArrowException) as err:
             raise FileError(path / folder, f"holds a file that is not Parquet, or empty: {err}") from err

@@ -5,8 +5,7 @@ Each object of a scene is taken through the whole pipeline with the changed sett
 are those of method `original`, whose settings these are, and best grasps of both are scored by its own score at full
 resolution on the object as the shipped segmentation sees it, so that a grasp that moved can be distinguished from a
 grasp that is worse. How many grasps of method `completed` hold in how much time is measured in physics, by
-`benchmarks/grasp_physics --frontier`. Variants that add noise to the
-points of the objects, with the shipped settings, show what a camera's next image would do as well.
+`benchmarks/grasp_physics`. Variants that add noise to the points of the objects, with the shipped settings, show what a camera's next image would do as well.
 """
 
 import hashlib
