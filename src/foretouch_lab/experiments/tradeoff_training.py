@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Area `training`: grasps, objects, trees, epochs, points and precision against the time of a training and of the robot."""
 
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +13,13 @@ from foretouch.config import setting
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Row
 from foretouch_lab.experiments.framework.tradeoff import Area, Panel, Timed, TradeoffSettings, Variant
-from foretouch_lab.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
 from foretouch_lab.experiments.shared.predictors import network
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_columns
 from foretouch_lab.experiments.shared.simulated_data import beside, simulate_store
 from foretouch_lab.experiments.shared.tables import grouped, select
 from foretouch_lab.experiments.tradeoff_model import describe
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.training.contact import ContactTrainingConfig, fit_contact
 
@@ -114,13 +115,32 @@ def _run(cell: Cell, settings: TrainingSettings, data: Dataset) -> list[Row]:
     return rows
 
 
+def split_by_fold(
+    samples: Sequence[GraspSample], folds: Sequence[Fold], name: str
+) -> tuple[list[GraspSample], list[GraspSample]]:
+    """Training and test samples of the fold of a name."""
+    (fold,) = (one for one in folds if one.name == name)
+    return [samples[k] for k in fold.train], [samples[k] for k in fold.test]
+
+
+def _by_object(samples: Sequence[GraspSample]) -> dict[str, list[GraspSample]]:
+    """Samples of each object, objects sorted by name."""
+    names = sorted({sample.object for sample in samples})
+    return {name: [sample for sample in samples if sample.object == name] for name in names}
+
+
 def _chosen_samples(values: Mapping[str, Any], train: Sequence[GraspSample]) -> list[GraspSample]:
-    """The training samples of a variant; all if it has fewer than it asks for."""
-    objects = [one.object for one in train]
+    """The training samples of a variant, drawn at random; all if it has fewer than it asks for. Smaller draws are part of larger ones."""
+    groups = _by_object(train)
     if (grasps := values.get("grasps")) is not None:
-        return some_grasps(train, min(grasps, *(objects.count(name) for name in objects)), 0)
+        orders = {
+            name: np.random.default_rng([zlib.crc32(name.encode()), 0]).permutation(len(own))
+            for name, own in groups.items()
+        }
+        return [own[k] for name, own in groups.items() for k in orders[name][: min(grasps, *map(len, groups.values()))]]
     if (count := values.get("objects")) is not None:
-        return some_objects(train, min(count, len(set(objects))), 0)
+        names = list(groups)
+        return [one for k in np.random.default_rng(0).permutation(len(names))[:count] for one in groups[names[k]]]
     return list(train)
 
 
@@ -147,7 +167,7 @@ def _predict(
 
 def _robot_seconds(samples: Sequence[GraspSample]) -> float:
     """Median time from one grasp of an object to the next, as they were recorded; 0 of simulated ones [s]."""
-    gaps = np.concatenate([np.diff(sorted(one.stamp_ns for one in own)) for own in by_object(samples)])
+    gaps = np.concatenate([np.diff(sorted(one.stamp_ns for one in own)) for own in _by_object(samples).values()])
     return float(np.median(gaps / 1e9)) if len(gaps) else 0.0
 
 

@@ -128,6 +128,6 @@ def test_a_store_is_made_once_refused_for_another_scene_and_asked_for_where_abse
     assert load_simulated(SimulatedSettings(), path).scene.objects[0].name == "can"
     with pytest.raises(ConfigError, match="another scene or size"):
         simulate_store(scenes / "clean.yaml", 4, tmp_path)
-    for name, wanted in (("noise_ceiling", "give --data a scene"), ("sim_to_real", "no real grasps")):
-        with pytest.raises(ConfigError, match=wanted):
-            run_sweep(find_experiment(name), find_experiment(name).resolve("smoke", {}), tmp_path / "out")
+    experiment = find_experiment("noise_ceiling")
+    with pytest.raises(ConfigError, match="give --data a scene"):
+        run_sweep(experiment, experiment.resolve("smoke", {}), tmp_path / "out")

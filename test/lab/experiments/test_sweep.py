@@ -112,19 +112,8 @@ def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -
 
 
 def test_more_cells_keep_those_that_are_finished(sweep, out, trace, in_this_process) -> None:
-    with pytest.raises(FileError, match=r"contains no manifest\.json: no sweep was started there"):
-        sweep(only_finished=True)
-    assert not out.exists()
     hurt = {"trace": str(trace), "broken": (1,)}
     sweep(settings={"cells": 3, **hurt})
-    before = starts(trace)
-    result = sweep(settings={"cells": 5, **hurt}, only_finished=True)
-    assert starts(trace) == before
-    assert (result.cells, result.finished, result.failures) == (5, 2, {"cell1": "cell 1: is broken"})
-    assert sorted({row["number"] for row in read_results(out / "results.csv")}) == [0, 2]
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert manifest["cells"] == {"all": 5, "finished": 2, "failed": result.failures}
-    assert len(manifest["sessions"]) == 1
     more = sweep(settings={"cells": 5, **hurt}, resume=True)
     assert (more.reused, more.finished, len(more.rows)) == (2, 4, 8)
     fewer = sweep(settings={"cells": 3, "shown": 1, **hurt}, resume=True)
@@ -162,7 +151,6 @@ def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_pro
         file.write_text(json.dumps({**whole, name: value}))
         for use in (
             lambda: sweep(settings={"cells": 1}, resume=True),
-            lambda: sweep(settings={"cells": 1}, only_finished=True),
             lambda: write_summary(out, EXPERIMENT, []),
             lambda: require_experiment(out, "counting"),
         ):

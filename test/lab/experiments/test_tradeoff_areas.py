@@ -15,7 +15,6 @@ from foretouch.pipeline import Pipeline
 from foretouch_lab.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
 from foretouch_lab.experiments.framework.experiment import Cell, Row
 from foretouch_lab.experiments.framework.tradeoff import Area
-from foretouch_lab.experiments.shared.folds import split_by_fold
 from foretouch_lab.learning.data import labels_of, make_folds
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
@@ -150,7 +149,7 @@ def test_more_grasps_are_more_skilful_take_the_robot_longer_and_fewer_are_part_o
     assert shipped["known_low"] < shipped["known"] < shipped["known_high"]
     columns = {cell.values["column"] for cell in area.cells(TRAINING.replace(detail="all"), GRASPS)}
     assert columns == {"known", "new", "one_block"}
-    train, test = split_by_fold(GRASPS.samples, make_folds(GRASPS.samples, "time", 0), "block 0")
+    train, test = tradeoff_training.split_by_fold(GRASPS.samples, make_folds(GRASPS.samples, "time", 0), "block 0")
     chosen = tradeoff_training._chosen_samples
     five = chosen({"grasps": 5}, train)
     assert len(five) == 5 * 8

@@ -63,7 +63,6 @@ def run_sweep(
     preset: str = "",
     source: Path | None = None,
     resume: bool = False,
-    only_finished: bool = False,
     workers: int = 1,
     address: str | None = None,
     progress: Callable[[CellResult, int, int], None] = lambda *_: None,
@@ -78,7 +77,6 @@ def run_sweep(
         preset: Name of the preset, for the manifest.
         source: Path of the data, as the experiment's `prepare` takes it.
         resume: Continue the sweep in `out`, if there is one.
-        only_finished: Run no cell, and write the table of those that an interrupted sweep has finished.
         workers: Number of processes, or of cores of a local Ray node.
         address: None for processes, else the address of a Ray cluster (see `ray_results`).
         progress: Called with each result, the number of finished cells and the number of all cells.
@@ -88,12 +86,10 @@ def run_sweep(
         The table and the failures. A failed cell is left out of the table and is run again by the next resume.
 
     Raises:
-        FileError: If `out` exists and `resume` is off, or cannot be written; with `only_finished`, if it holds no sweep.
+        FileError: If `out` exists and `resume` is off, or cannot be written.
         ConfigError: If the sweep in `out` has other settings or data, or two cells have the same key.
     """
-    if only_finished and not (out / manifests.MANIFEST_FILE).exists():
-        raise FileError(out, f"contains no {manifests.MANIFEST_FILE}: no sweep was started there")
-    if out.exists() and not (resume or only_finished) and (not out.is_dir() or any(out.iterdir())):
+    if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
         raise FileError(out, "already exists; --resume continues a sweep")
     path = experiment.prepare(settings, source, out)
     data = experiment.load(settings, path)
@@ -106,13 +102,8 @@ def run_sweep(
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         manifest["preset"] = preset
         left = [cell for cell in cells if cell.key not in done]
-        if only_finished:
-            failed = manifest.get("cells", {}).get("failed", {})
-            result.failures = {cell.key: failed[cell.key] for cell in left if cell.key in failed}
-            left = []
-        else:
-            manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
-            manifests.write_manifest(out, manifest)
+        manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
+        manifests.write_manifest(out, manifest)
         name = f"{experiment.module}:{experiment.name}"
         job = Job(name, json.dumps(plain, sort_keys=True), str(path.absolute()), data.sha256)
         found = in_processes(job, left, workers) if address is None else _on_ray(job, left, address, workers)

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data of experiments on simulated grasps: an existing training store, or a scene that is simulated first.
 
-Stores that a sweep makes lie beside its folder, in `<DIR>.data`; they are made once and needed again only to resume. An
-experiment on both real and simulated grasps has a link to the real ones there.
+Stores that a sweep makes lie beside its folder, in `<DIR>.data`; they are made once and needed again only to resume.
 """
 
-import hashlib
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
@@ -18,8 +15,6 @@ from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.simulate import Simulation
-
-_REAL: Final = "real"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,47 +88,3 @@ def _scene_of(manifest: Any, path: Path) -> SceneConfig:
     if not isinstance(scene, dict):
         raise DatasetError(f"{path}: about.scene: is missing; only simulated samples can be reproduced")
     return SceneConfig.from_mapping(scene, str(path))
-
-
-@dataclass(frozen=True, kw_only=True)
-class BothSettings(SimulatedSettings):
-    """Settings of experiments on real and simulated grasps."""
-
-    scene: str = setting(
-        "config/scenes/unseen_objects.yaml",
-        "Scene of the simulated grasps; one of this name that comes with the package where there is no such file",
-    )
-    samples: int = setting(2400, "Number of grasps to simulate", bounds=(10, 1_000_000))
-
-
-@dataclass(frozen=True, eq=False)
-class RealAndSimulated:
-    """Real and simulated grasps."""
-
-    real: Dataset
-    simulated: Dataset
-
-    @property
-    def sha256(self) -> str:
-        """Hash of both."""
-        return hashlib.sha256(f"{self.real.sha256} {self.simulated.sha256}".encode()).hexdigest()
-
-
-def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path:
-    """Make a folder with the store of the scene and a link to the real grasps; a `ConfigError` without these."""
-    if source is None:
-        raise ConfigError("experiment: no real grasps; give --data PATH or set FORETOUCH_DATA")
-    folder, scene = beside(out), Path(settings.scene)
-    shipped = Path(str(resources.files("foretouch_lab.simulation"))) / "scenes" / scene.name
-    simulate_store(shipped if shipped.is_file() and not scene.exists() else scene, settings.samples, folder)
-    link = folder / _REAL
-    if link.is_symlink():
-        link.unlink()
-    link.symlink_to(source.absolute(), target_is_directory=True)
-    return folder
-
-
-def load_both(settings: BothSettings, path: Path) -> RealAndSimulated:
-    """Read the folder of `prepare_both`."""
-    simulated = load_simulated(settings, path / Path(settings.scene).stem)
-    return RealAndSimulated(load_dataset(path / _REAL), simulated.collection)
