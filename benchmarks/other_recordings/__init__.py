@@ -29,7 +29,7 @@ from foretouch.errors import ConfigError
 from foretouch.types import Bool, Float64
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
-from foretouch_lab.learning.evaluation.prequential import other_objects_mean
+from foretouch_lab.learning.prequential import other_objects_mean
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 
