@@ -34,22 +34,16 @@ _SCENE: Final = Path("config/scenes/deformables.yaml")  # of the grasps where no
 _ENDLESS: Final = 100_000  # epochs of a trainer that is timed epoch by epoch
 _PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
-_GRASPS: Final = (5, 10, 20)  # for training, of each object; the shipped model uses all, 40 of 50 in a block of time
-_OBJECTS: Final = (2, 4)  # for training; the shipped model uses all, 7 of 8 where one is left out
-_TREES: Final = (5, 15, 120)
-_NETWORKS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
-    ("epochs", {"train.epochs": 10}),
-    ("epochs", {"train.epochs": 30}),
-    ("epochs", {"train.epochs": 60}),
-    ("epochs", {"train.epochs": 240}),
-    ("cloud size", {"train.points": 64}),
-    ("cloud size", {"train.points": 128}),
-    ("cloud size", {"train.points": 512}),
-    ("precision", {"train.precision": "bfloat16"}),
-    ("epochs x cloud size", {"train.epochs": 240, "train.points": 64}),
-    ("epochs x cloud size", {"train.epochs": 240, "train.points": 128}),
-    ("epochs x cloud size", {"train.epochs": 60, "train.points": 64}),
+# Name, factor, and the values of each variant; the shipped models use all grasps (40 of 50 in a block of time) and objects.
+_VARIANTS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
+    (CONTACT, "shipped", {}),
+    (MEAN, "part", {"kind": "mean"}),
+    *((f"{count} grasps an object", "labels", {"grasps": count}) for count in (5, 10, 20)),
+    *((f"{count} objects", "objects", {"objects": count}) for count in (2, 4)),
+    *((f"{count} trees", "trees", {"changes": {"trees": count}}) for count in (5, 15, 120)),
+    ("no thinned copies", "copies", {"changes": {"thinned": 1.0}}),
 )
+_EPOCHS: Final = (10, 30, 60, 240)  # of networks; the shipped one has 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +52,7 @@ class TrainingSettings(TradeoffSettings):
 
     trees: int = setting(60, "Trees of each forest of the contact model", bounds=(1, 1000))
     splits: tuple[str, ...] = setting(tuple(_SPLITS), "Skills of contact models to measure", choices=tuple(_SPLITS))
+    networks: bool = setting(True, "Train networks on the first block of time")
     samples: int = setting(200, "Grasps to simulate where no recordings are given", bounds=(100, 100_000))
     bootstrap: BootstrapConfig = BootstrapConfig()
 
@@ -68,21 +63,12 @@ def _prepare(settings: TrainingSettings, source: Path | None, out: Path) -> Path
 
 
 def _variants(settings: TrainingSettings) -> Iterator[Variant]:
-    every = settings.detail == "all"
-    yield Variant(CONTACT, "shipped", {"kind": "contact"})
-    yield Variant(MEAN, "part", {"kind": "mean"})
-    contact: list[tuple[str, str, dict[str, Any]]] = [
-        *((f"{count} grasps an object", "labels", {"grasps": count}) for count in (_GRASPS if every else _GRASPS[::2])),
-        *((f"{count} objects", "objects", {"objects": count}) for count in (_OBJECTS if every else ())),
-        *((f"{count} trees", "trees", {"changes": {"trees": count}}) for count in (_TREES if every else _TREES[1:2])),
-        ("no thinned copies", "copies", {"changes": {"thinned": 1.0}}),
-    ]
-    for name, factor, values in contact:
+    for name, factor, values in _VARIANTS:
         yield Variant(name, factor, {"kind": "contact", **values})
-    for factor, changes in (("shipped", {}), *_NETWORKS) if every else ():
-        texts = [str(v) if key == "train.precision" else f"{v} {key.rpartition('.')[2]}" for key, v in changes.items()]
-        name = f"network, {', '.join(texts)}" if changes else NETWORK
-        yield Variant(name, factor, {"kind": "network", "changes": changes})
+    if settings.networks:
+        yield Variant(NETWORK, "shipped", {"kind": "network", "changes": {}})
+        for count in _EPOCHS:
+            yield Variant(f"network, {count} epochs", "epochs", {"kind": "network", "changes": {"train.epochs": count}})
 
 
 def _cells(settings: TrainingSettings, _data: Dataset) -> list[Cell]:
@@ -159,7 +145,7 @@ def _predict(
     described = describe(data)
     config = ContactTrainingConfig(trees=settings.trees).updated(values.get("changes", {}))
     index = described.index(train)
-    thinned = None if config.thinned == 1.0 else described.rows("thinned")[index]
+    thinned = None if config.thinned == 1.0 else described.rows(thinned=True)[index]
     names = [one.object for one in train]
     fitted = fit_contact(described.rows()[index], described.labels[index], names, config, thinned)
     return fitted.predict_rows(described.rows()[described.index(test)])[0]
@@ -213,7 +199,7 @@ EXPERIMENT = Area(
     question="What does one more hour buy, of the robot that grasps or of the computer that trains?",
     module=__name__,
     settings=TrainingSettings,
-    presets={"small": {"detail": "few", "splits": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
+    presets={"small": {"networks": False, "splits": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
     prepare=_prepare,
     load=load,
     cells=_cells,
