@@ -60,7 +60,7 @@ RECORD = "record -o %/set --seconds 1 --json"
 REPLAY = "replay @/recording --no-wait --rate 20 --json"
 SIMULATE = f"simulate {CONFIG}/scenes/clean.yaml -n 400 -o %/store --workers 2"
 TRAIN = f"train {CONFIG}/train/touchnet-v1.yaml data=@/set -o %/run {' '.join(TINY)}"
-EXPERIMENT = f"experiment noise_ceiling --preset smoke --data {CONFIG}/scenes/deformables.yaml --workers 2 -o %/sweep"
+EXPERIMENT = f"experiment label_ratio --preset smoke --data {CONFIG}/scenes/deformables.yaml --workers 2 -o %/sweep"
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 ENDED = {0, *INTERRUPTED}
 

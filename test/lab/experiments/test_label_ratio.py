@@ -126,6 +126,19 @@ def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps, store: Path)
         load_scene(settings_of(scene_sha256="abc"), store)
 
 
+def test_a_store_is_made_once_and_refused_for_another_scene(tmp_path: Path, store: Path) -> None:
+    clean = SCENE.with_name("clean.yaml")
+    path = simulate_store(clean, 3, tmp_path)
+    before = (path / "manifest.json").stat().st_mtime_ns
+    assert simulate_store(clean, 3, tmp_path) == path
+    assert (path / "manifest.json").stat().st_mtime_ns == before
+    with pytest.raises(ConfigError, match="another scene or size"):
+        simulate_store(clean, 4, tmp_path)
+    experiment = find_experiment("label_ratio")
+    with pytest.raises(ConfigError, match="give --data a scene"):
+        run_sweep(experiment, settings_of(), tmp_path / "out")
+
+
 @pytest.mark.usefixtures("in_this_process")
 def test_a_run_may_be_extended_by_ratios_modalities_and_trials(store: Path, tmp_path: Path) -> None:
     """And one that was cut gives the same table."""

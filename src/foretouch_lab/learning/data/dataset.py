@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dataset: its samples, their hash, and the parts that a model is trained, validated and tested on."""
+"""A dataset: its samples, their hash, and the parts that a model is trained and tested on."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -40,7 +40,6 @@ class DataSplit:
 
     train: Indices  # samples to learn from with their labels, sorted
     unlabelled: Indices  # samples to learn from without labels
-    validation: Indices  # samples by which the best epoch is chosen
     test: Indices  # samples to evaluate on; empty where no split is configured
 
     def sizes(self) -> dict[str, int]:
@@ -128,17 +127,14 @@ class Dataset:
             raise DatasetError(f"{self.name}: {missing[0]}: is in the split and not among the samples")
         return np.array([position[name] for name in ids], np.intp)
 
-    def partition(self, split: str | None, validation: float = 0.0, seed: int = 0) -> DataSplit:
+    def partition(self, split: str | None) -> DataSplit:
         """Split the samples for one training.
 
         Args:
             split: `KIND/PART`; None trains on all labelled samples and tests on none.
-            validation: Share of the labelled training samples to set aside for validation.
-            seed: Seed of the choice of the validation samples.
 
         Raises:
-            DatasetError: If the dataset has no such split, the split has several parts, no training sample is labelled,
-                or the validation share amounts to no sample.
+            DatasetError: If the dataset has no such split, the split has several parts, or no training sample is labelled.
         """
         train = np.array([k for k, sample in enumerate(self.samples) if sample.touch is not None], np.intp)
         unlabelled = np.setdiff1d(np.arange(len(self.samples), dtype=np.intp), train)
@@ -152,10 +148,7 @@ class Dataset:
             train, test, unlabelled = (self.index(ids) for ids in (parts[0].train, parts[0].test, parts[0].unlabelled))
         if not len(train):
             raise DatasetError(f"{self.name}: no sample to learn from is labelled")
-        chosen = np.random.default_rng(seed).permutation(train)[: round(validation * len(train))]
-        if validation > 0.0 and not len(chosen):
-            raise DatasetError(f"{self.name}: validation: {validation} of {len(train)} samples is none")
-        return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
+        return DataSplit(np.sort(train), unlabelled, test)
 
 
 class LazySample(GraspSample):

@@ -149,7 +149,7 @@ def _folds(learner: Learner, split: str) -> list[Fold]:
 
 def make_learner(config: RunConfig, data: Dataset) -> Learner:
     """The learner of the configured method for the configured part of a dataset."""
-    split = data.partition(config.split, config.validation, config.seed)
+    split = data.partition(config.split)
     return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
 
 
@@ -170,7 +170,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
         "summary": f"{', '.join(learner.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
-            "sample_hashes": "".join(sorted(data.hashes(np.concatenate([learner.split.train, learner.split.validation])))),
+            "sample_hashes": "".join(sorted(data.hashes(learner.split.train))),
             **{key: value for key, value in data.origin.items() if key != "limits"},
             "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",
         },
