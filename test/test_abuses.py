@@ -35,7 +35,7 @@ PATIENCE_S = 100.0
 INTERRUPTED = {130, -signal.SIGINT}  # the latter while the interpreter ends
 TINY = [
     *("model.tnet=false", "model.trunk_widths=[8,16]", "model.head_widths=[16]", "model.n_points=64"),
-    *("train.epochs=400", "train.batch_size=4", "validation=0.0"),
+    *("train.epochs=400", "train.batch_size=4"),
 ]
 
 
