@@ -143,30 +143,24 @@ def _variants(settings: SimulationSettings) -> Iterator[Variant]:
         yield variant(f"without {name}", "camera" if number < 6 else "hand and sensor", EVERYTHING, {field: None})
 
 
-@dataclass(frozen=True, eq=False)
-class _Touched:
-    """What the first tries of the first slots read."""
-
-    drops: Mapping[int, Float64]  # (2, 24) by slot, of the electrodes of both fingers before sensor effects [counts]
-    forces: Mapping[int, Float64]  # (2,) by slot [N]
-    counts: Mapping[int, Float64]  # (50,) by slot, whole readings [counts]
-
-
 @lru_cache(maxsize=8)
-def _touched(scene: SceneConfig, count: int) -> _Touched:
-    """Simulate grasps; those that fail are left out."""
+def _touched(scene: SceneConfig, count: int) -> dict[int, tuple[Float64, Float64, Float64]]:
+    """By slot, what its first try reads; those that fail are left out.
+
+    (2, 24) drops of the electrodes of both fingers before sensor effects [counts], their (2,) forces [N], and (50,) whole
+    readings [counts].
+    """
     engine = Engine(scene, EFFECTS, ("readings", "contacts", "touch"))
-    drops, forces, counts = {}, {}, {}
+    found = {}
     for slot in range(count):
         try:
             state = engine.run(SampleKey(scene.seed, slot))
         except SimulationError:
             continue
         rest, pressed = state.readings
-        drops[slot] = (rest - pressed)[:, 1:]
-        forces[slot] = np.array([contact.force_n for contact in state.contacts])
-        counts[slot] = state.touch.values
-    return _Touched(drops, forces, counts)
+        forces = np.array([contact.force_n for contact in state.contacts])
+        found[slot] = ((rest - pressed)[:, 1:], forces, state.touch.values)
+    return found
 
 
 def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
@@ -174,13 +168,12 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     name, scene = cell.values["scene"], data.changed(cell.values)
     best = data.changed(next(one.values for one in _variants(settings) if one.name == _finest(name)))
     mine, others = _touched(scene, settings.compared), _touched(best, settings.compared)
-    both = sorted(mine.counts.keys() & others.counts.keys())
-    row: Row = {**dict.fromkeys(_ERRORS), "refused": settings.compared - len(mine.counts)}
+    both = [(mine[k], others[k]) for k in sorted(mine.keys() & others.keys())]
+    row: Row = {**dict.fromkeys(_ERRORS), "refused": settings.compared - len(mine)}
     if name == EVERYTHING:
-        row["counts"] = float(np.sqrt(np.mean([(mine.counts[k] - others.counts[k]) ** 2 for k in both])))
+        row["counts"] = float(np.sqrt(np.mean([(one[2] - other[2]) ** 2 for one, other in both])))
     else:
-        drops, forces = ([_relative(one[k], other[k]) for k in both] for one, other in (
-            (mine.drops, others.drops), (mine.forces, others.forces)))  # fmt: skip
+        drops, forces = ([_relative(one[k], other[k]) for one, other in both] for k in (0, 1))
         row |= {
             "pattern_error": float(np.median(drops)),
             "pattern_error_largest": float(max(drops)),

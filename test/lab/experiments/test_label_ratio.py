@@ -23,8 +23,9 @@ from foretouch_lab.experiments.label_ratio.training import (
     configured,
     load_scene,
 )
-from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
+from foretouch_lab.experiments.shared.simulated_data import simulate_store
 from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
@@ -48,7 +49,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def data(store: Path) -> SimulatedGrasps:
+def data(store: Path) -> Dataset:
     return load_scene(find_experiment("label_ratio").resolve("smoke", {}), store)
 
 
@@ -56,9 +57,9 @@ def settings_of(preset: str = "smoke", **changes: Any) -> LabelRatioSettings:
     return find_experiment("label_ratio").resolve(preset, changes)
 
 
-def test_no_test_sample_is_trained_on(data: SimulatedGrasps) -> None:
+def test_no_test_sample_is_trained_on(data: Dataset) -> None:
     def check(ratio: int) -> None:
-        split = data.collection.partition(f"labels/T{ratio}")
+        split = data.partition(f"labels/T{ratio}")
         test = set(split.test.tolist())
         assert len(test) == 16
         assert test.isdisjoint([*split.train, *split.unlabelled])
@@ -67,7 +68,7 @@ def test_no_test_sample_is_trained_on(data: SimulatedGrasps) -> None:
     every_case(RATIOS, check)
 
 
-def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -> None:
+def test_both_models_take_as_many_updates_in_every_cell(data: Dataset) -> None:
     experiment, settings = find_experiment("label_ratio"), settings_of(**TINY, **TWO)
     cells = [cell for cell in experiment.cells(settings, data) if cell.values["model"] in MODELS]
     assert len(cells) == 2 * 2 * 2
@@ -82,7 +83,7 @@ def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -
         assert rows[0]["objects"] != rows[1]["objects"]
 
 
-def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> None:
+def test_the_printed_recipe_is_that_of_p2_and_runs(data: Dataset) -> None:
     settings = settings_of("p2_as_printed")
     cells = find_experiment("label_ratio").cells(settings, data)
     networks = [cell.values for cell in cells if cell.values["model"] in MODELS]
@@ -113,7 +114,7 @@ def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> Non
             assert row["labelled"] == 32
 
 
-def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps, store: Path) -> None:
+def test_settings_that_cannot_be_are_refused(data: Dataset, store: Path) -> None:
     few = "cached_points: 512 points are fewer than the network's 750"
     with pytest.raises(ConfigError, match=f"label_ratio: {few}"):
         settings_of("p2_as_printed", cached_points=512)

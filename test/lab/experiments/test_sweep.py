@@ -16,7 +16,7 @@ from own_experiments.counting import EXPERIMENT, CountingSettings
 from foretouch.errors import ConfigError, FileError
 from foretouch_lab.experiments import Cell, run_sweep
 from foretouch_lab.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
-from foretouch_lab.experiments.framework.sweep import Job, run_cell
+from foretouch_lab.experiments.framework.sweep import SweepJob, run_cell
 
 TESTS = Path(__file__).parents[2]
 PATH = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])  # where workers find `own_experiments`
@@ -105,7 +105,7 @@ def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -
     with pytest.raises(ConfigError, match="paus: unknown setting; known: cells"):
         EXPERIMENT.resolve("full", {"paus": 1})
     text = json.dumps(CountingSettings().to_mapping())
-    job = Job("own_experiments.counting", text, str(numbers), "0" * 64)
+    job = SweepJob("own_experiments.counting", text, str(numbers), "0" * 64)
     result = run_cell(job, Cell("cell0", {"number": 0}))
     assert result.rows is None
     assert "with which the sweep started" in result.error

@@ -24,7 +24,7 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.ray_cluster import DIED, ray_results
 
 
-class Job(NamedTuple):
+class SweepJob(NamedTuple):
     """Parameters that all cells of a sweep share."""
 
     experiment: str  # its module and name, as `find_experiment` takes them
@@ -105,7 +105,7 @@ def run_sweep(
         manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
         manifests.write_manifest(out, manifest)
         name = f"{experiment.module}:{experiment.name}"
-        job = Job(name, json.dumps(plain, sort_keys=True), str(path.absolute()), data.sha256)
+        job = SweepJob(name, json.dumps(plain, sort_keys=True), str(path.absolute()), data.sha256)
         found = in_processes(job, left, workers) if address is None else _on_ray(job, left, address, workers)
         for number, one in enumerate(found if left else (), len(done) + 1):
             if one.rows is None:
@@ -134,7 +134,7 @@ def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:
     return cells
 
 
-def run_cell(job: Job, cell: Cell) -> CellResult:
+def run_cell(job: SweepJob, cell: Cell) -> CellResult:
     """Run one cell; the process keeps the data for the next one."""
     start = time.process_time()
     try:
@@ -149,7 +149,7 @@ def run_cell(job: Job, cell: Cell) -> CellResult:
 
 
 @lru_cache(maxsize=1)
-def _loaded(job: Job) -> tuple[Experiment, Any, Any]:
+def _loaded(job: SweepJob) -> tuple[Experiment, Any, Any]:
     experiment = find_experiment(job.experiment)
     settings = experiment.settings.from_mapping(json.loads(job.settings), experiment.name)
     data = experiment.load(settings, Path(job.data))
@@ -158,13 +158,13 @@ def _loaded(job: Job) -> tuple[Experiment, Any, Any]:
     return experiment, settings, data
 
 
-def _on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
+def _on_ray(job: SweepJob, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
     """Run cells as Ray tasks (see `ray_results`); the data of the job must have the same path on every node."""
     for cell, result, error in ray_results(partial(run_cell, job), cells, address, workers):
         yield result or CellResult(cell, None, error)
 
 
-def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
+def in_processes(job: SweepJob, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
     """Run cells in processes of this machine and yield each result as it arrives.
 
     If a process dies, the cells that were running are tried once more, each alone; one that kills its process again has
@@ -179,7 +179,7 @@ def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[Cell
                 yield from (CellResult(failed, None, DIED) for failed in again)
 
 
-def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
+def _until_broken(job: SweepJob, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
     """Run cells until the queue is empty or a process dies; returns the cells that were running then."""
     running: dict[Future[CellResult], Cell] = {}
     with process_pool(workers) as pool:

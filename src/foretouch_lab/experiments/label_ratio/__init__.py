@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from foretouch.config import setting
+from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import BIOTAC, MODALITIES
@@ -33,8 +33,8 @@ from foretouch_lab.experiments.label_ratio.training import (
     prepared,
     train_and_predict,
 )
-from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, prepare_simulated
-from foretouch_lab.learning.data import labels_of
+from foretouch_lab.experiments.shared.simulated_data import prepare_simulated
+from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.evaluation.baselines import geometry_trees
 from foretouch_lab.learning.training.srgan import SrganConfig
@@ -43,9 +43,10 @@ __all__ = ["EXPERIMENT"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LabelRatioSettings(SimulatedSettings):
+class LabelRatioSettings(Settings):
     """Settings of `label_ratio`; the defaults are P2's sizes and recipe."""
 
+    samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", bounds=(10, 1_000_000))
     scene_sha256: str | None = setting(
         "78fe2fae95d57cf214ec8a4e6fdfd9d20d37391ab4c0da783bbb2dd1ec93a50e",
         "Hash of the required scene, config/scenes/deformables_wide.yaml; null accepts any scene",
@@ -86,7 +87,7 @@ class LabelRatioSettings(SimulatedSettings):
         return "frozen 0.001" if ratio > 50 and modality.startswith("E_") else "batch 0.001"
 
 
-def _cells(settings: LabelRatioSettings, _data: SimulatedGrasps) -> list[Cell]:
+def _cells(settings: LabelRatioSettings, _data: Dataset) -> list[Cell]:
     """The trees, then run by run both models and after them the readings, so that an interrupted sweep covers the figure."""
     pairs = [
         {"ratio": ratio, "modality": modality, "model": model, "seed": seed}
@@ -107,22 +108,22 @@ def _key(values: Row) -> str:
     return "+".join([*(re.sub(r"[^\w.-]+", "_", part) for part in parts if part), str(values["seed"])])
 
 
-def _run(cell: Cell, settings: LabelRatioSettings, data: SimulatedGrasps) -> list[Row]:
+def _run(cell: Cell, settings: LabelRatioSettings, data: Dataset) -> list[Row]:
     """Train and test one network, or the trees."""
     ratio, model, seed = (cell.values[key] for key in ("ratio", "model", "seed"))
-    split = data.collection.partition(f"labels/T{ratio}")
+    split = data.partition(f"labels/T{ratio}")
     if model == TREES:
         # For all modalities at once, also those that are not asked for: a run may be extended by further ones.
-        train, test = ([data.collection.samples[k] for k in index] for index in (split.train, split.test))
+        train, test = ([data.samples[k] for k in index] for index in (split.train, split.test))
         found = geometry_trees(train, labels_of(train), test, seed)
         return [
-            {"modality": name, **error_row(data.collection, (name,), split, found[:, BIOTAC.columns([name])])}
+            {"modality": name, **error_row(data, (name,), split, found[:, BIOTAC.columns([name])])}
             for name in MODALITIES
         ]
     inputs = prepared(data, settings.model.replace(outputs=(cell.values["modality"],)), settings.cached_points)
     config = configured(settings.training, model, cell.values["trial"], len(split.train), settings.updates, seed)
     predicted, updates = train_and_predict(inputs, split, model, config)
-    return [{"updates": updates, **error_row(data.collection, inputs.config.outputs, split, predicted)}]
+    return [{"updates": updates, **error_row(data, inputs.config.outputs, split, predicted)}]
 
 
 def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:

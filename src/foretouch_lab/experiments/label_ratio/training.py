@@ -36,9 +36,9 @@ from foretouch.models.network.preparation import finite_points, prepare_grasps, 
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Float64, GraspSample, Integer
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
-from foretouch_lab.learning.data import Dataset, labels_of
-from foretouch_lab.learning.data.dataset import DataSplit
+from foretouch_lab.experiments.shared.simulated_data import scene_of
+from foretouch_lab.learning.data import Dataset, labels_of, load_dataset
+from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.training.losses import labeled_loss
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
@@ -84,17 +84,17 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 READINGS: Final = tuple(f"{variant}, batch 0.001" for variant in ("batch_means", "as_printed", "srgan"))
 
 
-def load_scene(settings: Any, path: Path) -> SimulatedGrasps:
+def load_scene(settings: Any, path: Path) -> Dataset:
     """Read a store of the required scene; a `DatasetError` for another scene or an unlabelled sample."""
-    data = load_simulated(settings, path)
-    if settings.scene_sha256 not in (None, found := data.scene.sha256()):
+    data = load_dataset(path)
+    if settings.scene_sha256 not in (None, found := scene_of(path).sha256()):
         raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the required scene's")
-    if unlabelled := [sample.id for sample in data.collection.samples if sample.touch is None]:
+    if unlabelled := [sample.id for sample in data.samples if sample.touch is None]:
         raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
     return data
 
 
-def prepared(data: SimulatedGrasps, model: ModelConfig, count: int) -> PresampledSet:
+def prepared(data: Dataset, model: ModelConfig, count: int) -> PresampledSet:
     """All samples as input of a network, `count` points of each cloud; the clouds are prepared once per process."""
     return replace(_prepared(data, model.channels, model.metric_inputs, count), config=model)
 
@@ -119,10 +119,10 @@ class PresampledSet(TrainingSet):
 
 
 @lru_cache(maxsize=1)
-def _prepared(data: SimulatedGrasps, channels: str, metric_inputs: bool, count: int) -> PresampledSet:
+def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> PresampledSet:
     config = ModelConfig(channels=channels, metric_inputs=metric_inputs)
     rng = np.random.default_rng(0)
-    samples = data.collection.samples
+    samples = data.samples
     pairs = [_one(sample, config, count, rng) for sample in samples]
     clouds = np.stack([points for points, _ in pairs])
     return PresampledSet(
@@ -186,7 +186,7 @@ class PointnetTrainer(SrganTrainer):
             yield {"labeled": float(loss.detach())}
 
 
-def train_and_predict(data: TrainingSet, split: DataSplit, model: str, config: SrganConfig) -> tuple[Float64, int]:
+def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganConfig) -> tuple[Float64, int]:
     """Train a network.
 
     Returns:
@@ -202,7 +202,7 @@ def train_and_predict(data: TrainingSet, split: DataSplit, model: str, config: S
     return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
 
 
-def error_row(data: Dataset, outputs: Sequence[str], split: DataSplit, predicted: Float64) -> Row:
+def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:
     """Squared errors of (J, M) predictions of some modalities and of the training mean, for each test sample.
 
     Returns:

@@ -4,40 +4,17 @@
 Stores that a sweep makes lie beside its folder, in `<DIR>.data`; they are made once and needed again only to resume.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, DatasetError
 from foretouch_lab.dataset.store_writer import StoreWriter
-from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.simulate import Simulation
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimulatedSettings(Settings):
-    """Settings of experiments on simulated grasps."""
-
-    samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", bounds=(10, 1_000_000))
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedGrasps:
-    """Simulated grasps and their scene."""
-
-    collection: Dataset  # the samples
-    scene: SceneConfig  # with the `slot` and `attempt` of a sample, it reproduces that sample
-
-    @property
-    def sha256(self) -> str:
-        """Hash of the samples."""
-        return self.collection.sha256
-
-
-def prepare_simulated(settings: SimulatedSettings, source: Path | None, out: Path) -> Path:
+def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
     """`prepare` of an experiment: `--data` is a store of simulated grasps, or a scene that is simulated now.
 
     Raises:
@@ -73,18 +50,14 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
                 writer.write(sample)
         return path
     store = Store(path)
-    if len(store) != count or _scene_of(store.manifest, path).sha256() != scene.sha256():
+    if len(store) != count or scene_of(path).sha256() != scene.sha256():
         raise ConfigError(f"{path}: contains {len(store)} samples of another scene or size; remove it")
     return path
 
 
-def load_simulated(_settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
-    """Read a store and its scene; a `DatasetError` if it contains no scene."""
-    return SimulatedGrasps(load_dataset(path), _scene_of(Store(path).manifest, path))
-
-
-def _scene_of(manifest: Any, path: Path) -> SceneConfig:
-    scene = manifest.get("about", {}).get("scene")
+def scene_of(path: Path) -> SceneConfig:
+    """The scene that a store was simulated from; a `DatasetError` if it names none."""
+    scene = Store(path).manifest.get("about", {}).get("scene")
     if not isinstance(scene, dict):
         raise DatasetError(f"{path}: about.scene: is missing; only simulated samples can be reproduced")
     return SceneConfig.from_mapping(scene, str(path))

@@ -19,7 +19,7 @@ from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, GraspSample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
-from foretouch_lab.learning.data.folds import Indices
+from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 from foretouch_lab.learning.prequential import with_readings
 
@@ -32,19 +32,6 @@ _VISION2TACTILE: Final = {
         "Skills are averages; whether they differ significantly is reported in docs/results.",
     ],
 }
-
-
-@dataclass(frozen=True, eq=False)
-class DataSplit:
-    """Indices of samples; each sample is in at most one part."""
-
-    train: Indices  # samples to learn from with their labels, sorted
-    unlabelled: Indices  # samples to learn from without labels
-    test: Indices  # samples to evaluate on; empty where no split is configured
-
-    def sizes(self) -> dict[str, int]:
-        """Number of samples by part, for a card."""
-        return {part: len(index) for part, index in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +114,7 @@ class Dataset:
             raise DatasetError(f"{self.name}: {missing[0]}: is in the split and not among the samples")
         return np.array([position[name] for name in ids], np.intp)
 
-    def partition(self, split: str | None) -> DataSplit:
+    def partition(self, split: str | None) -> Fold:
         """Split the samples for one training.
 
         Args:
@@ -148,7 +135,7 @@ class Dataset:
             train, test, unlabelled = (self.index(ids) for ids in (parts[0].train, parts[0].test, parts[0].unlabelled))
         if not len(train):
             raise DatasetError(f"{self.name}: no sample to learn from is labelled")
-        return DataSplit(np.sort(train), unlabelled, test)
+        return Fold(np.sort(train), test, unlabelled=unlabelled)
 
 
 class LazySample(GraspSample):

@@ -21,7 +21,6 @@ from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
 from foretouch.types import Float64
 from foretouch_lab.learning.data import Dataset, labels_of
-from foretouch_lab.learning.data.dataset import DataSplit
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.network.networks import save_network
@@ -52,7 +51,7 @@ class Learner(ABC):
         DatasetError: If a sample cannot be used; names the sample.
     """
 
-    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+    def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         self.config = config
         self.split = split
         self.sensor = data.sensor
@@ -101,7 +100,7 @@ class Learner(ABC):
 class ContactLearner(Learner):
     """Fits a contact model at the rest level of all training samples."""
 
-    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+    def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         super().__init__(config, data, split)
         if self.sensor.channels != BIOTAC and config.contact.ranges != P2_RANGES:
             raise ConfigError(
@@ -138,7 +137,7 @@ class ContactLearner(Learner):
 class NetworkLearner(Learner):
     """Trains a network."""
 
-    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+    def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         if config.method == "srgan" and not len(split.unlabelled):
             raise DatasetError(
                 f"{data.name}: srgan: no sample is unlabelled; choose a split that withholds labels, such as labels/T50"

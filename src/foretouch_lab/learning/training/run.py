@@ -36,6 +36,7 @@ _SPLIT_WORDS: Final = {
     "time": "5 consecutive blocks of time within each object, each left out once",
     "object": "one object left out: objects never touched, and other days",
 }
+_PARTS: Final = ("train", "unlabelled", "test")  # of the split, whose sizes a card names
 _CONDITIONS: Final = {"known": "time", "new": "object"}
 """The split whose held-out predictions calibrate each condition."""
 
@@ -174,7 +175,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
             **{key: value for key, value in data.origin.items() if key != "limits"},
             "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",
         },
-        "split": {"name": config.split, **learner.split.sizes()},
+        "split": {"name": config.split, **{part: len(getattr(learner.split, part)) for part in _PARTS}},
         "limits": ["Bounds are null: the model was trained with calibrate=false."],
         "version": __version__,
     }  # fmt: skip
