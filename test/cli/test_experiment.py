@@ -59,7 +59,7 @@ def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_p
     assert "-o DIR is required" in call("experiment", OWN).err
     assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "cross_validation", *out).err
     assert "seed: unknown setting" in call("experiment", "cross_validation", *out, "seed=1").err
-    answer = call("experiment", "label_ratio", *out, "--data", tmp_path)
+    answer = call("experiment", "label_ratio", *out, "--preset", "smoke", "--data", tmp_path)
     answer.check_refused("is neither a scene (.yaml) nor a store")  # and no bar beside it
     assert not (tmp_path / "out").exists()
     for words in (["--bogus"], ["--workers", "0"], ["--workers", "-3"]):

@@ -133,6 +133,7 @@ class Area(Experiment):
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
         """What the area summarises, frontiers, and the machine."""
+        rows = _best_state(rows)
         return [*self.summarise(rows), *frontier_tables(self.panels, rows), _machine(rows)]
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -210,9 +211,14 @@ def _time_variants(
 # The frontier.
 
 
+def _best_state(rows: Sequence[Row]) -> list[Row]:
+    """Rows of the idle machine, if the table holds any, else all."""
+    return [row for row in rows if row["state"] == "idle"] or list(rows)
+
+
 def _of_request(rows: Sequence[Row], request: int) -> list[Row]:
-    """Rows of one size of request."""
-    return [row for row in rows if row["request"] == request]
+    """Rows of one size of request, of the best state of the machine."""
+    return [row for row in _best_state(rows) if row["request"] == request]
 
 
 def time_column(rows: Sequence[Row]) -> str:
@@ -284,16 +290,24 @@ def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], fac
     axes.step([row[column] for row in line], [row[skill] for row in line], where="post", color="black", linewidth=1)
     for factor in dict.fromkeys(row["factor"] for row in skilled):
         own = [row for row in skilled if row["factor"] == factor]
-        marker, size = ("*", 11) if factor == "shipped" else ("o", 5)
-        heights, colour = [max(row[skill], floor) for row in own], f"C{factors.index(factor) % 10}"
+        number = factors.index(factor)
+        marker, size = ("*", 11) if factor == "shipped" else ("os^D"[number // 10 % 4], 5)
+        heights, colour = [max(row[skill], floor) for row in own], f"C{number % 10}"
         axes.plot([row[column] for row in own], heights, marker, markersize=size, color=colour, label=factor)
     below = [row[column] for row in skilled if row[skill] < floor]
     axes.plot(below, [floor] * len(below), "kv")
+    for row in line:
+        if row.get(f"{skill}_low") is not None:
+            ends = [max(row[f"{skill}_low"], floor), row[f"{skill}_high"]]
+            axes.plot([row[column]] * 2, ends, color=f"C{factors.index(row['factor']) % 10}", linewidth=0.6)
     for row in named:
         axes.annotate(row["variant"], (row[column], row[skill]), (4, -9), textcoords="offset points", fontsize=7)
     axes.set_xscale("log")
+    for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
+    axes.set_ylim(floor - 0.1 * (high - floor), high + 0.2 * (high - floor))
     axes.grid(visible=True, which="both", alpha=0.2)
     axes.set_xlabel("wall time, median [ms]" if column == "ms_p50" else "processor time, median (loaded machine) [ms]")
     axes.set_ylabel(meaning)
     axes.set_title(panel.title, fontsize=10)
-    axes.legend(fontsize=7, loc="lower right", ncols=2)
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0))
