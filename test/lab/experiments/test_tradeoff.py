@@ -195,6 +195,15 @@ def test_of_variants_that_do_not_differ_significantly_the_fastest_is_on_the_fron
     assert [line[0] for line in told.rows] == ["mean", "quick", "fast"]
 
 
+def test_of_a_table_of_both_states_of_the_machine_the_idle_one_counts() -> None:
+    folder = Path(__file__).parents[3] / "docs/results/tradeoff/model"
+    rows, area = read_results(folder / "tradeoff.csv"), find_area("model")
+    assert {row["state"] for row in rows} == {"idle", "loaded"}
+    (note,) = area.tables(rows)[0].notes
+    assert note.startswith("In 10 ms you get the default model")
+    assert note in (folder / "summary.md").read_text()
+
+
 def test_the_frontier_holds_what_nothing_beats() -> None:
     points = [("a", 1.0, 0.1), ("b", 2.0, 0.3), ("c", 3.0, 0.3), ("d", 4.0, 0.2), ("e", 5.0, 0.9), ("f", 0.5, None)]
     rows: list[Row] = [{"variant": n, "ms_p50": t, "cpu_ms": t, "state": "idle", "skill": s} for n, t, s in points]

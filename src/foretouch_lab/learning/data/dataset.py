@@ -195,7 +195,7 @@ def load_dataset(path: str | Path) -> Dataset:
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
-    splits = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
+    splits, omitted = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
     public = opened.kind == "vision2tactile"
     origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
     aliases = (folder_sha256(path),) if public else ()
@@ -203,7 +203,7 @@ def load_dataset(path: str | Path) -> Dataset:
         one.touch.values for one in samples if one.touch is not None and one.touch.channels == opened.sensor.channels
     ]
     hashed, sensor = content.hexdigest(), with_dead_taxels(opened.sensor, np.array(labels)) if labels else opened.sensor
-    return Dataset(path.name, tuple(samples), hashed, splits.parts, aliases, splits.omitted, origin, sensor)
+    return Dataset(path.name, tuple(samples), hashed, splits, aliases, omitted, origin, sensor)
 
 
 def _simulated(store: Store) -> dict[str, Any]:
