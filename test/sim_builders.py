@@ -10,7 +10,7 @@ from foretouch.types import GraspSample
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine, SampleState
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.simulate import Simulation
+from foretouch_lab.simulation.simulate import SAMPLE_KEYS, Simulation
 from foretouch_lab.simulation.world import SampleKey
 
 CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
@@ -36,6 +36,11 @@ def run(config: SceneConfig, *outputs: str, slot: int = 0, seed: int | None = No
 def made(config: SceneConfig, count: int) -> list[GraspSample]:
     """The first samples of a scene."""
     return list(Simulation(config).samples(count))
+
+
+def made_again(config: SceneConfig, key: SampleKey) -> SampleState:
+    """One attempt at a sample, with all that was known along the way."""
+    return _engine(config, SAMPLE_KEYS).run(key)
 
 
 _engine = lru_cache(maxsize=8)(lambda config, outputs: Engine(config, EFFECTS, outputs))

@@ -35,7 +35,7 @@ PATIENCE_S = 100.0
 INTERRUPTED = {130, -signal.SIGINT}  # the latter while the interpreter ends
 TINY = [
     *("model.tnet=false", "model.trunk_widths=[8,16]", "model.head_widths=[16]", "model.n_points=64"),
-    *("train.epochs=400", "train.batch_size=4", "validation=0.0"),
+    *("train.epochs=400", "train.batch_size=4"),
 ]
 
 
@@ -59,7 +59,7 @@ RUN = "run --source @/recording --rate 10 --json"
 RECORD = "record -o %/set --seconds 1 --json"
 SIMULATE = f"simulate {CONFIG}/scenes/clean.yaml -n 400 -o %/store --workers 2"
 TRAIN = f"train {CONFIG}/train/touchnet-v1.yaml data=@/set -o %/run {' '.join(TINY)}"
-EXPERIMENT = f"experiment lookalikes --preset smoke --data {CONFIG}/scenes/deformables.yaml --workers 2 -o %/sweep"
+EXPERIMENT = f"experiment label_ratio --preset smoke --data {CONFIG}/scenes/deformables.yaml --workers 2 -o %/sweep"
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 ENDED = {0, *INTERRUPTED}
 

@@ -2,7 +2,7 @@
 """How well does the model `simulated` predict what the simulated hand reads? See README.md."""
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,33 +10,26 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.common import ROOT, Rows, command, scene
-from foretouch.config import load_yaml
 from foretouch.models import TouchModel, load_model
-from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
-from foretouch.tactile import BIOTAC, biotac_touch
-from foretouch.types import Float64, GraspSample, TouchPrediction
-from foretouch_lab.experiments.noise_ceiling import CAUSES, NEW_OBJECT, Repeater, ceiling_rows
+from foretouch.tactile import biotac_touch
+from foretouch.types import TouchPrediction
 from foretouch_lab.learning.prequential import ModelReplay, replay_model
-from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation
 
 HERE = Path(__file__).parent
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
 TOUCHES = (0, 2)  # of the object before the grasps that are drawn and counted
-OTHERS = 60  # objects that the model was not trained on
-REPEATS = 10
-SIZES = {name: channel.size for name, channel in BIOTAC.channel_of.items()}
 
 
 def tables(arguments: argparse.Namespace) -> dict[Path, Rows]:
-    """Both tables, and the picture."""
+    """The table, and the picture."""
     model = load_model(arguments.model)
     runs = [demo_run(model, seed) for seed in range(arguments.runs)]
     draw(runs, arguments.picture)
-    return {HERE / "demo.csv": demo_rows(runs), HERE / "ceiling.csv": shares(model)}
+    return {HERE / "demo.csv": demo_rows(runs)}
 
 
 def demo_run(model: TouchModel, seed: int) -> ModelReplay:
@@ -90,48 +83,6 @@ def draw(runs: Sequence[ModelReplay], path: Path) -> None:
     with Image.open(path) as image:
         image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
     print(f"{path}: seed {seed}, {total[seed]:.3f} inside")
-
-
-def shares(model: TouchModel) -> list[dict[str, Any]]:
-    """Skills on grasps of objects that the model never saw, and their share of the noise ceiling, without and with a tare.
-
-    The objects are further members of the family that the training objects were drawn from.
-    """
-    mapping = load_yaml(ROOT / "config" / "scenes" / "simulated_hand.yaml")
-    trained = len(SceneConfig.from_mapping(mapping).objects)
-    mapping["families"][0]["count"] += OTHERS
-    more = SceneConfig.from_mapping(mapping)
-    count = len(more.objects)
-    samples = [one for one in Simulation(more).samples(2 * count) if one.extra["slot"] % count >= trained]
-    repeater = Repeater(more, frozenset({*CAUSES, NEW_OBJECT}))
-    assert model.calibration is not None
-    assert isinstance(model.estimator, ContactEstimator)
-    plain, tared = [], []
-    for sample in samples:
-        made = repeater.repeat(int(sample.extra["slot"]), int(sample.extra["attempt"]), REPEATS)
-        counts = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
-        squared = (model.estimator.mean - made.touches.mean(axis=0)) ** 2
-        reference = squared + (1.0 - 1.0 / len(made.touches)) * made.touches.var(axis=0, ddof=1)  # of the training mean
-        predicted = {"without vision": model.estimator.mean, "simulated": counts}
-        for found, readings in ((plain, made.touches), (tared, made.touches - made.tares + model.calibration.rest)):
-            found.extend(_cells(sample, readings, predicted, reference))
-    rows = []
-    for name, found in (("", plain), (", with a tare", tared)):
-        chosen = [row for row in ceiling_rows(found, 2000) if "change" not in row["name"]]
-        rows += [{**row, "name": row["name"].replace(", object never touched", "") + name} for row in chosen]
-    return rows
-
-
-def _cells(
-    sample: GraspSample, readings: Float64, predicted: Mapping[str, Float64], reference: Float64
-) -> Iterator[dict[str, Any]]:
-    """A grasp with its (n, 50) repeats, as the cells of the experiment `noise_ceiling` give it."""
-    variance = readings.var(axis=0, ddof=1)
-    tables = {"mean": readings.mean(axis=0), "rest": (1.0 - 1.0 / len(readings)) * variance, "within": variance,
-              "within_change": variance, "reference": reference, "modalities": SIZES}  # fmt: skip
-    yield {"what": "repeats", "name": NEW_OBJECT, "id": sample.id, **tables}
-    for name, counts in predicted.items():
-        yield {"what": "predictor", "name": name, "id": sample.id, "predicted": counts}
 
 
 if __name__ == "__main__":

@@ -30,8 +30,7 @@ from foretouch_lab.experiments.shared.scores import interval_columns, labelled
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, SIGNS, grouped, select, short, with_notes
 from foretouch_lab.learning.data import labels_of, load_dataset
 from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
-from foretouch_lab.learning.evaluation.prequential import other_objects_mean
-from foretouch_lab.learning.prequential import TimedReadings, replay
+from foretouch_lab.learning.prequential import TimedReadings, other_objects_mean, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group, rest_level
 from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker

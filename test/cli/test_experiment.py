@@ -40,16 +40,14 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
         assert text in whole.out
     summary = tmp_path / "out/summary.md"
     assert "are finished" not in summary.read_text()
-    answer = call(*words, "cells=3", "--finished")
-    assert answer.status == 0, answer.err
-    assert "2 of 3 cells (2 reused)" in answer.out
+    words[3] = tmp_path / "other"
+    assert call(*words, "cells=3", "broken=[2]", "--workers", "1").status == 1
+    summary = tmp_path / "other/summary.md"
     sentence = "**2 of 3 cells are finished.** The tables contain these alone."
     assert sentence in summary.read_text()
     summary.unlink()
-    call("experiment", OWN, "-o", tmp_path / "out", "--redraw")
+    call("experiment", OWN, "-o", tmp_path / "other", "--redraw")
     assert sentence in summary.read_text()
-    assert call(*words, "cells=3", "--resume", "--workers", "1").status == 0
-    assert "are finished" not in summary.read_text()
 
 
 def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_path, numbers, monkeypatch) -> None:
@@ -61,7 +59,7 @@ def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_p
     assert "-o DIR is required" in call("experiment", OWN).err
     assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "cross_validation", *out).err
     assert "seed: unknown setting" in call("experiment", "cross_validation", *out, "seed=1").err
-    answer = call("experiment", "noise_ceiling", *out, "--data", tmp_path)
+    answer = call("experiment", "label_ratio", *out, "--preset", "smoke", "--data", tmp_path)
     answer.check_refused("is neither a scene (.yaml) nor a store")  # and no bar beside it
     assert not (tmp_path / "out").exists()
     for words in (["--bogus"], ["--workers", "0"], ["--workers", "-3"]):
@@ -70,8 +68,8 @@ def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_p
         assert wrong.value.code == 2
     call("experiment", OWN, *out, "--data", numbers, "cells=1", "--workers", "1")
     words, results = (*out, "--redraw"), tmp_path / "out" / "results.csv"
-    call("experiment", "lookalikes", *words).check_refused(
-        "manifest.json: experiment: 'counting' is not 'lookalikes'\n"
+    call("experiment", "label_ratio", *words).check_refused(
+        "manifest.json: experiment: 'counting' is not 'label_ratio'\n"
     )
     results.write_text("")
     call("experiment", OWN, *words).check_refused("contains no row")

@@ -265,15 +265,3 @@ def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(call
     assert references[0] in ("none", "history")  # a tare is read before the first touch
     same = call("predict", session, "--model", model, "--prequential", "--json", "--history", session)
     assert same.out == answer.out, "readings of the samples themselves are no history"
-
-
-def test_evaluate_in_order_of_time_reports_scores_by_touches(call, model, session, tmp_path) -> None:
-    other = write_touches(tmp_path / "other", [-10.0 * k for k in range(4)], None, object="box", first=10)
-    call("evaluate", model, session, "--prequential").check_refused("skills require another object")
-    answer = call("evaluate", model, session, "--prequential", "--history", other, "--json")
-    (found,) = answer.records
-    assert (found["samples"], found["history"]) == (5, 4)
-    assert found["touches"]["all"]["grasps"] == 5
-    assert found["touches"]["none"]["grasps"] == 1
-    assert set(found["touches"]["all"]["scores"]) >= {"tracker", "memory", "sight", "clock", "running mean"}
-    assert 0.0 <= found["touches"]["all"]["scores"]["tracker"]["E_TH"]["coverage90"] <= 1.0

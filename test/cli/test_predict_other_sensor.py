@@ -78,8 +78,6 @@ def test_readings_and_models_of_another_sensor_are_refused_in_one_line(call, usk
         (("predict", store, "--model", contact, "--prequential"), f"{store}: {of_uskin}"),
         ((*predict, path, "--tare", tare), "is not a reading of xela_uskin_4x4: it must hold x_th, x_ff, y_th,"),
         (("evaluate", contact, store), f"store: {of_uskin}"),
-        (("evaluate", path, cans, "--prequential"), f"cans: {of_biotac}"),
-        (("evaluate", path, store, "--prequential", "--training-scores", "--history", cans), f"cans: {of_biotac}"),
         (("train", "supervised", f"data={store}", "-o", tmp_path / "net"), "trains networks for biotac_sp"),
     ]
     every_case(cases, check)

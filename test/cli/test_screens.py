@@ -175,8 +175,8 @@ def test_a_bar_advances_on_a_terminal_alone_unless_hidden_and_is_erased_in_the_e
     assert shown("simulating", (), total=3) == ""  # without a terminal
     for name, value in (("FORCE_COLOR", "1"), ("TERM", "xterm"), ("COLUMNS", "120")):
         monkeypatch.setenv(name, value)  # rich treats stderr as a terminal
-    text = shown("reading the data", (7, 9, "lookalikes seed=1"), ())
-    assert ("8/9" in text, "lookalikes seed=1" in text, text.endswith(ERASE)) == (True, True, False)
+    text = shown("reading the data", (7, 9, "label_ratio seed=1"), ())
+    assert ("8/9" in text, "label_ratio seed=1" in text, text.endswith(ERASE)) == (True, True, False)
     assert shown("simulating", (), total=3, hidden=True) == ""
     erased = (shown("importing", (), transient=True), shown("epoch"), shown("epoch", (), total=3, error="disk full"))
     assert all(one.endswith(ERASE) for one in erased)

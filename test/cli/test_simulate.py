@@ -31,7 +31,7 @@ def test_explain_runs_nothing_and_names_what_would_run(scene, call) -> None:
     assert list(scene.parent.iterdir()) == [scene]
 
 
-def test_a_data_set_is_written_whole_and_its_tries_can_be_replayed(scene, tmp_path, call) -> None:
+def test_a_data_set_is_written_whole(scene, tmp_path, call) -> None:
     answer = call("simulate", scene, "-n", 3, "-o", tmp_path / "ds", "--workers", 1, "--json")
     assert answer.status == 0
     record, store = answer.records[-1], Store(tmp_path / "ds")
@@ -51,13 +51,6 @@ def test_a_data_set_is_written_whole_and_its_tries_can_be_replayed(scene, tmp_pa
     assert store.manifest["about"]["scene_sha256"] == record["scene_sha256"]
     assert store.manifest["about"]["scene"]["objects"][0]["name"] == "can"
     assert (tmp_path / "ds" / SHEET).read_bytes().startswith(b"\x89PNG")
-    again = call("simulate", scene, "--replay", "2", "--json").records[-1]
-    touch = store[2].touch
-    assert touch is not None
-    assert (again["status"], again["touch"]) == ("ok", touch.values.tolist())
-    scene.write_text(SLIPPERY)
-    failed = call("simulate", scene, "--replay", "0.3", "--json").records[-1]
-    assert (failed["status"], failed["reason"], failed["attempt"]) == ("failed", "slips", 3)
 
 
 def test_seed_and_settings_from_the_command_line(scene, tmp_path, call) -> None:
@@ -84,7 +77,6 @@ def test_mistakes_are_one_line_and_leave_no_data_set(scene, tmp_path, call) -> N
     cases = [
         ((scene,), "-n and -o are needed"),
         ((scene, "-n", "3", "-o", "."), "exists already"),
-        ((scene, "--replay", "x"), "--replay: x is not SLOT"),
         ((scene, "--set", "camera.zoom=2", "--explain"), "camera.zoom: unknown setting"),
         ((slippery, "-n", 2, "-o", out, "--workers", 1), "slot 0: given up after 2 attempts (2 slips)"),
     ]

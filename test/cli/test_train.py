@@ -113,7 +113,6 @@ def test_released_models_recognise_their_training_data_in_a_rebuilt_store(call, 
         assert record["PDC_TH"]["skill"] == load_model(model).card["skill"]["object"]["PDC_TH"]["skill"]
     table = call("evaluate", "default", tmp_path / "store")
     assert "samples by cross-validation" in " ".join(table.out.split())
-    call("evaluate", "default", tmp_path / "store", "--prequential").check_refused("none is held out")
 
 
 def test_baselines_that_were_fitted_to_other_data_are_not_called_the_training_mean(call, run, tmp_path) -> None:

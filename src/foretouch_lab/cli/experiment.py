@@ -49,9 +49,6 @@ def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: s
     )
     parser.add_argument("--resume", action="store_true", help="continue the sweep in DIR, if there is one")
     parser.add_argument(
-        "--finished", action="store_true", help="run nothing: write tables and figures of the finished cells in DIR"
-    )
-    parser.add_argument(
         "--workers",
         type=positive_number,
         metavar="N",
@@ -97,7 +94,6 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
             preset=arguments.preset,
             source=source,
             resume=arguments.resume,
-            only_finished=arguments.finished,
             workers=arguments.workers or len(os.sched_getaffinity(0)),
             address=arguments.address,
             progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),

@@ -4,21 +4,17 @@
 import argparse
 import os
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 from foretouch import __version__
-from foretouch.cli.inputs import ADDRESS_HELP, positive_number, seed_number
+from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
-from foretouch.errors import ConfigError, FileError, SimulationError
+from foretouch.errors import ConfigError, FileError
 from foretouch.types import GraspSample
-from foretouch_lab.dataset.chunks import chunks_folder, remove_chunks
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.simulate import Simulation, explain_scene, replay
-from foretouch_lab.simulation.world import SampleKey
+from foretouch_lab.simulation.simulate import Simulation, explain_scene
 
 SHEET = "contact_sheet.png"
 _SHEET_SAMPLES = 12
@@ -28,11 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The scene, how many samples, and where to."""
     parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
     parser.add_argument(
-        "-n",
-        "--count",
-        type=positive_number,
-        metavar="N",
-        help="number of samples; required except with --explain and --replay",
+        "-n", "--count", type=positive_number, metavar="N", help="number of samples; required except with --explain"
     )
     parser.add_argument(
         "-o", "--out", type=Path, metavar="DIR", help="training store to create, which must not exist; required as -n"
@@ -43,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive_number,
         help="number of processes (default: one a core); the samples do not depend on it",
     )
-    parser.add_argument("--address", help=f"{ADDRESS_HELP}; DIR must be on a disk that all nodes share")
     parser.add_argument(
         "--set",
         metavar="KEY=VALUE",
@@ -56,9 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="list the effects that would run and the field that enables each; run nothing",
     )
-    parser.add_argument(
-        "--replay", metavar="SLOT[.ATTEMPT]", help="repeat one attempt and print its sample or why it failed"
-    )
     parser.add_argument("--no-sheet", action="store_true", help=f"do not draw {SHEET}")
 
 
@@ -67,10 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     scene = _scene(arguments)
     if arguments.explain:
         return _explain(scene, arguments.json)
-    if arguments.replay is not None:
-        return _replay(scene, arguments.replay, arguments.json)
     if arguments.count is None or arguments.out is None:
-        raise ConfigError("simulate: -n and -o are needed, or --explain, or --replay")
+        raise ConfigError("simulate: -n and -o are needed, or --explain")
     if arguments.out.exists():
         raise FileError(arguments.out, "exists already")
     return _simulate(scene, arguments)
@@ -101,32 +87,6 @@ def _explain(scene: SceneConfig, as_json: bool) -> int:
     return 0
 
 
-def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
-    slot, _, attempt = which.partition(".")
-    if not slot.isdecimal() or (attempt and not attempt.isdecimal()):
-        raise ConfigError(f"--replay: {which} is not SLOT or SLOT.ATTEMPT")
-    key = SampleKey(scene.seed, int(slot), int(attempt or 0))
-    record: dict[str, Any] = {"slot": key.slot, "attempt": key.attempt, "seed": key.seed}
-    try:
-        state = replay(scene, key)
-    except SimulationError as err:
-        record |= {"status": "failed", "reason": err.reason, "message": str(err)}
-    else:
-        record |= {
-            "status": "ok",
-            "points": state.cloud.size,
-            "plan": state.plan.status,
-            "width_m": state.grasp.width_m,
-            "force_n": [contact.force_n for contact in state.contacts],
-            "touch": state.touch.values,
-        }
-    if as_json:
-        print_json(record)
-    else:
-        print_table(f"slot {which}", ["", "value"], [[name, str(value)] for name, value in record.items()])
-    return 0
-
-
 def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
     simulation = Simulation(scene)
     about = {
@@ -141,7 +101,8 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         StoreWriter(arguments.out, about, scene.fingers.taxel_sensor()) as writer,
         progress_bar("simulating", arguments.count, hidden=arguments.json) as advance,
     ):
-        for sample in _samples(simulation, arguments, advance):
+        for sample in simulation.samples(arguments.count, arguments.workers or len(os.sched_getaffinity(0))):
+            advance()
             writer.write(sample)
             if len(shown) < _SHEET_SAMPLES:
                 shown.append(sample)
@@ -150,34 +111,12 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
             for f in simulation.failures
         ]
     seconds = time.perf_counter() - start
-    remove_chunks(arguments.out)
     if not arguments.no_sheet:
         from foretouch.report.touch_figure import save_contact_sheet
 
         save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}", writer.sensor)
     _report(simulation, writer.sha256, arguments, seconds)
     return 0
-
-
-def _samples(
-    simulation: Simulation, arguments: argparse.Namespace, advance: Callable[..., None]
-) -> Iterator[GraspSample]:
-    """The samples in order, from processes or a cluster; reports progress when they are made."""
-    workers = arguments.workers or len(os.sched_getaffinity(0))
-    if arguments.address is None:
-        for sample in simulation.samples(arguments.count, workers):
-            advance()
-            yield sample
-        return
-    made = 0
-
-    def report(count: int) -> None:
-        nonlocal made
-        made += count
-        advance(made)
-
-    folder = chunks_folder(arguments.out.absolute())
-    yield from simulation.samples_on_ray(arguments.count, folder, arguments.address, workers, report)
 
 
 def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:

@@ -109,6 +109,5 @@ def _report(update: Callable[..., None], records: list[Mapping[str, Any]], recor
     """Keep the last record, and show the losses of an epoch; a contact model has none."""
     records[:] = [record]
     if "losses" in record:
-        numbers = dict(record["losses"]) | ({"validation": record["validation"]} if "validation" in record else {})
-        text = ", ".join(f"{name}: {value:.4g}" for name, value in numbers.items())
+        text = ", ".join(f"{name}: {value:.4g}" for name, value in record["losses"].items())
         update(record["epoch"] + 1, record["epochs"], text)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import DatasetError
 from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
@@ -67,47 +67,31 @@ _WAYS: Final = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectTypes(Settings):
-    """Types of the objects, by their names in the dataset."""
-
-    cylinders: tuple[str, ...] = setting(("campbells", "coffee", "pringles"), "Cans")
-    boxes: tuple[str, ...] = setting(("cheezit", "spam", "wood"), "Boxes and blocks")
-    p1_cylinders: tuple[str, ...] = setting(("coffee", "pringles"), "Cans that P1 was trained on")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if both := sorted(set(self.cylinders) & set(self.boxes)):
-            raise ConfigError(f"boxes: {both[0]!r} is a cylinder as well")
-
-    def indices(self, samples: Sequence[GraspSample]) -> dict[str, Indices]:
-        """Samples of each type."""
-        types = self.to_mapping().items()
-        return {name: np.array([k for k, s in enumerate(samples) if s.object in own], np.intp) for name, own in types}
-
-
-@dataclass(frozen=True, kw_only=True)
 class P1Settings(Settings):
     """Settings of `p1_as_published`."""
 
     modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
     epochs: int | None = setting(None, "Number of epochs; by default those of the recipe, 50", bounds=(1, 100_000))
-    types: ObjectTypes = ObjectTypes()
+    cylinders: tuple[str, ...] = setting(("coffee", "pringles"), "Names of the cylinders")
+    boxes: tuple[str, ...] = setting(("cheezit", "spam", "wood"), "Names of the boxes")
 
 
 def _tables(settings: P1Settings, samples: Sequence[GraspSample]) -> dict[str, list[Fold]]:
     """Train and test samples by table: five random splits within each type, and one type against the other."""
     from sklearn.model_selection import ShuffleSplit
 
-    types = settings.types.indices(samples)
+    types = {"p1_cylinders": settings.cylinders, "boxes": settings.boxes}
+    indices = {
+        name: np.array([k for k, s in enumerate(samples) if s.object in own], np.intp) for name, own in types.items()
+    }
     tables = {}
-    for name in ("p1_cylinders", "boxes"):
-        index = types[name]
+    for name, index in indices.items():
         if len(index) < _SPLITS:
-            raise DatasetError(f"p1_as_published: types.{name}: {len(index)} samples are fewer than {_SPLITS}")
+            raise DatasetError(f"p1_as_published: {name}: {len(index)} samples are fewer than {_SPLITS}")
         splitter = ShuffleSplit(_SPLITS, test_size=min(len(index) / _SAMPLES_PER_SHARE, 0.8), random_state=0)
         splits = enumerate(splitter.split(index))
         tables[f"within {name}"] = [Fold(index[train], index[test], f"split {k}") for k, (train, test) in splits]
-    cylinders, boxes = types["p1_cylinders"], types["boxes"]
+    cylinders, boxes = indices.values()
     both = [Fold(cylinders, boxes, "cylinders to boxes"), Fold(boxes, cylinders, "boxes to cylinders")]
     return {**tables, ACROSS: both}
 

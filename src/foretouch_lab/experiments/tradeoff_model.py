@@ -45,7 +45,6 @@ from foretouch_lab.learning.training.contact import (
     describe_objects,
     describe_samples,
     fit_contact,
-    fit_forests,
     thinned_samples,
 )
 from foretouch_lab.learning.training.tracker import fit_tracker
@@ -57,7 +56,7 @@ SHIPPED: Final = "contact-v2"
 NETWORK: Final = "touchnet-v1"
 _PAPERS: Final = "papers' four networks"
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
-_SPLITS: Final = {"time": "blocks of time", "object": "objects left out", "random": "random folds"}
+_SPLITS: Final = {"time": "blocks of time", "object": "objects left out"}
 _CONTACT: Final = "contact"
 
 _SHOWN: Final = (
@@ -67,10 +66,6 @@ _SHOWN: Final = (
 """Variants of the table of models, in this order."""
 
 _BUDGET_MS: Final = 10.0  # of the answer
-_POINTS: Final = (64, 128, 256, 512, 1024, 2048)
-_REFITTED: Final = {"depth": (2, 4, 6, 8, 12), "feature_share": (0.1, 0.25, 1.0), "leaf": (1, 10), "trees": (120, 240)}
-_FEW_REFITTED: Final = {"depth": (4, 8), "feature_share": (0.1, 1.0)}
-_TEXTS: Final = {"depth": "depth {}", "feature_share": "share {:g} of features", "leaf": "leaf {}", "trees": "{} trees"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,34 +84,23 @@ class ModelSettings(TradeoffSettings):
             raise ConfigError("splits, seeds: must hold at least one value")
 
 
-# Variants: one factor at a time around the shipped model, then pairs.
-
-
-def _variants(settings: ModelSettings) -> Iterator[Variant]:
-    every = settings.detail == "all"
+def _variants(_settings: ModelSettings) -> Iterator[Variant]:
     yield _contact("shipped", SHIPPED)
     yield Variant(_PAPERS, "reference", {"kind": "papers"})
     yield Variant(_MEAN, "part", {"kind": "mean"})
     yield Variant(_OBJECT, "part", {"kind": "object"})
     for name in (_MEAN, SHIPPED):
         yield Variant(f"{name} + readings", "readings", {"kind": "readings", "of": name})
-    for count in (2, 5, 10, 20, 30):
+    for count in (5, 10, 20):
         yield _contact("trees", f"{count} trees", trees=count)
-    for part in ("no surroundings", "forests alone", "kernel alone"):
+    for part in ("no surroundings", "forests alone"):
         yield _contact("part", part, part=part)
-    for count in (200, 500, 1000):
-        yield _contact("cloud", f"cloud of {count}", points=count)
-    for key, values in (_REFITTED if every else _FEW_REFITTED).items():
-        for value in values:
-            yield _contact(key.replace("_", " "), _TEXTS[key].format(value), refit={key: value})
-    for count, part in ((10, "no surroundings"), (10, "forests alone"), (5, "no surroundings")):
-        yield _contact("trees x part", f"{count} trees, {part}", trees=count, part=part)
-    yield _contact("trees x part", "10 trees, cloud of 500", trees=10, points=500)
-    yield Variant(NETWORK, "model", {"kind": "network"})
-    for sampler, count in (*(("random", count) for count in _POINTS), ("voxel", 256), ("farthest", 256)):
-        network = {"kind": "network", "changes": {"n_points": count, "sampler": sampler}}
-        yield Variant(f"{sampler} {count}", f"net: {sampler}", network)
-    yield Variant("net bf16", "net: precision", {"kind": "network", "precision": "bfloat16"})
+    yield _contact("trees x part", "10 trees, no surroundings", trees=10, part="no surroundings")
+    yield Variant(NETWORK, "network", {"kind": "network"})
+    for count in (64, 256, 1024):
+        yield Variant(
+            f"{count} points", "network", {"kind": "network", "changes": {"n_points": count, "sampler": "random"}}
+        )
 
 
 def _contact(factor: str, name: str, **values: Any) -> Variant:
@@ -137,55 +121,35 @@ class Described:
         self.samples = list(samples)
         self.labels = labels_of(samples)
         self.objects = [sample.object for sample in samples]
-        self._rows: dict[Any, Float64] = {}
+        self._rows: dict[bool, Float64] = {}
         self._place = {sample.id: k for k, sample in enumerate(self.samples)}
 
     def index(self, samples: Sequence[GraspSample]) -> Indices:
         """(T,) places of some of the samples."""
         return np.array([self._place[sample.id] for sample in samples], np.intp)
 
-    def rows(self, clouds: str | int = "whole") -> Float64:
-        """(S, F) features on `whole` clouds, on `thinned` ones, or on clouds with a number of points."""
-        if clouds not in self._rows:
-            samples = self.samples
-            if clouds == "thinned":
-                samples = thinned_samples(samples, ContactTrainingConfig()) or []
-            elif isinstance(clouds, int):
-                samples = [replace(one, cloud=_thin(one.cloud, clouds)) for one in samples]
-            self._rows[clouds] = describe_samples(samples)
-        return self._rows[clouds]
-
-
-def _thin(cloud: Cloud, count: int) -> Cloud:
-    """A cloud of at most so many of its points, drawn at random by a fixed seed."""
-    finite = np.flatnonzero(np.isfinite(cloud.xyz.reshape(-1, 3)).all(axis=1))
-    return cloud.take(np.sort(np.random.default_rng(0).choice(finite, min(count, len(finite)), replace=False)))
+    def rows(self, *, thinned: bool = False) -> Float64:
+        """(S, F) features on whole clouds, or on thinned ones."""
+        if thinned not in self._rows:
+            copies = thinned_samples(self.samples, ContactTrainingConfig()) if thinned else None
+            self._rows[thinned] = describe_samples(copies or self.samples)
+        return self._rows[thinned]
 
 
 @dataclass(frozen=True, eq=False)
-class _OnePart(ContactEstimator):
-    """The forests alone, or the kernel alone."""
-
-    forests_alone: bool = True
+class _ForestsAlone(ContactEstimator):
+    """Without the kernel, and of any object."""
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
-        inputs = rows[:, len(CONDITIONS) :]
-        scaled = self._trees(inputs) if self.forests_alone else self.kernel.predict(inputs)
+        scaled = self._trees(rows[:, len(CONDITIONS) :])
         return scaled * self.deviation + self.mean, np.ones(len(rows), np.bool_)
 
 
-def _fitted(data: Described, train: Indices, seed: int) -> Callable[[Mapping[str, Any]], ContactEstimator]:
-    """The shipped recipe fitted to some samples; from it, variants by their values."""
-    rows, labels, thinned = data.rows()[train], data.labels[train], data.rows("thinned")[train]
-    shipped = fit_contact(rows, labels, [data.objects[k] for k in train], ContactTrainingConfig(seed=seed), thinned)
-
-    def variant(values: Mapping[str, Any]) -> ContactEstimator:
-        if "refit" not in values:
-            return _reduced(shipped, values)
-        config = ContactTrainingConfig(seed=seed, **values["refit"])
-        return replace(shipped, forests=fit_forests(rows, labels, BIOTAC, config, thinned))
-
-    return variant
+def _fitted(data: Described, train: Indices, seed: int) -> ContactEstimator:
+    """The shipped recipe fitted to some samples."""
+    objects = [data.objects[k] for k in train]
+    config = ContactTrainingConfig(seed=seed)
+    return fit_contact(data.rows()[train], data.labels[train], objects, config, data.rows(thinned=True)[train])
 
 
 def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactEstimator:
@@ -196,8 +160,7 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
         return estimator
     if values["part"] == "no surroundings":
         return replace(estimator, surroundings=False)
-    fields = {name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__}
-    return _OnePart(**fields, forests_alone=values["part"] == "forests alone")
+    return _ForestsAlone(**{name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__})
 
 
 # The object by name, and what the hand has read.
@@ -224,7 +187,7 @@ def _with_readings(
         if part.name != fold.name:
             rest = np.setdiff1d(fold.train, part.test)
             plain[part.test] = data.labels[rest].mean(axis=0)
-            seen[part.test] = _fitted(data, rest, seed)({}).predict_rows(data.rows()[part.test])[0]
+            seen[part.test] = _fitted(data, rest, seed).predict_rows(data.rows()[part.test])[0]
     seen[fold.test] = vision
     order = np.argsort([sample.stamp_ns for sample in data.samples], kind="stable")
     train = order[np.isin(order, fold.train)]
@@ -247,8 +210,7 @@ def _network(values: Mapping[str, Any], config: ModelConfig, tensors: Mapping[st
     from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.folding import fold
 
-    folded = fold(config, tensors, values.get("precision", "float32"))
-    return NetworkEstimator(config.replace(**values.get("changes", {})), folded, fallback=fallback)
+    return NetworkEstimator(config.replace(**values.get("changes", {})), fold(config, tensors), fallback=fallback)
 
 
 def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[tuple[str, Float64]]:
@@ -330,13 +292,11 @@ def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
     labels, mean = described.labels[fold.test], described.labels[fold.train].mean(axis=0)
     tested = [described.samples[k] for k in fold.test]
     if model == _CONTACT:
-        fitted = _fitted(described, fold.train, seed)
+        fitted, rows = _fitted(described, fold.train, seed), described.rows()[fold.test]
         contact = [one for one in _variants(settings) if one.values["kind"] == _CONTACT]
-        rows = {one.name: described.rows(one.values.get("points", "whole"))[fold.test] for one in contact}
         found = [(_MEAN, np.tile(mean, (len(tested), 1)))]
-        found += [(one.name, fitted(one.values).predict_rows(rows[one.name])[0]) for one in contact]
-        if split != "random":  # which has no order of time
-            found += _with_readings(described, folds, fold, dict(found)[SHIPPED], seed)
+        found += [(one.name, _reduced(fitted, one.values).predict_rows(rows)[0]) for one in contact]
+        found += _with_readings(described, folds, fold, dict(found)[SHIPPED], seed)
     else:
         found = list(_trained(described, fold, settings))
     return [
@@ -392,17 +352,8 @@ def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
     if kind == "readings":
         return _after_reading(models[values["of"]], sample, grasps), 1.0
     shipped: Any = models[SHIPPED].estimator
-    if kind == "network":
-        estimator = _timed_network(values)
-    else:
-        estimator = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
-    points = values.get("points")
-
-    def answer(count: int) -> Float64:
-        cloud = _thin(sample.cloud, points) if points else sample.cloud
-        return estimator.estimate(cloud, grasps[:count]).counts
-
-    return answer, 1.0
+    estimator = _timed_network(values) if kind == "network" else _reduced(shipped, values)
+    return lambda count: estimator.estimate(sample.cloud, grasps[:count]).counts, 1.0
 
 
 def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
@@ -417,12 +368,6 @@ def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Gras
         return History(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
 
     return answer
-
-
-@lru_cache(maxsize=1)
-def _refitted(data: Dataset) -> Callable[[Mapping[str, Any]], ContactEstimator]:
-    described = describe(data)
-    return _fitted(described, np.arange(len(described.samples)), 0)
 
 
 @lru_cache(maxsize=1)
@@ -488,7 +433,7 @@ EXPERIMENT = Area(
     module=__name__,
     settings=ModelSettings,
     presets={
-        "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "splits": ["time", "object"], "detail": "few"},
+        "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "seeds": [0]},
         "full": {"timing_s": 420.0, "pause_s": PAUSE_S, "seeds": [0, 1], "networks": True},
     },
     load=load,

@@ -40,24 +40,27 @@ SCENES: Final = (RIGID, SOFT, EVERYTHING)
 
 _FOLDER: Final = Path("config/scenes")
 _TIMED: Final = 16  # samples that are timed in turn
+_ERRORS: Final = ("pattern_error", "pattern_error_largest", "force_error", "counts")
 _BOOTSTRAP: Final = BootstrapConfig(draws=500)
 
 _LEVELS: Final = (
-    *(("winkler", 12), ("winkler", 24), ("winkler", 48)),
-    *(("layer", 8), ("layer", 12), ("layer", 16), ("layer", 24), ("layer", 32), ("layer", 48)),
+    ("winkler", 12),
+    ("winkler", 24),
+    ("layer", 8),
+    ("layer", 12),
+    ("layer", 16),
+    ("layer", 24),
+    ("layer", 32),
 )
-_FEW_LEVELS: Final = (("winkler", 12), ("winkler", 24), ("layer", 12), ("layer", 24))
 
-_DEPTH_EFFECTS: Final = {
+# Effects by name, with the setting of the scene whose absence switches each off; the first six are of the camera.
+_EFFECTS: Final = {
     "clutter": "clutter",
     "flying_pixels": "camera.flying_pixels",
     "depth_noise": "camera.noise",
     "stereo_shadow": "camera.stereo",
     "holes": "camera.holes",
     "depth_steps": "camera.z_step_m",
-}
-# Effects by name, with the setting of the scene whose absence switches each off.
-_OTHER_EFFECTS: Final = {
     "execution_error": "grasps.error",
     "weight": "gravity",
     "creep": "fingers.creep",
@@ -125,8 +128,6 @@ def _finest(scene: str) -> str:
 
 
 def _variants(settings: SimulationSettings) -> Iterator[Variant]:
-    every = settings.detail == "all"
-
     def variant(name: str, factor: str, scene: str, changes: Mapping[str, Any]) -> Variant:
         return Variant(name, factor, {"scene": scene, "changes": {**_ALWAYS[scene], **changes}})
 
@@ -134,44 +135,32 @@ def _variants(settings: SimulationSettings) -> Iterator[Variant]:
         yield variant(_shipped(scene), "shipped", scene, {})
         finest = {"fidelity": "layer", "fingers.pad.cells": settings.finest_cells}
         yield variant(_finest(scene), "reference", scene, finest)
-        for name, cells in _LEVELS if every else _FEW_LEVELS:
+        for name, cells in _LEVELS:
             changes = {"fidelity": name, "fingers.pad.cells": cells}
             yield variant(f"{scene}: {name} {cells}x{cells}", name, scene, changes)
     yield variant(_shipped(EVERYTHING), "shipped", EVERYTHING, {})
-    for name, field in (_DEPTH_EFFECTS | (_OTHER_EFFECTS if every else {})).items():
-        factor = "depth effect" if name in _DEPTH_EFFECTS else "other effect"
-        yield variant(f"without {name}", factor, EVERYTHING, {field: None})
-    if every:
-        ideal = dict.fromkeys(_DEPTH_EFFECTS.values())
-        yield variant("ideal camera", "depth effect", EVERYTHING, ideal)
-        ideal |= dict.fromkeys(_OTHER_EFFECTS.values())
-        yield variant("ideal camera and sensor", "other effect", EVERYTHING, ideal)
-
-
-@dataclass(frozen=True, eq=False)
-class _Touched:
-    """What the first tries of the first slots read."""
-
-    drops: Mapping[int, Float64]  # (2, 24) by slot, of the electrodes of both fingers before sensor effects [counts]
-    forces: Mapping[int, Float64]  # (2,) by slot [N]
-    counts: Mapping[int, Float64]  # (50,) by slot, whole readings [counts]
+    for number, (name, field) in enumerate(_EFFECTS.items()):
+        yield variant(f"without {name}", "camera" if number < 6 else "hand and sensor", EVERYTHING, {field: None})
 
 
 @lru_cache(maxsize=8)
-def _touched(scene: SceneConfig, count: int) -> _Touched:
-    """Simulate grasps; those that fail are left out."""
+def _touched(scene: SceneConfig, count: int) -> dict[int, tuple[Float64, Float64, Float64]]:
+    """By slot, what its first try reads; those that fail are left out.
+
+    (2, 24) drops of the electrodes of both fingers before sensor effects [counts], their (2,) forces [N], and (50,) whole
+    readings [counts].
+    """
     engine = Engine(scene, EFFECTS, ("readings", "contacts", "touch"))
-    drops, forces, counts = {}, {}, {}
+    found = {}
     for slot in range(count):
         try:
             state = engine.run(SampleKey(scene.seed, slot))
         except SimulationError:
             continue
         rest, pressed = state.readings
-        drops[slot] = (rest - pressed)[:, 1:]
-        forces[slot] = np.array([contact.force_n for contact in state.contacts])
-        counts[slot] = state.touch.values
-    return _Touched(drops, forces, counts)
+        forces = np.array([contact.force_n for contact in state.contacts])
+        found[slot] = ((rest - pressed)[:, 1:], forces, state.touch.values)
+    return found
 
 
 def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
@@ -179,15 +168,12 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     name, scene = cell.values["scene"], data.changed(cell.values)
     best = data.changed(next(one.values for one in _variants(settings) if one.name == _finest(name)))
     mine, others = _touched(scene, settings.compared), _touched(best, settings.compared)
-    both = sorted(mine.counts.keys() & others.counts.keys())
-    names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest")
-    row: Row = {**dict.fromkeys(names), "refused": settings.compared - len(mine.counts)}
+    both = [(mine[k], others[k]) for k in sorted(mine.keys() & others.keys())]
+    row: Row = {**dict.fromkeys(_ERRORS), "refused": settings.compared - len(mine)}
     if name == EVERYTHING:
-        change = np.array([mine.counts[k] - others.counts[k] for k in both])
-        row |= {"counts": float(np.sqrt(np.mean(change**2))), "counts_largest": float(np.abs(change).max())}
+        row["counts"] = float(np.sqrt(np.mean([(one[2] - other[2]) ** 2 for one, other in both])))
     else:
-        drops, forces = ([_relative(one[k], other[k]) for k in both] for one, other in (
-            (mine.drops, others.drops), (mine.forces, others.forces)))  # fmt: skip
+        drops, forces = ([_relative(one[k], other[k]) for one, other in both] for k in (0, 1))
         row |= {
             "pattern_error": float(np.median(drops)),
             "pattern_error_largest": float(max(drops)),
@@ -232,8 +218,7 @@ def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
             found |= {f"digits_{name}": digits, f"digits_{name}_low": least, f"digits_{name}_high": digits}
         for name in (*(f"trained_{scene}" for scene in SCENES), "trained_change"):
             found |= {f"{name}{end}": row.get(f"{name}{end}") for end in ("", "_low", "_high")}
-        names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest")
-        result.append(found | {name: row[name] for name in (*names, "refused")})
+        result.append(found | {name: row[name] for name in (*_ERRORS, "refused")})
     return result
 
 
@@ -258,7 +243,7 @@ EXPERIMENT = Area(
     module=__name__,
     settings=SimulationSettings,
     presets={
-        "small": {"compared": 16, "train": 60, "trees": 10, "finest_cells": 48, "detail": "few", "timing_s": 25.0},
+        "small": {"compared": 16, "train": 60, "trees": 10, "finest_cells": 48, "timing_s": 25.0},
         "full": {"timing_s": 120.0},
     },
     prepare=_prepare,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Area `training`: grasps, objects, trees, epochs, points and precision against the time of a training and of the robot."""
 
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +13,13 @@ from foretouch.config import setting
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Row
 from foretouch_lab.experiments.framework.tradeoff import Area, Panel, Timed, TradeoffSettings, Variant
-from foretouch_lab.experiments.shared.folds import by_object, some_grasps, some_objects, split_by_fold
 from foretouch_lab.experiments.shared.predictors import network
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_columns
 from foretouch_lab.experiments.shared.simulated_data import beside, simulate_store
 from foretouch_lab.experiments.shared.tables import grouped, select
 from foretouch_lab.experiments.tradeoff_model import describe
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.training.contact import ContactTrainingConfig, fit_contact
 
@@ -33,22 +34,16 @@ _SCENE: Final = Path("config/scenes/deformables.yaml")  # of the grasps where no
 _ENDLESS: Final = 100_000  # epochs of a trainer that is timed epoch by epoch
 _PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
-_GRASPS: Final = (5, 10, 20)  # for training, of each object; the shipped model uses all, 40 of 50 in a block of time
-_OBJECTS: Final = (2, 4)  # for training; the shipped model uses all, 7 of 8 where one is left out
-_TREES: Final = (5, 15, 120)
-_NETWORKS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
-    ("epochs", {"train.epochs": 10}),
-    ("epochs", {"train.epochs": 30}),
-    ("epochs", {"train.epochs": 60}),
-    ("epochs", {"train.epochs": 240}),
-    ("cloud size", {"train.points": 64}),
-    ("cloud size", {"train.points": 128}),
-    ("cloud size", {"train.points": 512}),
-    ("precision", {"train.precision": "bfloat16"}),
-    ("epochs x cloud size", {"train.epochs": 240, "train.points": 64}),
-    ("epochs x cloud size", {"train.epochs": 240, "train.points": 128}),
-    ("epochs x cloud size", {"train.epochs": 60, "train.points": 64}),
+# Name, factor, and the values of each variant; the shipped models use all grasps (40 of 50 in a block of time) and objects.
+_VARIANTS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
+    (CONTACT, "shipped", {}),
+    (MEAN, "part", {"kind": "mean"}),
+    *((f"{count} grasps an object", "labels", {"grasps": count}) for count in (5, 10, 20)),
+    *((f"{count} objects", "objects", {"objects": count}) for count in (2, 4)),
+    *((f"{count} trees", "trees", {"changes": {"trees": count}}) for count in (5, 15, 120)),
+    ("no thinned copies", "copies", {"changes": {"thinned": 1.0}}),
 )
+_EPOCHS: Final = (10, 30, 60, 240)  # of networks; the shipped one has 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +52,7 @@ class TrainingSettings(TradeoffSettings):
 
     trees: int = setting(60, "Trees of each forest of the contact model", bounds=(1, 1000))
     splits: tuple[str, ...] = setting(tuple(_SPLITS), "Skills of contact models to measure", choices=tuple(_SPLITS))
+    networks: bool = setting(True, "Train networks on the first block of time")
     samples: int = setting(200, "Grasps to simulate where no recordings are given", bounds=(100, 100_000))
     bootstrap: BootstrapConfig = BootstrapConfig()
 
@@ -67,21 +63,12 @@ def _prepare(settings: TrainingSettings, source: Path | None, out: Path) -> Path
 
 
 def _variants(settings: TrainingSettings) -> Iterator[Variant]:
-    every = settings.detail == "all"
-    yield Variant(CONTACT, "shipped", {"kind": "contact"})
-    yield Variant(MEAN, "part", {"kind": "mean"})
-    contact: list[tuple[str, str, dict[str, Any]]] = [
-        *((f"{count} grasps an object", "labels", {"grasps": count}) for count in (_GRASPS if every else _GRASPS[::2])),
-        *((f"{count} objects", "objects", {"objects": count}) for count in (_OBJECTS if every else ())),
-        *((f"{count} trees", "trees", {"changes": {"trees": count}}) for count in (_TREES if every else _TREES[1:2])),
-        ("no thinned copies", "copies", {"changes": {"thinned": 1.0}}),
-    ]
-    for name, factor, values in contact:
+    for name, factor, values in _VARIANTS:
         yield Variant(name, factor, {"kind": "contact", **values})
-    for factor, changes in (("shipped", {}), *_NETWORKS) if every else ():
-        texts = [str(v) if key == "train.precision" else f"{v} {key.rpartition('.')[2]}" for key, v in changes.items()]
-        name = f"network, {', '.join(texts)}" if changes else NETWORK
-        yield Variant(name, factor, {"kind": "network", "changes": changes})
+    if settings.networks:
+        yield Variant(NETWORK, "shipped", {"kind": "network", "changes": {}})
+        for count in _EPOCHS:
+            yield Variant(f"network, {count} epochs", "epochs", {"kind": "network", "changes": {"train.epochs": count}})
 
 
 def _cells(settings: TrainingSettings, _data: Dataset) -> list[Cell]:
@@ -114,13 +101,32 @@ def _run(cell: Cell, settings: TrainingSettings, data: Dataset) -> list[Row]:
     return rows
 
 
+def split_by_fold(
+    samples: Sequence[GraspSample], folds: Sequence[Fold], name: str
+) -> tuple[list[GraspSample], list[GraspSample]]:
+    """Training and test samples of the fold of a name."""
+    (fold,) = (one for one in folds if one.name == name)
+    return [samples[k] for k in fold.train], [samples[k] for k in fold.test]
+
+
+def _by_object(samples: Sequence[GraspSample]) -> dict[str, list[GraspSample]]:
+    """Samples of each object, objects sorted by name."""
+    names = sorted({sample.object for sample in samples})
+    return {name: [sample for sample in samples if sample.object == name] for name in names}
+
+
 def _chosen_samples(values: Mapping[str, Any], train: Sequence[GraspSample]) -> list[GraspSample]:
-    """The training samples of a variant; all if it has fewer than it asks for."""
-    objects = [one.object for one in train]
+    """The training samples of a variant, drawn at random; all if it has fewer than it asks for. Smaller draws are part of larger ones."""
+    groups = _by_object(train)
     if (grasps := values.get("grasps")) is not None:
-        return some_grasps(train, min(grasps, *(objects.count(name) for name in objects)), 0)
+        orders = {
+            name: np.random.default_rng([zlib.crc32(name.encode()), 0]).permutation(len(own))
+            for name, own in groups.items()
+        }
+        return [own[k] for name, own in groups.items() for k in orders[name][: min(grasps, *map(len, groups.values()))]]
     if (count := values.get("objects")) is not None:
-        return some_objects(train, min(count, len(set(objects))), 0)
+        names = list(groups)
+        return [one for k in np.random.default_rng(0).permutation(len(names))[:count] for one in groups[names[k]]]
     return list(train)
 
 
@@ -139,7 +145,7 @@ def _predict(
     described = describe(data)
     config = ContactTrainingConfig(trees=settings.trees).updated(values.get("changes", {}))
     index = described.index(train)
-    thinned = None if config.thinned == 1.0 else described.rows("thinned")[index]
+    thinned = None if config.thinned == 1.0 else described.rows(thinned=True)[index]
     names = [one.object for one in train]
     fitted = fit_contact(described.rows()[index], described.labels[index], names, config, thinned)
     return fitted.predict_rows(described.rows()[described.index(test)])[0]
@@ -147,7 +153,7 @@ def _predict(
 
 def _robot_seconds(samples: Sequence[GraspSample]) -> float:
     """Median time from one grasp of an object to the next, as they were recorded; 0 of simulated ones [s]."""
-    gaps = np.concatenate([np.diff(sorted(one.stamp_ns for one in own)) for own in by_object(samples)])
+    gaps = np.concatenate([np.diff(sorted(one.stamp_ns for one in own)) for own in _by_object(samples).values()])
     return float(np.median(gaps / 1e9)) if len(gaps) else 0.0
 
 
@@ -193,7 +199,7 @@ EXPERIMENT = Area(
     question="What does one more hour buy, of the robot that grasps or of the computer that trains?",
     module=__name__,
     settings=TrainingSettings,
-    presets={"small": {"detail": "few", "splits": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
+    presets={"small": {"networks": False, "splits": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
     prepare=_prepare,
     load=load,
     cells=_cells,

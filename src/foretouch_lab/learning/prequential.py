@@ -103,6 +103,22 @@ def _row(rows: Float64 | None, k: int) -> Float64 | None:
     return None if rows is None else rows[k]
 
 
+def other_objects_mean(recording: TimedReadings) -> Float64:
+    """(S, D) mean of all readings of other objects, earlier and later: the reference of the skill [counts].
+
+    Raises:
+        DatasetError: If all readings are of one object.
+    """
+    names = np.unique(recording.objects)
+    if len(names) < 2:
+        raise DatasetError(f"prequential: all readings are of {names[0]}; skills require another object")
+    result = np.empty_like(recording.readings)
+    for name in names:
+        own = recording.objects == name
+        result[own] = recording.readings[~own].mean(axis=0)
+    return result
+
+
 @dataclass(frozen=True, eq=False)
 class Replayed:
     """Predictions of each grasp from all that was read before it."""

@@ -16,7 +16,6 @@ import numpy as np
 from foretouch.errors import ContactError, ConvergenceError, ForetouchError, GraspError, SimulationError
 from foretouch.grasp import GraspPlan
 from foretouch.types import Cloud, Float64, Grasp, Int32, Int64, Touch
-from foretouch_lab.simulation.contact.grip import HeldWeight
 from foretouch_lab.simulation.contact.pad import ContactFrame, PadWindow
 from foretouch_lab.simulation.contact.problem import ContactSolution
 from foretouch_lab.simulation.depth_scene import Window
@@ -48,7 +47,6 @@ class SampleState:
     targets: Float64  # (2,) that both fingers are commanded to reach, [N] or [m] by the scene's `control`
     axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
     tangential_n: Float64  # (2, 3) [N], force of the object's weight on both fingers in the world, across their line
-    weight: HeldWeight  # forces of the object's weight on the fingers
     postures: tuple[tuple[ContactFrame, Float64], tuple[ContactFrame, Float64]]
     # of each fingertip: where on its skin the hand aims with, and its axes as columns in the world, (3, 3)
     pads: tuple[PadWindow, PadWindow]  # where on its skin each fingertip is touched, and the window about it

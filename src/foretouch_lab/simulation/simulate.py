@@ -8,23 +8,19 @@ number of workers.
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from foretouch import __version__
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.processes import one_thread_each, process_pool
 from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import GraspSample
-from foretouch_lab.dataset.chunks import made_in_chunks
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import EffectPlan, EffectTiming, Engine, SampleState
 from foretouch_lab.simulation.fingertip import quantise
@@ -42,7 +38,7 @@ _AHEAD = 3  # blocks a worker that may wait for the reader
 class Failure:
     """A try that came to nothing."""
 
-    key: SampleKey  # with the scene, makes it fail again: see `replay`
+    key: SampleKey  # with the scene, makes it fail again
     reason: str  # by which it is counted
     message: str  # what happened
 
@@ -64,9 +60,9 @@ class Simulation:
     def samples(self, count: int, workers: int = 1) -> Iterator[GraspSample]:
         """The first samples, in the order of their slots.
 
-        The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, which `replay`
-        takes, targets and contacts of both fingers, and PAC, TAC and TDC where the scene calls for them. Where a
-        campaign repeats a grasp, slot and attempt are those of the grasp that is repeated, and `repeat` is above 0.
+        The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, targets and
+        contacts of both fingers, and PAC, TAC and TDC where the scene calls for them. Where a campaign repeats a grasp,
+        slot and attempt are those of the grasp that is repeated, and `repeat` is above 0.
 
         Args:
             count: How many.
@@ -86,22 +82,6 @@ class Simulation:
             if given_up:
                 raise _given_up(failures[-self.scene.max_attempts :])
 
-    def samples_on_ray(
-        self, count: int, folder: Path, address: str, workers: int, progress: Callable[[int], None] = lambda _: None
-    ) -> Iterator[GraspSample]:
-        """The same samples, made in chunks by the nodes of a cluster (see `made_in_chunks`, which it raises as too)."""
-        _require_length(self.scene, count)
-        plan = {"foretouch": __version__, "scene_sha256": self.scene.sha256(), "samples": count}
-        make = partial(_write_chunk, self.scene)
-        sensor = self.scene.fingers.taxel_sensor()
-        for store in made_in_chunks(folder, plan, count, make, address, workers, progress, sensor):
-            about = store.manifest["about"]
-            self._add(
-                {name: EffectTiming(**timing) for name, timing in about["timings"].items()},
-                [Failure(SampleKey(*key), reason, message) for key, reason, message in about["failures"]],
-            )
-            yield from store
-
     def _add(self, timings: Mapping[str, EffectTiming], failures: Sequence[Failure]) -> None:
         for name, timing in timings.items():
             self.timings[name].calls += timing.calls
@@ -118,27 +98,9 @@ def _require_length(scene: SceneConfig, count: int) -> None:
         )
 
 
-def _write_chunk(scene: SceneConfig, slots: range, write: Callable[[GraspSample], None]) -> dict[str, Any]:
-    """Write the samples of some slots; gives time by effect and failures in plain types."""
-    samples, timings, failures, given_up = _make_block(scene, slots)
-    if given_up:
-        raise _given_up(failures[-scene.max_attempts :])
-    for sample in samples:
-        write(sample)
-    return {
-        "timings": {name: asdict(timing) for name, timing in timings.items()},
-        "failures": [(astuple(one.key), one.reason, one.message) for one in failures],
-    }
-
-
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
     """Which effects will run and which will not, without running any."""
     return _engine_of(scene).explain()
-
-
-def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
-    """Make one try again, with all that was known along the way; raises the `SimulationError` that it raised."""
-    return _engine_of(scene).run(key)
 
 
 @lru_cache(maxsize=1)  # a worker process has one scene all its life

@@ -18,15 +18,14 @@ from foretouch_lab.experiments.label_ratio import LabelRatioSettings
 from foretouch_lab.experiments.label_ratio.training import (
     MODELS,
     READINGS,
-    TRIALS,
     PointnetTrainer,
     PresampledSet,
     configured,
     load_scene,
-    split_at,
 )
-from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
+from foretouch_lab.experiments.shared.simulated_data import simulate_store
 from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
@@ -42,7 +41,6 @@ TINY: dict[str, Any] = {
     "readings": [],
 }
 TWO = {"ratios": [50, 90], "seeds": [0, 1]}
-KINDS = ("pressure", "electrodes")
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +49,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def data(store: Path) -> SimulatedGrasps:
+def data(store: Path) -> Dataset:
     return load_scene(find_experiment("label_ratio").resolve("smoke", {}), store)
 
 
@@ -59,23 +57,18 @@ def settings_of(preset: str = "smoke", **changes: Any) -> LabelRatioSettings:
     return find_experiment("label_ratio").resolve(preset, changes)
 
 
-def test_no_test_sample_is_trained_on_or_chosen_by(data: SimulatedGrasps) -> None:
+def test_no_test_sample_is_trained_on(data: Dataset) -> None:
     def check(ratio: int) -> None:
-        final, tuned = split_at(data.collection, ratio), split_at(data.collection, ratio, held_out=0.25, seed=3)
-        test = set(final.test.tolist())
+        split = data.partition(f"labels/T{ratio}")
+        test = set(split.test.tolist())
         assert len(test) == 16
-        for index in (final.train, final.unlabelled, tuned.train, tuned.unlabelled, tuned.test):
-            assert test.isdisjoint(index.tolist())
-        # Only labels that the ratio leaves are held out, and those are not trained on.
-        assert sorted([*tuned.train, *tuned.test]) == sorted(final.train)
-        assert len(final.unlabelled) == round(64 * ratio / 100)
+        assert test.isdisjoint([*split.train, *split.unlabelled])
+        assert len(split.unlabelled) == round(64 * ratio / 100)
 
     every_case(RATIOS, check)
-    with pytest.raises(DatasetError, match=r"held_out: 0.01 of 6 samples is none"):
-        split_at(data.collection, 90, held_out=0.01)
 
 
-def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -> None:
+def test_both_models_take_as_many_updates_in_every_cell(data: Dataset) -> None:
     experiment, settings = find_experiment("label_ratio"), settings_of(**TINY, **TWO)
     cells = [cell for cell in experiment.cells(settings, data) if cell.values["model"] in MODELS]
     assert len(cells) == 2 * 2 * 2
@@ -90,7 +83,7 @@ def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -
         assert rows[0]["objects"] != rows[1]["objects"]
 
 
-def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> None:
+def test_the_printed_recipe_is_that_of_p2_and_runs(data: Dataset) -> None:
     settings = settings_of("p2_as_printed")
     cells = find_experiment("label_ratio").cells(settings, data)
     networks = [cell.values for cell in cells if cell.values["model"] in MODELS]
@@ -121,17 +114,30 @@ def test_the_printed_recipe_is_that_of_p2_and_runs(data: SimulatedGrasps) -> Non
             assert row["labelled"] == 32
 
 
-def test_settings_that_cannot_be_are_refused(data: SimulatedGrasps, store: Path) -> None:
+def test_settings_that_cannot_be_are_refused(data: Dataset, store: Path) -> None:
     few = "cached_points: 512 points are fewer than the network's 750"
     with pytest.raises(ConfigError, match=f"label_ratio: {few}"):
         settings_of("p2_as_printed", cached_points=512)
     experiment = find_experiment("label_ratio")
-    settings = settings_of(**TINY, **TWO, pointnet={"pressure": "fast"})
-    with pytest.raises(ConfigError, match="pointnet 'fast' is not one of batch"):
-        experiment.run(experiment.cells(settings, data)[len(settings.ratios)], settings, data)
+    settings = settings_of(**{**TINY, **TWO, "readings": ["fast"]})
+    with pytest.raises(ConfigError, match="srgan 'fast' is not one of batch_means"):
+        experiment.run(experiment.cells(settings, data)[-1], settings, data)
     assert settings_of("quick").scene_sha256 == read_scene(SCENE).sha256()
     with pytest.raises(DatasetError, match="is not abc, the required scene's"):
         load_scene(settings_of(scene_sha256="abc"), store)
+
+
+def test_a_store_is_made_once_and_refused_for_another_scene(tmp_path: Path, store: Path) -> None:
+    clean = SCENE.with_name("clean.yaml")
+    path = simulate_store(clean, 3, tmp_path)
+    before = (path / "manifest.json").stat().st_mtime_ns
+    assert simulate_store(clean, 3, tmp_path) == path
+    assert (path / "manifest.json").stat().st_mtime_ns == before
+    with pytest.raises(ConfigError, match="another scene or size"):
+        simulate_store(clean, 4, tmp_path)
+    experiment = find_experiment("label_ratio")
+    with pytest.raises(ConfigError, match="give --data a scene"):
+        run_sweep(experiment, settings_of(), tmp_path / "out")
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -152,33 +158,14 @@ def test_a_run_may_be_extended_by_ratios_modalities_and_trials(store: Path, tmp_
     again = run_sweep(experiment, both, cut, source=store, resume=True)
     assert (again.reused, again.cells) == (6, 10)
     assert (out / RESULTS_FILE).read_bytes() == (cut / RESULTS_FILE).read_bytes()
-    other = settings_of(**tiny, **{"pointnet.pressure": "batch 0.01"})
-    assert run_sweep(experiment, other, out, source=store, resume=True).reused == 5  # T90 has another setting
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_tuning_gives_both_models_as_many_trials_and_chooses_one(store: Path, tmp_path: Path) -> None:
-    experiment = find_experiment("label_ratio_tuning")
-    result = run_sweep(experiment, experiment.resolve("smoke", TINY), tmp_path / "out", source=store)
-    assert result.failures == {}
-    for model in MODELS:
-        mine = select(result.rows, model=model)
-        assert [row["trial"] for row in mine] == list(TRIALS[model])
-        (chosen,) = select(mine, chosen=True)
-        assert chosen["relative_rmse"] == min(row["relative_rmse"] for row in mine)
-        assert {(row["kind"], row["held_out"]) for row in mine} == {("pressure", 8)}
-    assert experiment.summarise(result.rows)[0].title.startswith("T50, pressure")
 
 
 def test_the_preset_holds_what_tuning_chose() -> None:
     rows = read_results(ROOT / "docs" / "results" / "label_ratio_tuning" / RESULTS_FILE)
     chosen = {(row["model"], row["kind"], row["ratio"]): row["trial"] for row in rows if row["chosen"]}
     settings = settings_of("quick")
-    for model, kind in ((model, kind) for model in MODELS for kind in KINDS):
-        trials = getattr(settings, model)
-        assert getattr(trials, kind) == chosen[model, kind, 50]
-        assert getattr(trials, f"{kind}_few") == chosen[model, kind, 90]
-    assert len(TRIALS["pointnet"]) == len(TRIALS["srgan"])
+    for (model, kind, ratio), trial in chosen.items():
+        assert settings.chosen(model, ratio, {"pressure": "PDC_TH", "electrodes": "E_MF"}[kind]) == trial
     for preset in ("quick", "paper"):
         model = settings_of(preset).model
         assert (model.feature_size, model.tnet, model.head_size, model.channels) == (1024, True, 1039, "xyz+normals")

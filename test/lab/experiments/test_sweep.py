@@ -16,7 +16,7 @@ from own_experiments.counting import EXPERIMENT, CountingSettings
 from foretouch.errors import ConfigError, FileError
 from foretouch_lab.experiments import Cell, run_sweep
 from foretouch_lab.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
-from foretouch_lab.experiments.framework.sweep import Job, run_cell
+from foretouch_lab.experiments.framework.sweep import SweepJob, run_cell
 
 TESTS = Path(__file__).parents[2]
 PATH = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])  # where workers find `own_experiments`
@@ -105,26 +105,15 @@ def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -
     with pytest.raises(ConfigError, match="paus: unknown setting; known: cells"):
         EXPERIMENT.resolve("full", {"paus": 1})
     text = json.dumps(CountingSettings().to_mapping())
-    job = Job("own_experiments.counting", text, str(numbers), "0" * 64)
+    job = SweepJob("own_experiments.counting", text, str(numbers), "0" * 64)
     result = run_cell(job, Cell("cell0", {"number": 0}))
     assert result.rows is None
     assert "with which the sweep started" in result.error
 
 
 def test_more_cells_keep_those_that_are_finished(sweep, out, trace, in_this_process) -> None:
-    with pytest.raises(FileError, match=r"contains no manifest\.json: no sweep was started there"):
-        sweep(only_finished=True)
-    assert not out.exists()
     hurt = {"trace": str(trace), "broken": (1,)}
     sweep(settings={"cells": 3, **hurt})
-    before = starts(trace)
-    result = sweep(settings={"cells": 5, **hurt}, only_finished=True)
-    assert starts(trace) == before
-    assert (result.cells, result.finished, result.failures) == (5, 2, {"cell1": "cell 1: is broken"})
-    assert sorted({row["number"] for row in read_results(out / "results.csv")}) == [0, 2]
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert manifest["cells"] == {"all": 5, "finished": 2, "failed": result.failures}
-    assert len(manifest["sessions"]) == 1
     more = sweep(settings={"cells": 5, **hurt}, resume=True)
     assert (more.reused, more.finished, len(more.rows)) == (2, 4, 8)
     fewer = sweep(settings={"cells": 3, "shown": 1, **hurt}, resume=True)
@@ -162,7 +151,6 @@ def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_pro
         file.write_text(json.dumps({**whole, name: value}))
         for use in (
             lambda: sweep(settings={"cells": 1}, resume=True),
-            lambda: sweep(settings={"cells": 1}, only_finished=True),
             lambda: write_summary(out, EXPERIMENT, []),
             lambda: require_experiment(out, "counting"),
         ):

@@ -15,15 +15,14 @@ from foretouch.pipeline import Pipeline
 from foretouch_lab.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
 from foretouch_lab.experiments.framework.experiment import Cell, Row
 from foretouch_lab.experiments.framework.tradeoff import Area
-from foretouch_lab.experiments.shared.folds import split_by_fold
 from foretouch_lab.learning.data import labels_of, make_folds
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 GRASPS = make_collection()
 QUICK = BootstrapConfig(draws=100)
-PERCEPTION = tradeoff_perception.PerceptionSettings(scenes=2, real=0, detail="few")
+PERCEPTION = tradeoff_perception.PerceptionSettings(scenes=2)
 SIMULATION = tradeoff_simulation.SimulationSettings(compared=4, train=10, trees=2, finest_cells=24)
-TRAINING = tradeoff_training.TrainingSettings(trees=2, detail="few", bootstrap=QUICK)
+TRAINING = tradeoff_training.TrainingSettings(trees=2, networks=False, bootstrap=QUICK)
 SCENES = Path(__file__).parents[3] / "config" / "scenes"
 
 
@@ -44,7 +43,7 @@ def table(area: Area, settings: Any, data: Any, cells: list[Cell]) -> dict[str, 
 
 def test_models_are_measured_on_each_split_and_timed() -> None:
     area = tradeoff_model.EXPERIMENT
-    settings = tradeoff_model.ModelSettings(splits=("object",), requests=(1, 2), bootstrap=QUICK, detail="few")
+    settings = tradeoff_model.ModelSettings(splits=("object",), requests=(1, 2), bootstrap=QUICK)
     cells = list(area.cells(settings, GRASPS))
     assert len(cells) == 8
     rows = table(area, settings, GRASPS, cells[:1])
@@ -58,8 +57,8 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     assert rows["touchnet-v1"]["object_E_TH"] is not None  # of its card
     with pytest.raises(ConfigError, match="must hold at least one"):
         settings.replace(seeds=())
-    kinds = {"contact-v2", "10 trees", "no surroundings", "kernel alone", "cloud of 200", "mean of labels"}
-    kinds |= {"touchnet-v1", "voxel 256", "net bf16", "papers' four networks", *others, "mean of the object"}
+    kinds = {"contact-v2", "10 trees", "no surroundings", "forests alone", "mean of labels"}
+    kinds |= {"touchnet-v1", "64 points", "papers' four networks", *others, "mean of the object"}
     made = {one.name: area.timed(one, settings, GRASPS) for one in area.variants(settings) if one.name in kinds}
     for name, (answer, _) in made.items():
         assert answer(2).shape == (2, 50), name
@@ -100,7 +99,7 @@ def test_variants_of_perception_are_settings_of_the_pipeline_and_are_timed() -> 
     def check(one) -> None:
         assert (tradeoff_perception._pipeline(one.values).config == shipped) == (not one.values["changes"])
 
-    variants = list(area.variants(PERCEPTION.replace(detail="all")))
+    variants = list(area.variants(PERCEPTION))
     every_case({one.name: (one,) for one in variants}, check)
     for one in variants[:2]:
         answer, _ = area.timed(one, PERCEPTION, images())
@@ -148,20 +147,20 @@ def test_more_grasps_are_more_skilful_take_the_robot_longer_and_fewer_are_part_o
     assert shipped["known"] > fewer["known"] > mean["known"] == 0.0
     assert shipped["robot_h_known"] == pytest.approx(shipped["grasps_known"] * 60.0 / 3600.0, abs=0.01)
     assert shipped["known_low"] < shipped["known"] < shipped["known_high"]
-    columns = {cell.values["column"] for cell in area.cells(TRAINING.replace(detail="all"), GRASPS)}
+    columns = {cell.values["column"] for cell in area.cells(TRAINING.replace(networks=True), GRASPS)}
     assert columns == {"known", "new", "one_block"}
-    train, test = split_by_fold(GRASPS.samples, make_folds(GRASPS.samples, "time", 0), "block 0")
+    train, test = tradeoff_training.split_by_fold(GRASPS.samples, make_folds(GRASPS.samples, "time", 0), "block 0")
     chosen = tradeoff_training._chosen_samples
     five = chosen({"grasps": 5}, train)
     assert len(five) == 5 * 8
     assert {one.id for one in five} < {one.id for one in chosen({"grasps": 8}, train)}
     assert len({one.object for one in chosen({"objects": 3}, train)}) == 3
     assert chosen({"grasps": 1000}, train) == chosen({"grasps": 9}, train)
-    shipped, *_, network = tradeoff_training.EXPERIMENT.variants(TRAINING.replace(detail="all"))
+    shipped, *_, network = tradeoff_training.EXPERIMENT.variants(TRAINING.replace(networks=True))
     fit, _ = tradeoff_training.EXPERIMENT.timed(shipped, TRAINING, GRASPS)
     answer = fit(1)
     assert answer.shape == (10, 50)
     assert abs(answer - labels_of(test[:10])).max() < 1000.0
     epoch, epochs = tradeoff_training.EXPERIMENT.timed(network, TRAINING, GRASPS)
-    assert epochs == 60.0
+    assert epochs == 240.0
     assert epoch(1)["loss"] > 0.0

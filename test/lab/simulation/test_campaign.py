@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sim_builders import CAN, SPONGE, made, run, scene
+from sim_builders import CAN, SPONGE, made, made_again, run, scene
 
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.models.tracker import SensorTracker
@@ -21,7 +21,6 @@ from foretouch_lab.simulation.fingertip import TDC_REST, TemperatureConfig, temp
 from foretouch_lab.simulation.scene import load_scene
 from foretouch_lab.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S
 from foretouch_lab.simulation.simulate import Simulation, explain_scene
-from foretouch_lab.simulation.simulate import replay as made_again
 from foretouch_lab.simulation.world import Campaign, SampleKey, World, object_index
 
 SCENES = Path(__file__).parents[3] / "config" / "scenes"
@@ -89,7 +88,7 @@ def test_objects_take_turns_by_visits_and_keep_their_surface() -> None:
     config = scene(CAN | still, BOX | still, campaign={"days": [0, 1, 2, 3], "objects": 2, "grasps": 1}, **HELD)
     slots = [slot for slot in range(8) if object_index(config, slot) == 1]
     assert {slot % 2 for slot in slots} == {0, 1}
-    assert len({made_again(config, SampleKey(0, slot)).relief.tobytes() for slot in slots}) == 1
+    assert len({run(config, "relief", slot=slot).relief.tobytes() for slot in slots}) == 1
 
 
 def test_samples_carry_stamp_object_and_place_in_the_campaign() -> None:

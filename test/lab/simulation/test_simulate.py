@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 from every_case import every_case
-from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, made, run, scene
+from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, made, made_again, run, scene
 
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import SimulationError
 from foretouch.tactile import touch_faults
 from foretouch.types import GraspSample
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.simulate import Simulation, replay
+from foretouch_lab.simulation.simulate import Simulation
 from foretouch_lab.simulation.world import SampleKey
 
 FULL = {
@@ -102,10 +102,10 @@ def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name
     assert simulation.failures_by_reason["slips"] > 0
     failure = simulation.failures[0]
     with pytest.raises(SimulationError, match="slope") as caught:
-        replay(config, failure.key)
+        made_again(config, failure.key)
     assert str(caught.value) == failure.message
     last = samples[-1]
-    again = replay(config, SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"])))
+    again = made_again(config, SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"])))
     np.testing.assert_array_equal(again.touch["E_TH"], last.touch["E_TH"])  # type: ignore[union-attr]
     simulation = Simulation(scene(CAN | {"friction": 0.0, "pose": {"rest": "any"}}, grasps=above, max_attempts=3))
     with pytest.raises(SimulationError, match=r"slot 0: given up after 3 attempts \(3 slips\); the last: can: the"):
@@ -118,7 +118,7 @@ def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name
 
 def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:
     config = scene(camera=EVERY_CAMERA_FAULT, grasps={"error": {}}, fingers={"noise": {}})
-    first, again = replay(config, SampleKey(0, 0)), replay(config, SampleKey(0, 0, repeat=1))
+    first, again = made_again(config, SampleKey(0, 0)), made_again(config, SampleKey(0, 0, repeat=1))
     np.testing.assert_array_equal(first.cloud.xyz, again.cloud.xyz)
     np.testing.assert_array_equal(first.grasp.g1, again.grasp.g1)
     assert again.targets[0] == pytest.approx(first.targets[0], rel=0.5)

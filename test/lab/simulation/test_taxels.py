@@ -68,7 +68,7 @@ def test_the_weight_of_the_object_pulls_the_skin_down() -> None:
     """x is along the finger, which points down: both skins carry the object's weight."""
     heavy = CAN | {"mass_kg": 0.06}
     config = scene(heavy, fingers=FIELD | {"taxels": STIFF}, gravity={}, **WRITTEN)
-    state = run(config, "readings", "contacts", "weight")
+    state = run(config, "readings", "contacts")
     found = forces(config, state)
     down = found["shear_x_left"].sum() + found["shear_x_right"].sum()
     assert down == pytest.approx(0.06 * 9.81, rel=0.1)

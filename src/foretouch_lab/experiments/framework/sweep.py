@@ -24,7 +24,7 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.ray_cluster import DIED, ray_results
 
 
-class Job(NamedTuple):
+class SweepJob(NamedTuple):
     """Parameters that all cells of a sweep share."""
 
     experiment: str  # its module and name, as `find_experiment` takes them
@@ -63,7 +63,6 @@ def run_sweep(
     preset: str = "",
     source: Path | None = None,
     resume: bool = False,
-    only_finished: bool = False,
     workers: int = 1,
     address: str | None = None,
     progress: Callable[[CellResult, int, int], None] = lambda *_: None,
@@ -78,7 +77,6 @@ def run_sweep(
         preset: Name of the preset, for the manifest.
         source: Path of the data, as the experiment's `prepare` takes it.
         resume: Continue the sweep in `out`, if there is one.
-        only_finished: Run no cell, and write the table of those that an interrupted sweep has finished.
         workers: Number of processes, or of cores of a local Ray node.
         address: None for processes, else the address of a Ray cluster (see `ray_results`).
         progress: Called with each result, the number of finished cells and the number of all cells.
@@ -88,12 +86,10 @@ def run_sweep(
         The table and the failures. A failed cell is left out of the table and is run again by the next resume.
 
     Raises:
-        FileError: If `out` exists and `resume` is off, or cannot be written; with `only_finished`, if it holds no sweep.
+        FileError: If `out` exists and `resume` is off, or cannot be written.
         ConfigError: If the sweep in `out` has other settings or data, or two cells have the same key.
     """
-    if only_finished and not (out / manifests.MANIFEST_FILE).exists():
-        raise FileError(out, f"contains no {manifests.MANIFEST_FILE}: no sweep was started there")
-    if out.exists() and not (resume or only_finished) and (not out.is_dir() or any(out.iterdir())):
+    if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
         raise FileError(out, "already exists; --resume continues a sweep")
     path = experiment.prepare(settings, source, out)
     data = experiment.load(settings, path)
@@ -106,15 +102,10 @@ def run_sweep(
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         manifest["preset"] = preset
         left = [cell for cell in cells if cell.key not in done]
-        if only_finished:
-            failed = manifest.get("cells", {}).get("failed", {})
-            result.failures = {cell.key: failed[cell.key] for cell in left if cell.key in failed}
-            left = []
-        else:
-            manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
-            manifests.write_manifest(out, manifest)
+        manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
+        manifests.write_manifest(out, manifest)
         name = f"{experiment.module}:{experiment.name}"
-        job = Job(name, json.dumps(plain, sort_keys=True), str(path.absolute()), data.sha256)
+        job = SweepJob(name, json.dumps(plain, sort_keys=True), str(path.absolute()), data.sha256)
         found = in_processes(job, left, workers) if address is None else _on_ray(job, left, address, workers)
         for number, one in enumerate(found if left else (), len(done) + 1):
             if one.rows is None:
@@ -143,7 +134,7 @@ def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:
     return cells
 
 
-def run_cell(job: Job, cell: Cell) -> CellResult:
+def run_cell(job: SweepJob, cell: Cell) -> CellResult:
     """Run one cell; the process keeps the data for the next one."""
     start = time.process_time()
     try:
@@ -158,7 +149,7 @@ def run_cell(job: Job, cell: Cell) -> CellResult:
 
 
 @lru_cache(maxsize=1)
-def _loaded(job: Job) -> tuple[Experiment, Any, Any]:
+def _loaded(job: SweepJob) -> tuple[Experiment, Any, Any]:
     experiment = find_experiment(job.experiment)
     settings = experiment.settings.from_mapping(json.loads(job.settings), experiment.name)
     data = experiment.load(settings, Path(job.data))
@@ -167,13 +158,13 @@ def _loaded(job: Job) -> tuple[Experiment, Any, Any]:
     return experiment, settings, data
 
 
-def _on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
+def _on_ray(job: SweepJob, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
     """Run cells as Ray tasks (see `ray_results`); the data of the job must have the same path on every node."""
     for cell, result, error in ray_results(partial(run_cell, job), cells, address, workers):
         yield result or CellResult(cell, None, error)
 
 
-def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
+def in_processes(job: SweepJob, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
     """Run cells in processes of this machine and yield each result as it arrives.
 
     If a process dies, the cells that were running are tried once more, each alone; one that kills its process again has
@@ -188,7 +179,7 @@ def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[Cell
                 yield from (CellResult(failed, None, DIED) for failed in again)
 
 
-def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
+def _until_broken(job: SweepJob, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
     """Run cells until the queue is empty or a process dies; returns the cells that were running then."""
     running: dict[Future[CellResult], Cell] = {}
     with process_pool(workers) as pool:

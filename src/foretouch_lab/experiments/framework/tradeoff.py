@@ -2,8 +2,8 @@
 """Areas of `foretouch tradeoff`: experiments that measure skills of many variants of one component, and time them.
 
 Cells measure skills, each in its own process. Once they have run, all variants are timed in one process and in one
-random order. The table, `tradeoff.csv`, has a row for each variant, size of request and state of the machine, idle or
-loaded; a variant that cannot run here has one row with the reason. To add an area, add a module `tradeoff_<area>` to
+random order. The table, `tradeoff.csv`, has a row for each variant and size of request, with the state of the machine,
+idle or loaded; a variant that cannot run here has one row with the reason. To add an area, add a module `tradeoff_<area>` to
 `foretouch_lab.experiments` that holds an `EXPERIMENT`.
 
 On the frontier of skill and time are the variants that no other beats in both. Where variants were compared in pairs,
@@ -29,11 +29,9 @@ from foretouch_lab.experiments.framework.experiment import (
     find_experiment,
     list_experiments,
 )
-from foretouch_lab.experiments.framework.manifest import read_results
 
 _PREFIX: Final = "tradeoff_"
 _TIMES: Final = {"ms_p50": "p50 [ms]", "ms_p95": "p95 [ms]", "ms_p99": "p99 [ms]", "cpu_ms": "CPU [ms]"}
-_LINE: Final = 0.05  # height of a label, as a share of the axes
 _LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
 
 
@@ -46,7 +44,6 @@ class TradeoffSettings(Settings):
         0.0, "Time asleep before each call, as in a graph that waits for clouds", bounds=(0.0, 10.0)
     )
     requests: tuple[int, ...] = setting((1,), "Sizes of the requests that are timed", minimum=1)
-    detail: str = setting("all", "few: the main variants; all: all variants and pairs", choices=("few", "all"))
 
 
 class Variant(NamedTuple):
@@ -113,20 +110,17 @@ class Area(Experiment):
         return settings
 
     def finish(
-        self, settings: Any, data: Any, rows: list[Row], out: Path, progress: Callable[[int, int], None], /
+        self, settings: Any, data: Any, rows: list[Row], _out: Path, progress: Callable[[int, int], None], /
     ) -> list[Row]:
-        """Add the times. Rows of an earlier run in the other state of the machine are kept."""
+        """Add the times."""
         found = {row["variant"]: row for row in rows}
         names = [name for name in next(iter(rows), {}) if name != "variant"]
-        timed = [
+        return [
             {"variant": variant.name, "factor": variant.factor}
             | {name: found.get(variant.name, {}).get(name) for name in names}
             | row
             for variant, row in _time_variants(self, settings, data, progress)
         ]
-        states = {row["state"] for row in timed}
-        before = read_results(out / self.results) if (out / self.results).exists() else []
-        return timed + [{name: row.get(name) for name in timed[0]} for row in before if row["state"] not in states]
 
     def facts(self, rows: Sequence[Row], /) -> dict[str, Any]:
         """Variants that could not run, with the reasons, and those on the frontier of each panel."""
@@ -138,28 +132,19 @@ class Area(Experiment):
         }
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
-        """What the area summarises, frontiers, and the machine: the idle one if it was idle once."""
+        """What the area summarises, frontiers, and the machine."""
         rows = _best_state(rows)
         return [*self.summarise(rows), *frontier_tables(self.panels, rows), _machine(rows)]
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
-        """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier beside it."""
+        """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier."""
         panels = [one for one in self.panels if frontier(_of_request(rows, one.request), one.skill)]
         if not panels:
             return []
         factors = list(dict.fromkeys(row["factor"] for row in rows))
-        wide = min(len(panels), 2)
-        tall = -(-len(panels) // wide)
-        figure = new_figure(7.6 * wide, 0.5 + 4.4 * tall)
-        grid = figure.subplots(tall, wide, squeeze=False).ravel()
-        for axes, panel in zip(grid, panels, strict=False):
+        figure = new_figure(9.0, 0.5 + 4.4 * len(panels))
+        for axes, panel in zip(figure.subplots(len(panels), squeeze=False).ravel(), panels, strict=True):
             _draw_panel(axes, panel, self.skills[panel.skill], _of_request(rows, panel.request), factors)
-        for axes in grid[len(panels) :]:
-            axes.set_axis_off()
-        handles = {
-            label: handle for axes in grid for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=7, fontsize=8)
         return [save_small(figure, folder / "tradeoff.png")]
 
 
@@ -227,7 +212,7 @@ def _time_variants(
 
 
 def _best_state(rows: Sequence[Row]) -> list[Row]:
-    """Rows of the idle machine, if it was idle once, else of the loaded one."""
+    """Rows of the idle machine, if the table holds any, else all."""
     return [row for row in rows if row["state"] == "idle"] or list(rows)
 
 
@@ -299,48 +284,30 @@ def _machine(rows: Sequence[Row]) -> Table:
 def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], factors: Sequence[str]) -> None:
     column, skill = time_column(rows), panel.skill
     skilled, line = [row for row in rows if row.get(skill) is not None], frontier(rows, skill)
-    skills = [row[skill] for row in skilled]
-    named = sorted(
-        (row for row in skilled if row in line or row["factor"] == "shipped"), key=lambda row: float(row[skill])
-    )
-    low, high = named[0][skill], max(skills)
-    span = max(high - low, _LOWEST * min(max(skills) - min(skills), 0.2)) or 0.05
-    floor = low - _LOWEST * span
+    named = [row for row in skilled if row in line or row["factor"] == "shipped"]
+    low, high = min(row[skill] for row in named), max(row[skill] for row in skilled)
+    floor = low - _LOWEST * ((high - low) or 0.05)  # what is far worse is drawn there, as an arrow
     axes.step([row[column] for row in line], [row[skill] for row in line], where="post", color="black", linewidth=1)
-    for row in skilled:
-        number, on_line, shipped = factors.index(row["factor"]), row in line, row["factor"] == "shipped"
-        marker = "v" if row[skill] < floor else "*" if shipped else "os^Dv"[number // 10 % 5]
-        style: dict[str, Any] = {"alpha": 1.0, "zorder": 3} if on_line else {"alpha": 0.55, "zorder": 2}
-        axes.plot(row[column], max(row[skill], floor), linestyle="", marker=marker, color=f"C{number % 10}",
-                  markersize=11 if shipped else 5, label=row["factor"], **style)  # fmt: skip
-        if on_line and (lower := row.get(f"{skill}_low")) is not None:
-            ends = [max(lower, floor), row[f"{skill}_high"]]
-            axes.plot([row[column]] * 2, ends, color=f"C{number % 10}", linewidth=0.6)
+    for factor in dict.fromkeys(row["factor"] for row in skilled):
+        own = [row for row in skilled if row["factor"] == factor]
+        number = factors.index(factor)
+        marker, size = ("*", 11) if factor == "shipped" else ("os^D"[number // 10 % 4], 5)
+        heights, colour = [max(row[skill], floor) for row in own], f"C{number % 10}"
+        axes.plot([row[column] for row in own], heights, marker, markersize=size, color=colour, label=factor)
+    below = [row[column] for row in skilled if row[skill] < floor]
+    axes.plot(below, [floor] * len(below), "kv")
+    for row in line:
+        if row.get(f"{skill}_low") is not None:
+            ends = [max(row[f"{skill}_low"], floor), row[f"{skill}_high"]]
+            axes.plot([row[column]] * 2, ends, color=f"C{factors.index(row['factor']) % 10}", linewidth=0.6)
+    for row in named:
+        axes.annotate(row["variant"], (row[column], row[skill]), (4, -9), textcoords="offset points", fontsize=7)
     axes.set_xscale("log")
-    axes.set_ylim(floor - 0.1 * span, high + 0.12 * span)
     for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
         one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
+    axes.set_ylim(floor - 0.1 * (high - floor), high + 0.2 * (high - floor))
     axes.grid(visible=True, which="both", alpha=0.2)
-    wall = column == "ms_p50"
-    axes.set_xlabel("wall time, median [ms]" if wall else "processor time, median (loaded machine) [ms]")
+    axes.set_xlabel("wall time, median [ms]" if column == "ms_p50" else "processor time, median (loaded machine) [ms]")
     axes.set_ylabel(meaning)
     axes.set_title(panel.title, fontsize=10)
-    # Names right of the axes, one below the other in the order of the points, so that neither names nor lines cross.
-    bottom, top = axes.get_ylim()
-    places = spread([(row[skill] - bottom) / (top - bottom) for row in named], _LINE)
-    for row, place in zip(named, places, strict=True):
-        axes.annotate(
-            f"{row['variant']}  {row[column]:.3g} ms", (row[column], row[skill]), (1.04, place), va="center",
-            textcoords="axes fraction", fontsize=7.5, annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 3, "relpos": (0.0, 0.5)},
-        )  # fmt: skip
-
-
-def spread(wanted: Sequence[float], gap: float) -> list[float]:
-    """Places near the wanted ascending ones in [0, 1] that are at least a gap apart, if they fit."""
-    from sklearn.isotonic import isotonic_regression
-
-    count = len(wanted)
-    offsets = min(gap, 1.0 / max(count - 1, 1)) * np.arange(count)
-    nearest = isotonic_regression(np.asarray(wanted, np.float64) - offsets)  # with least squares
-    return [float(place) for place in np.clip(nearest, 0.0, 1.0 - offsets[-1]) + offsets]
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0))

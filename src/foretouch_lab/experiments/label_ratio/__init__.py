@@ -6,12 +6,12 @@ on fake clouds, the PointNet on the labelled ones; both are tested on the same 8
 network per modality. The mean of the remaining labels, and trees on the geometry of the grasps with these labels, are
 the baselines. `training` describes how both are trained, `results` how they are compared.
 
-The preset `label_ratio_tuning` has as many trials for the PointNet as for the SR-GAN, and chooses without the test
-samples: at a ratio, a quarter of the samples *that kept their labels* is held out, each network is trained on the other
-three quarters, and the trial with the lowest error on the held-out samples is chosen, one for each model, ratio and kind
-of modality. Neither test samples nor labels that the ratio withholds are used.
+Both models are trained by the recipe that had the lowest error among six of each on held-out labelled samples, at T50
+and T90 (docs/results/label_ratio_tuning, made with foretouch 0.3.0 at commit 54168b29); neither test samples nor labels
+that a ratio withholds were used to choose it. The preset `p2_as_printed` trains both by P2's own recipe.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -21,49 +21,32 @@ from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch_lab.experiments.label_ratio import results
+from foretouch_lab.experiments.label_ratio.results import CHOSEN, TREES, compare_models, draw_models, summarise_models
 from foretouch_lab.experiments.label_ratio.training import (
     MODELS,
+    POINTNET,
     READINGS,
     SRGAN,
-    TRIALS,
-    UNTUNED,
     configured,
     error_row,
-    kind_of,
     load_scene,
     prepared,
-    split_at,
     train_and_predict,
 )
-from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, prepare_simulated
-from foretouch_lab.learning.data import labels_of
+from foretouch_lab.experiments.shared.simulated_data import prepare_simulated
+from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.evaluation.baselines import geometry_trees
 from foretouch_lab.learning.training.srgan import SrganConfig
 
-__all__ = ["EXPERIMENTS"]
+__all__ = ["EXPERIMENT"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChosenTrials(Settings):
-    """Trials of one model that `label_ratio_tuning` chose at T50 and, for fewer labels, at T90."""
+class LabelRatioSettings(Settings):
+    """Settings of `label_ratio`; the defaults are P2's sizes and recipe."""
 
-    pressure: str = setting("", "Trial for PDC_TH and PDC_MF up to T50")
-    electrodes: str = setting("", "Trial for E_TH and E_MF up to T50")
-    pressure_few: str = setting("", "Trial for PDC_TH and PDC_MF above T50")
-    electrodes_few: str = setting("", "Trial for E_TH and E_MF above T50")
-
-    @classmethod
-    def same(cls, trial: str) -> "ChosenTrials":
-        """One trial for all."""
-        return cls(pressure=trial, electrodes=trial, pressure_few=trial, electrodes_few=trial)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LabelRatioSettings(SimulatedSettings):
-    """Settings of `label_ratio` and `label_ratio_tuning`; the defaults are P2's sizes and recipe."""
-
+    samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", bounds=(10, 1_000_000))
     scene_sha256: str | None = setting(
         "78fe2fae95d57cf214ec8a4e6fdfd9d20d37391ab4c0da783bbb2dd1ec93a50e",
         "Hash of the required scene, config/scenes/deformables_wide.yaml; null accepts any scene",
@@ -76,22 +59,18 @@ class LabelRatioSettings(SimulatedSettings):
     modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
     ratios: tuple[int, ...] = setting(RATIOS, "Percentages of the training samples without labels", choices=RATIOS)
     seeds: tuple[int, ...] = setting((0, 1, 2, 3, 4), "Seeds of the runs: five in P2", minimum=0)
-    held_out: float = setting(
-        0.0,
-        "Share of the labelled samples that all trials are tested on; 0 tests the chosen trials on the test samples",
-        bounds=(0.0, 0.5),
-    )
     updates: int | None = setting(
         None, "Updates of each network at every ratio; by default from training.epochs", bounds=(1, 10_000_000)
     )
+    recipe: str = setting(
+        CHOSEN, "Training of both models: that chosen on held-out labelled samples, or P2's", choices=(CHOSEN, "P2")
+    )
     readings: tuple[str, ...] = setting(
-        (), "Trials of the SR-GAN that are compared with the PointNet beside the chosen one"
+        (), "Trials of the SR-GAN that are compared with the PointNet beside that of the recipe"
     )
     draws: int = setting(10_000, "Number of bootstrap samples for the intervals", bounds=(100, 1_000_000))
     model: ModelConfig = ModelConfig(channels="xyz+normals")
     training: SrganConfig = SrganConfig()
-    pointnet: ChosenTrials = ChosenTrials.same("batch 0.001").replace(electrodes_few="frozen 0.001")
-    srgan: ChosenTrials = ChosenTrials.same("batch_means w_U 0.1 w_F 0.01, batch 0.001")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -100,62 +79,58 @@ class LabelRatioSettings(SimulatedSettings):
             raise ConfigError(f"cached_points: {self.cached_points} points are fewer than the network's {taken}")
 
     def chosen(self, model: str, ratio: int, modality: str) -> str:
-        """The trial that was chosen for a network."""
-        return str(getattr(getattr(self, model), kind_of(modality) + "_few" * (ratio > 50)))
+        """The trial of a network."""
+        if self.recipe != CHOSEN:
+            return {POINTNET: "P2", SRGAN: "P2, as_printed"}[model]
+        if model == SRGAN:
+            return "batch_means w_U 0.1 w_F 0.01, batch 0.001"
+        return "frozen 0.001" if ratio > 50 and modality.startswith("E_") else "batch 0.001"
 
 
-def _cells(settings: LabelRatioSettings, _data: SimulatedGrasps) -> list[Cell]:
-    """The trees, then run by run the chosen trials and after them the readings, so that an interrupted sweep covers the figure."""
-    chosen = [
-        {"ratio": ratio, "modality": modality, "model": model, "seed": seed, "trial": trial}
+def _cells(settings: LabelRatioSettings, _data: Dataset) -> list[Cell]:
+    """The trees, then run by run both models and after them the readings, so that an interrupted sweep covers the figure."""
+    pairs = [
+        {"ratio": ratio, "modality": modality, "model": model, "seed": seed}
+        | {"trial": settings.chosen(model, ratio, modality)}
         for seed in settings.seeds
         for ratio in settings.ratios
         for modality in settings.modalities
         for model in MODELS
-        for trial in (TRIALS[model] if settings.held_out else [settings.chosen(model, ratio, modality)])
     ]
-    pairs = [one for one in chosen if one["model"] == SRGAN]
-    readings = [{**one, "trial": trial} for one in pairs for trial in settings.readings]
-    ratios = () if settings.held_out else settings.ratios
-    trees = [{"ratio": ratio, "model": results.TREES, "seed": 0} for ratio in ratios]
-    return list({cell.key: cell for cell in (Cell(_key(one), one) for one in trees + chosen + readings)}.values())
+    srgans = [one for one in pairs if one["model"] == SRGAN]
+    readings = [{**one, "trial": trial} for one in srgans for trial in settings.readings]
+    trees = [{"ratio": ratio, "model": TREES, "seed": 0} for ratio in settings.ratios]
+    return list({cell.key: cell for cell in (Cell(_key(one), one) for one in trees + pairs + readings)}.values())
 
 
 def _key(values: Row) -> str:
-    if values["model"] == results.TREES:
-        return f"T{values['ratio']}+{results.TREES}"
-    known = list({**TRIALS[values["model"]], **UNTUNED[values["model"]]})
-    number = known.index(values["trial"]) if values["trial"] in known else ""
-    return f"T{values['ratio']}+{values['modality']}+{values['model']}{number}+{values['seed']}"
+    parts = (f"T{values['ratio']}", values.get("modality", ""), values["model"], values.get("trial", ""))
+    return "+".join([*(re.sub(r"[^\w.-]+", "_", part) for part in parts if part), str(values["seed"])])
 
 
-def _run(cell: Cell, settings: LabelRatioSettings, data: SimulatedGrasps) -> list[Row]:
+def _run(cell: Cell, settings: LabelRatioSettings, data: Dataset) -> list[Row]:
     """Train and test one network, or the trees."""
     ratio, model, seed = (cell.values[key] for key in ("ratio", "model", "seed"))
-    split = split_at(data.collection, ratio, settings.held_out, seed)
-    if model == results.TREES:
+    split = data.partition(f"labels/T{ratio}")
+    if model == TREES:
         # For all modalities at once, also those that are not asked for: a run may be extended by further ones.
-        train, test = ([data.collection.samples[k] for k in index] for index in (split.train, split.test))
+        train, test = ([data.samples[k] for k in index] for index in (split.train, split.test))
         found = geometry_trees(train, labels_of(train), test, seed)
         return [
-            {"modality": name, **error_row(data.collection, (name,), split, found[:, BIOTAC.columns([name])])}
+            {"modality": name, **error_row(data, (name,), split, found[:, BIOTAC.columns([name])])}
             for name in MODALITIES
         ]
     inputs = prepared(data, settings.model.replace(outputs=(cell.values["modality"],)), settings.cached_points)
     config = configured(settings.training, model, cell.values["trial"], len(split.train), settings.updates, seed)
     predicted, updates = train_and_predict(inputs, split, model, config)
-    return [{"updates": updates, **error_row(data.collection, inputs.config.outputs, split, predicted)}]
+    return [{"updates": updates, **error_row(data, inputs.config.outputs, split, predicted)}]
 
 
 def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
-    if settings.held_out:
-        return results.compare_trials(rows, len(settings.seeds), settings.modalities)
     return [
         {"srgan": name, **found}
-        for name in (results.CHOSEN, *settings.readings)
-        for found in results.compare_models(
-            _rows_of(settings, rows, name), settings.model.ranges.ranges, settings.draws
-        )
+        for name in (CHOSEN, *settings.readings)
+        for found in compare_models(_rows_of(settings, rows, name), settings.model.ranges.ranges, settings.draws)
     ]
 
 
@@ -165,7 +140,7 @@ def _rows_of(settings: LabelRatioSettings, rows: Sequence[Row], name: str) -> li
         row
         for row in rows
         if row["model"] != SRGAN
-        or row["trial"] == (settings.chosen(SRGAN, row["ratio"], row["modality"]) if name == results.CHOSEN else name)
+        or row["trial"] == (settings.chosen(SRGAN, row["ratio"], row["modality"]) if name == CHOSEN else name)
     ]
 
 
@@ -192,52 +167,27 @@ _SMOKE: Final[dict[str, Any]] = {
     "training": {**_RECIPE, "batch_size": 16, "generator": {"noise_length": 1, "widths": [16], "stride": 8}},
 }
 
-# Seeds of networks and held-out samples are not those of the runs.
-_TUNING: Final = {"ratios": [50, 90], "held_out": 0.25, "seeds": [100], "modalities": ["PDC_MF", "E_TH"]}
-
 # Three runs, in each reading of P2's losses.
 _RUNS: Final[dict[str, Any]] = {"seeds": [0, 1, 2], "readings": READINGS}
 
-_SHARED: Final[dict[str, Any]] = {
-    "module": __name__,
-    "settings": LabelRatioSettings,
-    "load": load_scene,
-    "cells": _cells,
-    "run": _run,
-    "tabulate": _tabulate,
-    "prepare": prepare_simulated,
-    "resumable_settings": ("modalities", "ratios", "seeds", "draws", "readings", *MODELS),
-}
-
-EXPERIMENTS: Final = (
-    Experiment(
-        name="label_ratio",
-        question="Does an SR-GAN need fewer labels than a PointNet of the same size that is trained alike?",
-        order=110,
-        presets={
-            "quick": {**_QUICK, **_RUNS, "ratios": [10, 50, 90]},
-            "paper": {**_PAPER, **_RUNS, "ratios": [90]},
-            "p2_as_printed": {
-                "pointnet": ChosenTrials.same("P2").to_mapping(),
-                "srgan": ChosenTrials.same("P2, as_printed").to_mapping(),
-                "readings": ["P2, contrast", "P2, batch_means", "P2, srgan"],
-            },
-            "smoke": {**_SMOKE, **_RUNS, "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
-        },
-        summarise=results.summarise_models,
-        figure=results.draw_models,
-        **_SHARED,
-    ),
-    Experiment(
-        name="label_ratio_tuning",
-        question="Which of an equal number of trials per model has the lowest error on held-out training samples?",
-        order=120,
-        presets={
-            "quick": {**_QUICK, **_TUNING},
-            "paper": {**_PAPER, **_TUNING},
-            "smoke": {**_SMOKE, **_TUNING, "samples": 400, "ratios": [50]},
-        },
-        summarise=results.summarise_trials,
-        **_SHARED,
-    ),
+EXPERIMENT: Final = Experiment(
+    name="label_ratio",
+    question="Does an SR-GAN need fewer labels than a PointNet of the same size that is trained alike?",
+    module=__name__,
+    order=110,
+    settings=LabelRatioSettings,
+    presets={
+        "quick": {**_QUICK, **_RUNS, "ratios": [10, 50, 90]},
+        "paper": {**_PAPER, **_RUNS, "ratios": [90]},
+        "p2_as_printed": {"recipe": "P2", "readings": ["P2, contrast", "P2, batch_means", "P2, srgan"]},
+        "smoke": {**_SMOKE, **_RUNS, "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
+    },
+    load=load_scene,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    summarise=summarise_models,
+    figure=draw_models,
+    prepare=prepare_simulated,
+    resumable_settings=("modalities", "ratios", "seeds", "draws", "readings"),
 )

@@ -29,7 +29,7 @@ from foretouch.report.panels import Axes, Rows
 from foretouch.tactile import MODALITIES, Ranges
 from foretouch.types import Float64
 from foretouch_lab.experiments.framework.experiment import Row, Table
-from foretouch_lab.experiments.label_ratio.training import MODELS, TRIALS, kind_of
+from foretouch_lab.experiments.label_ratio.training import MODELS
 from foretouch_lab.experiments.shared.figures import Line, save_panels
 from foretouch_lab.experiments.shared.tables import SIGNS, grouped, pivot, select, unique
 
@@ -237,36 +237,3 @@ def _ticks(axes: Axes, names: Sequence[str]) -> None:
     axes.set_xticks(range(len(names)), names)
     axes.grid(visible=True, axis="y", alpha=0.3)
     axes.set_axisbelow(True)
-
-
-def compare_trials(rows: Sequence[Row], seeds: int, modalities: Sequence[str]) -> list[Row]:
-    """RMSE relative to the training mean, averaged over the modalities of a kind; the lowest trial is chosen."""
-    result: list[Row] = []
-    kinds = {name: kind_of(name) for name in modalities}
-    for ratio, kind, model in product(unique(rows, "ratio"), dict.fromkeys(kinds.values()), MODELS):
-        trials = []
-        for trial in TRIALS[model]:
-            own = [row for row in select(rows, ratio=ratio, model=model, trial=trial) if kinds[row["modality"]] == kind]
-            if own and len(own) == seeds * list(kinds.values()).count(kind):
-                counts = {"labelled": own[0]["labelled"], "held_out": len(_samples(own[0], "squared"))}
-                relative = float(np.mean([_relative_rmse(row) for row in own]))
-                trials.append({"trial": trial, **counts, "updates": own[0]["updates"], "relative_rmse": relative})
-        lowest = min((one["relative_rmse"] for one in trials), default=None)
-        head = {"ratio": ratio, "kind": kind, "model": model}
-        result += [{**head, **one, "chosen": one["relative_rmse"] == lowest} for one in trials]
-    return result
-
-
-def _relative_rmse(row: Row) -> float:
-    """RMSE of a network relative to that of the training mean."""
-    return float(np.sqrt(sum(_samples(row, "squared")) / sum(_samples(row, "reference"))))
-
-
-def summarise_trials(rows: Sequence[Row]) -> list[Table]:
-    """A table of the trials at each ratio, for each kind of modality."""
-    tables = []
-    for (ratio, kind), own in grouped(rows, "ratio", "kind"):
-        body = [[r["model"], r["trial"], f"{r['relative_rmse']:.3f}", "chosen" if r["chosen"] else ""] for r in own]
-        title = f"T{ratio}, {kind}: RMSE relative to the training mean, on {own[0]['held_out']} held-out samples"
-        tables.append(Table(title, ["model", "trial", "relative RMSE", ""], body))
-    return tables

@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data and training of the two models of `label_ratio`, and the hyperparameters that were tried for each.
+"""Data and training of the two models of `label_ratio`, and the recipes of each.
 
-P2's split is `labels`: 200 grasps per object are for testing, and 10 to 90 % of the others lose their labels. To choose
-hyperparameters, some of those that kept their labels are held out: neither test samples nor withheld labels are used.
+P2's split is `labels`: 200 grasps per object are for testing, and 10 to 90 % of the others lose their labels.
 
 One trainer trains both models. The PointNet is the SR-GAN with unsupervised weights of zero: the same network from the
 same initial weights, batches of labelled samples of the same size, the same optimiser and number of updates. What
-remains is the effect of the unlabelled and fake clouds, and of what was chosen for each model (`TRIALS`).
+remains is the effect of the unlabelled and fake clouds, and of the recipe of each model (`TRIALS`).
 
 Departures from P2, equal for both models, each an option in the settings:
 
 - An update takes `batch_size` samples of each kind, and the number of updates is the same at every ratio in `quick`:
   P2's 30 epochs over all labelled samples would give T10 nine times the updates of T90.
-- AdamW at 0.001 to 0.01 with a cosine schedule, among others, instead of Adam at a constant 0.01: with P2's recipe a
-  PointNet does not converge on touch.
-- Batch norm is tried `frozen` at the statistics of real clouds before the first update, and by the statistics of each
-  batch, those of each source apart (`per_source`).
+- AdamW at 0.001 with a cosine schedule instead of Adam at a constant 0.01: with P2's recipe a PointNet does not
+  converge on touch.
+- Batch norm is `frozen` at the statistics of real clouds before the first update, or by the statistics of each batch,
+  those of each source apart (`per_source`).
 - No early stopping: no held-out samples are used in training, and the last weights are evaluated.
 """
 
@@ -37,9 +36,9 @@ from foretouch.models.network.preparation import finite_points, prepare_grasps, 
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Float64, GraspSample, Integer
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.experiments.shared.simulated_data import SimulatedGrasps, load_simulated
-from foretouch_lab.learning.data import Dataset, labels_of
-from foretouch_lab.learning.data.dataset import DataSplit
+from foretouch_lab.experiments.shared.simulated_data import scene_of
+from foretouch_lab.learning.data import Dataset, labels_of, load_dataset
+from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.training.losses import labeled_loss
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
@@ -52,16 +51,9 @@ MODELS: Final = (POINTNET, SRGAN)
 _SUPERVISED: Final = {"loss_variant": "as_printed", "weight_unlabeled": 0.0, "weight_fake": 0.0}
 
 
-def _recipe(batch_norm: str, rate: float, schedule: str = "cosine") -> dict[str, Any]:
-    return {"batch_norm": batch_norm, "learning_rate": rate, "schedule": schedule}
-
-
-# Batch norm, learning rate and schedule; the schedule is a cosine unless the name says otherwise.
 _RECIPES: Final = {
-    "batch 0.001": _recipe("per_source", 1e-3),
-    "batch 0.01": _recipe("per_source", 1e-2),
-    "batch 0.001 constant": _recipe("per_source", 1e-3, "constant"),
-    "frozen 0.001": _recipe("frozen", 1e-3),
+    name: {"batch_norm": batch_norm, "learning_rate": 1e-3, "schedule": "cosine"}
+    for name, batch_norm in (("batch 0.001", "per_source"), ("frozen 0.001", "frozen"))
 }
 
 
@@ -70,27 +62,21 @@ def _reading(variant: str, recipe: str, **weights: float) -> dict[str, Any]:
     return {**_RECIPES[recipe], "loss": {"loss_variant": variant, **weights}}
 
 
-# Changes of each trial by model, as many for one as for the other. Trials of the SR-GAN begin with the reading of P2's losses.
+# Changes of each trial by model. Trials of the SR-GAN begin with the reading of P2's losses; `P2` is its recipe, which is the
+# defaults of `SrganConfig` but for batch norm.
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
-    POINTNET: {**_RECIPES, "batch 0.003": _recipe("per_source", 3e-3), "frozen 0.003": _recipe("frozen", 3e-3)},
+    POINTNET: {**_RECIPES, "P2": {"batch_norm": "per_source", "batch_size": 32, "epochs": 50}},
     SRGAN: {
-        **{f"batch_means, {recipe}": _reading("batch_means", recipe) for recipe in _RECIPES},
-        "srgan, batch 0.001": _reading("srgan", "batch 0.001"),
+        **{
+            f"{one}, {name}": _reading(one, name) for one in ("batch_means", "as_printed", "srgan") for name in _RECIPES
+        },
         "batch_means w_U 0.1 w_F 0.01, batch 0.001": _reading(
             "batch_means", "batch 0.001", weight_unlabeled=0.1, weight_fake=0.01
         ),
-    },
-}
-
-# Not among the trials, since nothing is selected: P2's recipe, which is the defaults of `SrganConfig` but for batch norm.
-UNTUNED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
-    POINTNET: {"P2": {"batch_norm": "per_source", "batch_size": 32, "epochs": 50}},
-    SRGAN: {
         **{
             f"P2, {variant}": {"batch_norm": "per_source", "loss": {"loss_variant": variant}}
             for variant in ("as_printed", "contrast", "batch_means", "srgan")
         },
-        "as_printed, batch 0.001": _reading("as_printed", "batch 0.001"),
     },
 }
 
@@ -98,36 +84,17 @@ UNTUNED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 READINGS: Final = tuple(f"{variant}, batch 0.001" for variant in ("batch_means", "as_printed", "srgan"))
 
 
-def load_scene(settings: Any, path: Path) -> SimulatedGrasps:
+def load_scene(settings: Any, path: Path) -> Dataset:
     """Read a store of the required scene; a `DatasetError` for another scene or an unlabelled sample."""
-    data = load_simulated(settings, path)
-    if settings.scene_sha256 not in (None, found := data.scene.sha256()):
+    data = load_dataset(path)
+    if settings.scene_sha256 not in (None, found := scene_of(path).sha256()):
         raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the required scene's")
-    if unlabelled := [sample.id for sample in data.collection.samples if sample.touch is None]:
+    if unlabelled := [sample.id for sample in data.samples if sample.touch is None]:
         raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
     return data
 
 
-def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> DataSplit:
-    """Split the samples at one of P2's ratios, such as 10 for T10, into (T,) training and (J,) test samples.
-
-    With a share `held_out`, this share of the labelled samples is tested on instead of the test samples.
-
-    Raises:
-        DatasetError: If these samples have no such split, or no sample is held out.
-    """
-    (part,) = data.parts(f"labels/T{ratio}")
-    train, test, unlabelled = (data.index(ids) for ids in (part.train, part.test, part.unlabelled))
-    if held_out == 0.0:
-        return DataSplit(train, unlabelled, np.empty(0, np.intp), test)
-    count = round(held_out * len(train))
-    if count == 0:
-        raise DatasetError(f"held_out: {held_out} of {len(train)} samples is none")
-    shuffled = np.random.default_rng(seed).permutation(train)
-    return DataSplit(np.sort(shuffled[count:]), unlabelled, np.empty(0, np.intp), np.sort(shuffled[:count]))
-
-
-def prepared(data: SimulatedGrasps, model: ModelConfig, count: int) -> PresampledSet:
+def prepared(data: Dataset, model: ModelConfig, count: int) -> PresampledSet:
     """All samples as input of a network, `count` points of each cloud; the clouds are prepared once per process."""
     return replace(_prepared(data, model.channels, model.metric_inputs, count), config=model)
 
@@ -152,10 +119,10 @@ class PresampledSet(TrainingSet):
 
 
 @lru_cache(maxsize=1)
-def _prepared(data: SimulatedGrasps, channels: str, metric_inputs: bool, count: int) -> PresampledSet:
+def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> PresampledSet:
     config = ModelConfig(channels=channels, metric_inputs=metric_inputs)
     rng = np.random.default_rng(0)
-    samples = data.collection.samples
+    samples = data.samples
     pairs = [_one(sample, config, count, rng) for sample in samples]
     clouds = np.stack([points for points, _ in pairs])
     return PresampledSet(
@@ -180,11 +147,6 @@ def _one(sample: GraspSample, config: ModelConfig, count: int, rng: np.random.Ge
     return sample_channels(usable, index, frame, config), prepare_grasps([sample.grasp], frame, config)[0]
 
 
-def kind_of(modality: str) -> str:
-    """`pressure` or `electrodes`; modalities of a kind share their trial."""
-    return "pressure" if len(BIOTAC.columns([modality])) == 1 else "electrodes"
-
-
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:
     """Configuration of one training; raises `ConfigError` if there is no such model or trial.
 
@@ -196,7 +158,7 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
         updates: Number of updates, rounded to whole epochs, at least one; None for the epochs of `base`.
         seed: Seed of weights, order, points and noise.
     """
-    known = {**TRIALS.get(model, {}), **UNTUNED.get(model, {})}
+    known = TRIALS.get(model, {})
     if trial not in known:
         raise ConfigError(f"label_ratio: {model} {trial!r} is not one of {', '.join(known or MODELS)}")
     config = base.updated(known[trial], trial).replace(seed=seed)
@@ -224,7 +186,7 @@ class PointnetTrainer(SrganTrainer):
             yield {"labeled": float(loss.detach())}
 
 
-def train_and_predict(data: TrainingSet, split: DataSplit, model: str, config: SrganConfig) -> tuple[Float64, int]:
+def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganConfig) -> tuple[Float64, int]:
     """Train a network.
 
     Returns:
@@ -240,7 +202,7 @@ def train_and_predict(data: TrainingSet, split: DataSplit, model: str, config: S
     return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
 
 
-def error_row(data: Dataset, outputs: Sequence[str], split: DataSplit, predicted: Float64) -> Row:
+def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:
     """Squared errors of (J, M) predictions of some modalities and of the training mean, for each test sample.
 
     Returns:

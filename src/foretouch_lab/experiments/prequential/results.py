@@ -13,7 +13,7 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
-from foretouch.tactile import BIOTAC, FULL_SCALE, MODALITIES, TOUCH_SIZE
+from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
 from foretouch.types import Bool, Float64
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
@@ -29,8 +29,7 @@ from foretouch_lab.experiments.shared.tables import (
     with_notes,
 )
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
-from foretouch_lab.learning.evaluation.prequential import CLOCK_S, other_objects_mean
-from foretouch_lab.learning.prequential import TimedReadings, replay
+from foretouch_lab.learning.prequential import TimedReadings, other_objects_mean, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 
@@ -55,15 +54,13 @@ REGIMES: Final[Mapping[str, tuple[int, int]]] = {
 }
 """Ranges of the number of touches of the object before a grasp, both ends included, by name."""
 
-AFTER_JUMP: Final = "after jump"
-_JUMP: Final = 100.0  # [counts]
-_JUMP_AFTER: Final = 25  # touches of the object
-_JUMP_GRASPS: Final = 50
-_FINGER_OF: Final = dict(zip(MODALITIES, 2 * BIOTAC.fingers, strict=True))
+CLOCK_S: Final = 86400.0
+"""Time constant of the weights of the readings where the time alone is known [s]."""
+
 _COLUMNS: Final = (
     *("vision", "sources", "regime", "object", "modality", "grasps", "skill", "skill_low", "skill_high"),
     *("vs_constant", "vs_constant_low", "vs_constant_high", "vs_constant_verdict"),
-    *("coverage", "half_width", "interval_score", "noticed_after"),
+    *("coverage", "half_width", "interval_score"),
 )
 
 
@@ -101,7 +98,6 @@ def prequential_rows(
             shown = replace(whole.take(runs <= run), expected=expected)
             _score_run(scored[predictor], shown, runs == run, *fitted[str(whole.objects[runs == run][0])])
         found = _score_rows(scored[predictor], scored.get(CONSTANT), config)
-        found += [row for name, recording in recordings.items() for row in _jump_rows(name, recording, fitted[name][0])]
         rows += [{"vision": predictor} | row for row in found]
     return [{name: row.get(name) for name in _COLUMNS} for row in rows]
 
@@ -158,27 +154,6 @@ def _clock(shown: TimedReadings, last: Bool) -> Float64:
     return np.asarray(shown.expected[last] + weights @ (past.readings - past.expected), np.float64)
 
 
-def _jump_rows(name: str, recording: TimedReadings, parameters: TrackerParameters) -> list[Row]:
-    """Coverage of the grasps after all values jump while an object is touched."""
-    own = np.flatnonzero(recording.objects == name)
-    first = own[min(_JUMP_AFTER, len(own) - 1)]
-    readings = recording.readings.copy()
-    readings[first:] = np.clip(readings[first:] + _JUMP, 0.0, FULL_SCALE)
-    tares = None if recording.tares is None else recording.tares.copy()
-    if tares is not None:
-        tares[first + 1 :] += _JUMP
-    played = replay(SensorTracker(parameters), replace(recording, readings=readings, tares=tares))
-    after = slice(first, first + _JUMP_GRASPS)
-    inside = (np.abs(readings - played.counts) <= played.half)[after]
-    rows: list[Row] = []
-    for modality in MODALITIES:
-        noticed = [k for k, fingers in enumerate(played.restarted[after]) if _FINGER_OF[modality] in fingers]
-        place: Row = {"sources": EVERYTHING, "regime": AFTER_JUMP, "object": name, "modality": modality}
-        coverage, after_touches = inside[:, BIOTAC.columns([modality])].mean(), noticed[0] + 1 if noticed else None
-        rows.append(place | {"grasps": len(inside), "coverage": coverage, "noticed_after": after_touches})
-    return rows
-
-
 def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConfig) -> list[Row]:
     """A row for each of the sources, regime and modality, and for each object with all sources.
 
@@ -231,7 +206,7 @@ def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: Bool)
 
 
 def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
-    """What each source buys, the intervals, and the coverage of each object and after a jump."""
+    """What each source buys, the intervals, and the coverage of each object."""
     together = select(rows, object=ALL_OBJECTS)
     notes = [
         "skill: 0 is the mean of all readings of the other objects, earlier and later; 1 is perfect; [95 % interval by bootstrap over objects]",
@@ -263,11 +238,9 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     single = [row for row in rows if row["object"] != ALL_OBJECTS]
     for vision, own in grouped(single, "vision"):
         body = [
-            [f"{name}, {regime}", *(_four(key, part) for key in ("coverage", "noticed_after"))]
-            for (regime, name), part in grouped(own, "regime", "object")
+            [f"{name}, {regime}", _four("coverage", part)] for (regime, name), part in grouped(own, "regime", "object")
         ]
-        title = f"each object, and {_JUMP_GRASPS} grasps after a jump of all values by {_JUMP:.0f} counts, {vision}"
-        tables.append(Table(title, ["object", "coverage", "finger restarted after touches"], body))
+        tables.append(Table(f"each object, {vision}", ["object", "coverage"], body))
     return with_notes(tables, notes)
 
 

@@ -44,45 +44,32 @@ def save_panels(
 
 
 def draw_series(
-    axes: Axes,
-    rows: Rows,
-    x: str,
-    series: str,
-    names: Sequence[Any],
-    *,
-    values: str = "skill",
-    places: Sequence[Any] | None = None,
-    spread: float = 0.0,
-    lowest: float | None = None,
+    axes: Axes, rows: Rows, x: str, series: str, names: Sequence[Any], *, spread: float = 0.0, lowest: float
 ) -> None:
     """Draw a line for each name of a column, with intervals; an arrow marks values below `lowest`.
 
     Args:
         axes: The axes.
-        rows: Rows with the columns `values`, and `<values>_low` and `<values>_high` where they have intervals.
+        rows: Rows with the columns `skill`, `skill_low` and `skill_high`.
         x: Column of the horizontal axis, whose values are set at equal distances.
         series: Column of the names.
         names: Names in the order of their colours.
-        values: Column to draw.
-        places: Values of `x` in order; by default those of the rows, sorted.
         spread: Distance between markers at one place, so that intervals do not hide each other.
         lowest: Lower end of the vertical axis.
     """
-    places = sorted(set(unique(rows, x))) if places is None else places
+    places = sorted(set(unique(rows, x)))
     for number, name in enumerate(names):
         own = sorted(select(rows, **{series: name}), key=lambda row: places.index(row[x]))
         centres = [places.index(row[x]) + spread * (number - (len(names) - 1) / 2) for row in own]
-        axes.plot(centres, [row[values] for row in own], label=name, color=f"C{number}", marker="o", markersize=4)
+        axes.plot(centres, [row["skill"] for row in own], label=name, color=f"C{number}", marker="o", markersize=4)
         for centre, row in zip(centres, own, strict=True):
-            if lowest is not None and row[values] < lowest:
+            if row["skill"] < lowest:
                 axes.plot(centre, lowest, marker="v", color=f"C{number}", clip_on=False)
-            if row.get(f"{values}_low") is not None:
-                ends = [row[f"{values}_low"], row[f"{values}_high"]]
-                axes.plot([centre, centre], ends, color=f"C{number}", linewidth=1)
+            if row["skill_low"] is not None:
+                axes.plot([centre] * 2, [row["skill_low"], row["skill_high"]], color=f"C{number}", linewidth=1)
     axes.axhline(0.0, color="grey", linewidth=0.8)
     axes.set_xticks(range(len(places)), [str(place) for place in places])
-    if lowest is not None:
-        axes.set_ylim(lowest, 1.0)
+    axes.set_ylim(lowest, 1.0)
     axes.grid(visible=True, alpha=0.3)
 
 

@@ -12,7 +12,7 @@ modality.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -79,11 +79,8 @@ class Fitted(Protocol):
         """(S, 50) predictions [counts] after touches of the same object that are not among the samples."""
 
 
-class Fit(Protocol):
-    """Fits a predictor to training samples and their (S, 50) labels [counts]; deterministic given the seed."""
-
-    def __call__(self, train: Sequence[GraspSample], labels: Float64, seed: int, /) -> Fitted:
-        """Fit the predictor."""
+Fit: TypeAlias = Callable[[Sequence[GraspSample], Float64, int], Fitted]
+"""Fits a predictor to training samples and their (S, 50) labels [counts]; deterministic given the seed."""
 
 
 class _OffsetCorrected:

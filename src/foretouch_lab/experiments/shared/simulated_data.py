@@ -1,48 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data of experiments on simulated grasps: an existing training store, or a scene that is simulated first.
 
-Stores that a sweep makes lie beside its folder, in `<DIR>.data`; they are made once and needed again only to resume. An
-experiment on both real and simulated grasps has a link to the real ones there.
+Stores that a sweep makes lie beside its folder, in `<DIR>.data`; they are made once and needed again only to resume.
 """
 
-import hashlib
-from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, DatasetError
 from foretouch_lab.dataset.store_writer import StoreWriter
-from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.simulate import Simulation
 
-_REAL: Final = "real"
 
-
-@dataclass(frozen=True, kw_only=True)
-class SimulatedSettings(Settings):
-    """Settings of experiments on simulated grasps."""
-
-    samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", bounds=(10, 1_000_000))
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedGrasps:
-    """Simulated grasps and their scene."""
-
-    collection: Dataset  # the samples
-    scene: SceneConfig  # with the `slot` and `attempt` of a sample, it reproduces that sample
-
-    @property
-    def sha256(self) -> str:
-        """Hash of the samples."""
-        return self.collection.sha256
-
-
-def prepare_simulated(settings: SimulatedSettings, source: Path | None, out: Path) -> Path:
+def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
     """`prepare` of an experiment: `--data` is a store of simulated grasps, or a scene that is simulated now.
 
     Raises:
@@ -78,62 +50,14 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
                 writer.write(sample)
         return path
     store = Store(path)
-    if len(store) != count or _scene_of(store.manifest, path).sha256() != scene.sha256():
+    if len(store) != count or scene_of(path).sha256() != scene.sha256():
         raise ConfigError(f"{path}: contains {len(store)} samples of another scene or size; remove it")
     return path
 
 
-def load_simulated(_settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
-    """Read a store and its scene; a `DatasetError` if it contains no scene."""
-    return SimulatedGrasps(load_dataset(path), _scene_of(Store(path).manifest, path))
-
-
-def _scene_of(manifest: Any, path: Path) -> SceneConfig:
-    scene = manifest.get("about", {}).get("scene")
+def scene_of(path: Path) -> SceneConfig:
+    """The scene that a store was simulated from; a `DatasetError` if it names none."""
+    scene = Store(path).manifest.get("about", {}).get("scene")
     if not isinstance(scene, dict):
         raise DatasetError(f"{path}: about.scene: is missing; only simulated samples can be reproduced")
     return SceneConfig.from_mapping(scene, str(path))
-
-
-@dataclass(frozen=True, kw_only=True)
-class BothSettings(SimulatedSettings):
-    """Settings of experiments on real and simulated grasps."""
-
-    scene: str = setting(
-        "config/scenes/unseen_objects.yaml",
-        "Scene of the simulated grasps; one of this name that comes with the package where there is no such file",
-    )
-    samples: int = setting(2400, "Number of grasps to simulate", bounds=(10, 1_000_000))
-
-
-@dataclass(frozen=True, eq=False)
-class RealAndSimulated:
-    """Real and simulated grasps."""
-
-    real: Dataset
-    simulated: Dataset
-
-    @property
-    def sha256(self) -> str:
-        """Hash of both."""
-        return hashlib.sha256(f"{self.real.sha256} {self.simulated.sha256}".encode()).hexdigest()
-
-
-def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path:
-    """Make a folder with the store of the scene and a link to the real grasps; a `ConfigError` without these."""
-    if source is None:
-        raise ConfigError("experiment: no real grasps; give --data PATH or set FORETOUCH_DATA")
-    folder, scene = beside(out), Path(settings.scene)
-    shipped = Path(str(resources.files("foretouch_lab.simulation"))) / "scenes" / scene.name
-    simulate_store(shipped if shipped.is_file() and not scene.exists() else scene, settings.samples, folder)
-    link = folder / _REAL
-    if link.is_symlink():
-        link.unlink()
-    link.symlink_to(source.absolute(), target_is_directory=True)
-    return folder
-
-
-def load_both(settings: BothSettings, path: Path) -> RealAndSimulated:
-    """Read the folder of `prepare_both`."""
-    simulated = load_simulated(settings, path / Path(settings.scene).stem)
-    return RealAndSimulated(load_dataset(path / _REAL), simulated.collection)

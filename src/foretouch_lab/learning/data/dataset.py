@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dataset: its samples, their hash, and the parts that a model is trained, validated and tested on."""
+"""A dataset: its samples, their hash, and the parts that a model is trained and tested on."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, GraspSample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
-from foretouch_lab.learning.data.folds import Indices
+from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 from foretouch_lab.learning.prequential import with_readings
 
@@ -32,20 +32,6 @@ _VISION2TACTILE: Final = {
         "Skills are averages; whether they differ significantly is reported in docs/results.",
     ],
 }
-
-
-@dataclass(frozen=True, eq=False)
-class DataSplit:
-    """Indices of samples; each sample is in at most one part."""
-
-    train: Indices  # samples to learn from with their labels, sorted
-    unlabelled: Indices  # samples to learn from without labels
-    validation: Indices  # samples by which the best epoch is chosen
-    test: Indices  # samples to evaluate on; empty where no split is configured
-
-    def sizes(self) -> dict[str, int]:
-        """Number of samples by part, for a card."""
-        return {part: len(index) for part, index in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +114,14 @@ class Dataset:
             raise DatasetError(f"{self.name}: {missing[0]}: is in the split and not among the samples")
         return np.array([position[name] for name in ids], np.intp)
 
-    def partition(self, split: str | None, validation: float = 0.0, seed: int = 0) -> DataSplit:
+    def partition(self, split: str | None) -> Fold:
         """Split the samples for one training.
 
         Args:
             split: `KIND/PART`; None trains on all labelled samples and tests on none.
-            validation: Share of the labelled training samples to set aside for validation.
-            seed: Seed of the choice of the validation samples.
 
         Raises:
-            DatasetError: If the dataset has no such split, the split has several parts, no training sample is labelled,
-                or the validation share amounts to no sample.
+            DatasetError: If the dataset has no such split, the split has several parts, or no training sample is labelled.
         """
         train = np.array([k for k, sample in enumerate(self.samples) if sample.touch is not None], np.intp)
         unlabelled = np.setdiff1d(np.arange(len(self.samples), dtype=np.intp), train)
@@ -152,10 +135,7 @@ class Dataset:
             train, test, unlabelled = (self.index(ids) for ids in (parts[0].train, parts[0].test, parts[0].unlabelled))
         if not len(train):
             raise DatasetError(f"{self.name}: no sample to learn from is labelled")
-        chosen = np.random.default_rng(seed).permutation(train)[: round(validation * len(train))]
-        if validation > 0.0 and not len(chosen):
-            raise DatasetError(f"{self.name}: validation: {validation} of {len(train)} samples is none")
-        return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
+        return Fold(np.sort(train), test, unlabelled=unlabelled)
 
 
 class LazySample(GraspSample):
@@ -215,7 +195,7 @@ def load_dataset(path: str | Path) -> Dataset:
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
-    splits = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
+    splits, omitted = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
     public = opened.kind == "vision2tactile"
     origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
     aliases = (folder_sha256(path),) if public else ()
@@ -223,7 +203,7 @@ def load_dataset(path: str | Path) -> Dataset:
         one.touch.values for one in samples if one.touch is not None and one.touch.channels == opened.sensor.channels
     ]
     hashed, sensor = content.hexdigest(), with_dead_taxels(opened.sensor, np.array(labels)) if labels else opened.sensor
-    return Dataset(path.name, tuple(samples), hashed, splits.parts, aliases, splits.omitted, origin, sensor)
+    return Dataset(path.name, tuple(samples), hashed, splits, aliases, omitted, origin, sensor)
 
 
 def _simulated(store: Store) -> dict[str, Any]:

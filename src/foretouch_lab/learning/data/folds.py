@@ -13,7 +13,7 @@ Three splits answer three questions:
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -37,9 +37,10 @@ Indices: TypeAlias = Index
 class Fold:
     """One partition of the samples."""
 
-    train: Indices  # sorted indices of the samples, disjoint
-    test: Indices  # sorted indices of the samples, disjoint
+    train: Indices  # samples to learn from with their labels, sorted
+    test: Indices  # samples to evaluate on, none of those to learn from; empty where no split is configured
     name: str = ""  # name of the test side
+    unlabelled: Indices = field(default_factory=lambda: np.empty(0, np.intp))  # samples to learn from without labels
 
 
 HoldOut = Callable[[Fold], Float64]

@@ -14,7 +14,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -51,12 +51,7 @@ class SplitPart:
             seen.update(side)
 
 
-@dataclass(frozen=True)
-class DatasetSplits:
-    """Content of `splits.json`, by kind of split."""
-
-    parts: dict[str, list[SplitPart]]
-    omitted: dict[str, str]  # why there are too few samples for a split
+DatasetSplits: TypeAlias = tuple[dict[str, list[SplitPart]], dict[str, str]]
 
 
 def _label_ratios(
@@ -104,7 +99,7 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
 
 
 def read_splits(path: str | Path) -> DatasetSplits:
-    """Read the splits of a dataset, or those of a `splits.json`.
+    """Read the splits of a dataset, or those of a `splits.json`: by kind its parts; and why there are too few samples for a kind.
 
     Raises:
         FileError: If there is no such file, it is damaged or of another version, or an id is in two parts.
@@ -124,7 +119,7 @@ def parse_splits(text: bytes, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     require_schema(file, kinds, {kind: [_PART] for kind in kinds}, "splits")
     require_schema(file, omitted, dict.fromkeys(omitted, str), "omitted")
     try:
-        return DatasetSplits({kind: [_part(entry) for entry in entries] for kind, entries in kinds.items()}, omitted)
+        return {kind: [_part(entry) for entry in entries] for kind, entries in kinds.items()}, omitted
     except DatasetError as err:
         raise FileError(file, str(err)) from err
 

@@ -6,8 +6,8 @@ predict touch from shape while it only recognises the recording session. The obj
 time show how far that alone goes.
 """
 
-from collections.abc import Sequence
-from typing import Final, Protocol
+from collections.abc import Callable, Sequence
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -69,14 +69,8 @@ _MEMORY_DAYS: Final = 10.0
 _LEAF: Final = 3
 _FEATURE_SHARE: Final = 0.5
 
-
-class Baseline(Protocol):
-    """Fits to training samples and their (S, D) labels and predicts test samples."""
-
-    def __call__(
-        self, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, /
-    ) -> Float64:
-        """(T, D) predictions of the test samples [counts]."""
+Baseline: TypeAlias = Callable[[Sequence[GraspSample], Float64, Sequence[GraspSample], int], Float64]
+"""Fits to training samples and their (S, D) labels, and gives (T, D) predictions of test samples [counts]; the last is the seed."""
 
 
 def training_mean(_train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:

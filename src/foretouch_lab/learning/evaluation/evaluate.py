@@ -115,8 +115,8 @@ def evaluate_model(
     card = read_card(path)
     sensor = card_sensor(card, path)
     require_same(data.sensor.channels, sensor.channels, data.name)
-    own = own_samples(card, data, chosen)
-    fitted = own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
+    own = _own_samples(card, data, chosen)
+    fitted = _own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
     facts: dict[str, Any] = {
         "split": split,
@@ -167,7 +167,7 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
     return {"scores": scores, **facts}
 
 
-def own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:
+def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:
     """(S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
     text = card["data"].get("sample_hashes")
     if not isinstance(text, str):

@@ -7,12 +7,10 @@ A further method takes a learner here, and its name and group of settings in `ru
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.models.card import CardCalibration
@@ -23,7 +21,6 @@ from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, P2_RANGES
 from foretouch.types import Float64
 from foretouch_lab.learning.data import Dataset, labels_of
-from foretouch_lab.learning.data.dataset import DataSplit
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.network.networks import save_network
@@ -44,7 +41,7 @@ class Learner(ABC):
     Attributes:
         config: Settings of the run.
         sensor: That the samples are of.
-        split: Partition of the dataset into training, validation and test samples.
+        split: Partition of the dataset into training and test samples.
         samples: The labelled training samples.
         labels: (S, D) their labels [counts].
         where: (S, P) features of their grasps that the models' estimates hold, too; None of models without.
@@ -54,7 +51,7 @@ class Learner(ABC):
         DatasetError: If a sample cannot be used; names the sample.
     """
 
-    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+    def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         self.config = config
         self.split = split
         self.sensor = data.sensor
@@ -103,7 +100,7 @@ class Learner(ABC):
 class ContactLearner(Learner):
     """Fits a contact model at the rest level of all training samples."""
 
-    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+    def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         super().__init__(config, data, split)
         if self.sensor.channels != BIOTAC and config.contact.ranges != P2_RANGES:
             raise ConfigError(
@@ -137,19 +134,10 @@ class ContactLearner(Learner):
         return save_contact(folder, name, self._estimator, facts, calibration)
 
 
-@dataclass
-class _Best:
-    """The best epoch so far, by validation."""
-
-    epoch: int  # its number, -1 without any
-    error: float  # root mean square of its scaled errors
-    weights: dict[str, Tensor]  # the network's weights by name, empty without any
-
-
 class NetworkLearner(Learner):
-    """Trains a network; without a model folder, for as many epochs as the kept epoch of the run before."""
+    """Trains a network."""
 
-    def __init__(self, config: RunConfig, data: Dataset, split: DataSplit) -> None:
+    def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
         if config.method == "srgan" and not len(split.unlabelled):
             raise DatasetError(
                 f"{data.name}: srgan: no sample is unlabelled; choose a split that withholds labels, such as labels/T50"
@@ -161,12 +149,11 @@ class NetworkLearner(Learner):
             raise ConfigError(f"method: {rule}; use contact")
         super().__init__(config, data, split)
         self._prepared = TrainingSet.build(data.filled, config.model, unlabelled=True)
-        self._best = _Best(-1, float("inf"), {})
         self._objects = describe_objects(self.samples) if config.calibrates else np.empty((0, 0))
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the trained weights, which the processes that fit folds do not use."""
-        return {**self.__dict__, "_net": None, "_best": replace(self._best, weights={})}
+        return {**self.__dict__, "_net": None}
 
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
         """As `Learner.fit`; with a model folder, every epoch is on disk before it is reported."""
@@ -177,14 +164,19 @@ class NetworkLearner(Learner):
             trainer = SrganTrainer(self._prepared, train, self.split.unlabelled, self.config.srgan)
         else:
             trainer = SupervisedTrainer(self._prepared, train, self.config.train)
+        if run is not None and run.resumed:
+            run.restore(trainer)
         if run is not None:
-            self._train(trainer, run)
-            self.epochs = trainer.epoch
-            if self._best.weights:
-                trainer.net.load_state_dict(self._best.weights)
-        else:
-            for _ in range((self._best.epoch + 1) or self.epochs or trainer.epochs):
-                trainer.run_epoch()
+            run.keep_log(trainer.epoch)
+        while trainer.epoch < trainer.epochs:
+            losses = trainer.run_epoch()
+            if run is not None:
+                record = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
+                # The log first: a line without its state is removed at resume; a state without its line would shift them.
+                run.log(record)
+                run.store(trainer)
+                run.report(record)
+        self.epochs = trainer.epoch
         self._net = trainer.net.cpu().eval()
 
     def predict(self, index: Indices) -> Float64:
@@ -198,42 +190,12 @@ class NetworkLearner(Learner):
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
         """As `Learner.save`."""
         learned = np.concatenate([self.split.train, self.split.unlabelled])
-        best = self._best.epoch if self._best.weights else None
         own = {
             "familiar": LengthRangeCheck.fit(self._prepared.lengths[learned]).to_card(),
-            "training": {**self.config.replace(data=None).to_mapping(), "best_epoch": best},
+            "training": self.config.replace(data=None).to_mapping(),
         }
         fallback = None if calibration is None else self._fallback()
         return save_network(folder, name, self._net, {**facts, **own}, calibration, fallback)
 
     def _fallback(self) -> Fallback:
         return Fallback.fit(BIOTAC, self._objects[self._chosen], self.labels[self._chosen])
-
-    def _train(self, trainer: Trainer, run: RunFolder) -> None:
-        """Train to the last epoch, from the state in the folder."""
-        if run.resumed:
-            weights, facts = run.restore(trainer)
-            if weights:
-                self._best = _Best(facts["epoch"], facts["error"], weights)
-        run.keep_log(trainer.epoch)
-        while trainer.epoch < trainer.epochs:
-            losses = trainer.run_epoch()
-            record: dict[str, Any] = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
-            if len(self.split.validation):
-                record["validation"] = self._validate(trainer)
-            # The log first: a line without its state is removed at resume; a state without its line would shift them.
-            run.log(record)
-            error = self._best.error if self._best.weights else None  # JSON has no infinity
-            run.store(trainer, self._best.weights, {"epoch": self._best.epoch, "error": error})
-            run.report(record)
-
-    def _validate(self, trainer: Trainer) -> float:
-        """Root mean square of the scaled validation errors; keeps the weights if it is the least so far."""
-        net, held = trainer.net.eval(), self.split.validation
-        labels = self._prepared.labels[np.ix_(held, BIOTAC.columns(self.config.model.outputs))]
-        error = (predict_set(net, self._prepared, held) - labels) / net.target_scale.cpu().numpy()
-        value = float(np.sqrt(np.mean(error**2)))
-        if value < self._best.error:
-            weights = {name: tensor.to("cpu", copy=True) for name, tensor in net.state_dict().items()}
-            self._best = _Best(trainer.epoch - 1, value, weights)
-        return value

@@ -36,6 +36,7 @@ _SPLIT_WORDS: Final = {
     "time": "5 consecutive blocks of time within each object, each left out once",
     "object": "one object left out: objects never touched, and other days",
 }
+_PARTS: Final = ("train", "unlabelled", "test")  # of the split, whose sizes a card names
 _CONDITIONS: Final = {"known": "time", "new": "object"}
 """The split whose held-out predictions calibrate each condition."""
 
@@ -149,7 +150,7 @@ def _folds(learner: Learner, split: str) -> list[Fold]:
 
 def make_learner(config: RunConfig, data: Dataset) -> Learner:
     """The learner of the configured method for the configured part of a dataset."""
-    split = data.partition(config.split, config.validation, config.seed)
+    split = data.partition(config.split)
     return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
 
 
@@ -170,11 +171,11 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
         "summary": f"{', '.join(learner.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
-            "sample_hashes": "".join(sorted(data.hashes(np.concatenate([learner.split.train, learner.split.validation])))),
+            "sample_hashes": "".join(sorted(data.hashes(learner.split.train))),
             **{key: value for key, value in data.origin.items() if key != "limits"},
             "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",
         },
-        "split": {"name": config.split, **learner.split.sizes()},
+        "split": {"name": config.split, **{part: len(getattr(learner.split, part)) for part in _PARTS}},
         "limits": ["Bounds are null: the model was trained with calibrate=false."],
         "version": __version__,
     }  # fmt: skip

@@ -36,8 +36,8 @@ class RunConfig(Settings):
 
     Raises:
         ConfigError: If a setting is out of bounds or has no effect on the method,
-            validation is set for a method without epochs, a release is set to train on a part of the samples, or a
-            network with only some of the modalities is to be calibrated or released.
+            a release is set to train on a part of the samples, or a network with only some of the modalities is to be
+            calibrated or released.
     """
 
     name: str = setting(
@@ -52,9 +52,6 @@ class RunConfig(Settings):
     )
     split: str | None = setting(
         None, "Part of the dataset to learn from, such as labels/T50 or time/block 0; all samples by default"
-    )
-    validation: float = setting(
-        0.0, "Share of the labelled samples set aside to choose the best epoch", bounds=(0.0, 0.5)
     )
     calibrate: bool | None = setting(
         None,
@@ -82,10 +79,8 @@ class RunConfig(Settings):
             changed = [key for key in given if given[key] != default[key]]
             if self.method not in methods and changed:
                 raise ConfigError(f"{group}.{changed[0]}: has no effect on method {self.method!r}")
-        if self.validation > 0.0 and not self.has_network:
-            raise ConfigError(f"validation: a {self.method} model has no epochs to choose from; leave it at 0")
-        if self.release and (self.split is not None or self.validation > 0.0):
-            raise ConfigError("release: trains on all samples; leave split empty and validation at 0")
+        if self.release and self.split is not None:
+            raise ConfigError("release: trains on all samples; leave split empty")
         if self.calibrates and self.model.outputs != (every := ModelConfig().outputs):
             field = "release" if self.release else "calibrate"
             rule = f"{list(self.model.outputs)} are not all modalities, {', '.join(every)}"

@@ -34,7 +34,6 @@ STATE_FILE: Final = "state.safetensors"
 
 _KEY: Final = "foretouch-training"
 _SEAL: Final = "sha256"
-_BEST: Final = "best/"
 
 
 def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
@@ -147,23 +146,19 @@ class RunFolder:
         except OSError as err:
             raise FileError(file, f"cannot be written: {err.strerror or err}") from err
 
-    def store(self, trainer: Trainer, best: Mapping[str, Tensor], facts: Mapping[str, Any]) -> None:
-        """Replace the state by that of a trainer, with weights of and plain data about the best epoch so far."""
-        tensors, plain = trainer.snapshot()
-        tensors |= {_BEST + name: value for name, value in best.items()}
-        write_state(self.path / STATE_FILE, tensors, {**plain, "best": dict(facts)})
+    def store(self, trainer: Trainer) -> None:
+        """Replace the state by that of a trainer."""
+        write_state(self.path / STATE_FILE, *trainer.snapshot())
 
-    def restore(self, trainer: Trainer) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Let a trainer continue from the state; returns weights and facts of the best epoch, as they were stored.
+    def restore(self, trainer: Trainer) -> None:
+        """Let a trainer continue from the state.
 
         Raises:
             FileError: If the state is damaged, or of another architecture.
         """
         file = self.path / STATE_FILE
         tensors, plain = read_state(file)
-        best = {name.removeprefix(_BEST): tensors.pop(name) for name in list(tensors) if name.startswith(_BEST)}
         try:
             trainer.restore(tensors, plain)
-            return best, dict(plain["best"])
         except (ModelError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
             raise FileError(file, f"is not the state of this training: {err}") from err

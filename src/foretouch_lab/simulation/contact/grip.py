@@ -18,7 +18,6 @@ force is solved for; the balance is then exact and the closing holds to `_CLOSIN
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -67,15 +66,7 @@ def solve_contact(problem: ContactProblem, command: Command, level: str = "auto"
     return _SOLVERS[level](problem, command)
 
 
-@dataclass(frozen=True, eq=False)
-class HeldWeight:
-    """Forces of the object's weight on the fingers."""
-
-    axial_n: float  # how much more the second finger pushes than the first [N]
-    tangential_n: Float64  # (2, 3) float64, force of each finger on the object across the line of the contacts [N]
-
-
-def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> HeldWeight:
+def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> tuple[float, Float64]:
     """Share the weight of an object between two contacts.
 
     Args:
@@ -83,6 +74,10 @@ def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> HeldW
         g1: (3,) float64, first contact [m], the same frame.
         g2: (3,) float64, second contact [m].
         centre: (3,) float64, centre of mass [m].
+
+    Returns:
+        How much more the second finger pushes than the first [N], and (2, 3) forces of the weight on both fingers across
+        the line of the contacts [N].
 
     Raises:
         ContactError: If the contacts coincide or a value is not finite.
@@ -96,7 +91,7 @@ def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> HeldW
     across = weight_n - (weight_n @ axis) * axis
     # a x D = -M_t / (L/2) has the solution D = -(M_t x a) / (L/2) across a, as (M x a) crossed by a gives M_t back.
     couple = -np.cross(moment, axis) / (length / 2.0)
-    return HeldWeight(float(weight_n @ axis), np.stack([(-across - couple) / 2.0, (-across + couple) / 2.0]))
+    return float(weight_n @ axis), np.stack([(across + couple) / 2.0, (across - couple) / 2.0])
 
 
 _BALANCE_TOLERANCE = 1e-3  # largest difference of two forces over the larger one that counts as balanced

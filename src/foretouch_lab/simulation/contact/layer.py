@@ -29,7 +29,6 @@ expected in; the result is then checked on the whole window, and solved there if
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -175,26 +174,25 @@ def solve_layer(
     gap = np.minimum(problem.gap, _ABSENT_M)
     guess = _expected_pressure(problem, command)
     box = _box_around(guess)  # only the expected footprint and its margin may carry pressure at first
-    end = _descend(problem, command, gap[box], guess[box], tolerance, max_iterations)
     pressure = np.zeros_like(gap)
-    pressure[box] = end.pressure
+    pressure[box], depth, iterations, residual = _descend(
+        problem, command, gap[box], guess[box], tolerance, max_iterations
+    )
     displacement = _displacements(problem, pressure)
-    overlap = end.depth - float((displacement.sum(axis=0) + gap).min())  # how far the surfaces still overlap anywhere
-    if end.residual >= tolerance or overlap > _OVERLAP * abs(end.depth):
+    overlap = depth - float((displacement.sum(axis=0) + gap).min())  # how far the surfaces still overlap anywhere
+    if residual >= tolerance or overlap > _OVERLAP * abs(depth):
         # The guess misled: from even pressure wherever both surfaces exist, which is slower and sure.
         even = np.isfinite(problem.gap) * (problem.contact_modulus_pa * 1e-3)
-        iterations = end.iterations
-        end = _descend(problem, command, gap, even, tolerance, max_iterations)
-        pressure = end.pressure
-        if end.residual >= tolerance:
+        pressure, depth, more, residual = _descend(problem, command, gap, even, tolerance, max_iterations)
+        if residual >= tolerance:
             raise ConvergenceError(
-                f"elastic layer: no convergence after {iterations + end.iterations} iterations on {gap.shape[0]}^2 cells, "
-                f"{np.count_nonzero(pressure)} of them in contact: residual {end.residual:.3g}, tolerance {tolerance:g}"
+                f"elastic layer: no convergence after {iterations + more} iterations on {gap.shape[0]}^2 cells, "
+                f"{np.count_nonzero(pressure)} of them in contact: residual {residual:.3g}, tolerance {tolerance:g}"
             )
         displacement = _displacements(problem, pressure)
-    refuse_overload(problem, displacement, end.depth)
+    refuse_overload(problem, displacement, depth)
     force, cells = float(pressure.sum()) * problem.cell_m2, int(np.count_nonzero(pressure))
-    return ContactSolution(pressure, displacement, force, cells * problem.cell_m2, end.depth)
+    return ContactSolution(pressure, displacement, force, cells * problem.cell_m2, depth)
 
 
 def _box_around(pressure: Float64) -> tuple[slice, slice]:
@@ -239,20 +237,10 @@ def _stiffness(problem: ContactProblem, radius: Float64) -> Float64:
     return np.asarray(1.0 / compliance)
 
 
-@dataclass(frozen=True)
-class _End:
-    """Where a descent ended."""
-
-    pressure: Float64  # (N, N) [Pa]
-    depth: float  # [m]
-    iterations: int
-    residual: float
-
-
 def _descend(
     problem: ContactProblem, command: Command, gap: Float64, start: Float64, tolerance: float, max_iterations: int
-) -> _End:
-    """Step until the tolerance is met or the iterations are spent."""
+) -> tuple[Float64, float, int, float]:
+    """Step until the tolerance is met or the iterations are spent: (N, N) pressure [Pa], depth [m], iterations and residual."""
     gap, start = np.ascontiguousarray(gap), np.ascontiguousarray(start)  # for the compiled function
     spectrum = _spectra(problem.layers, gap.shape[0], problem.step_m)[1]
     if command.force_n is None:
@@ -266,7 +254,7 @@ def _descend(
     _layer_descent(gap, spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
     if not end[3]:
         raise MemoryError("layer_descent")
-    return _End(pressure, float(end[0]), int(end[1]), float(end[2]))
+    return pressure, float(end[0]), int(end[1]), float(end[2])
 
 
 @lru_cache(maxsize=_CACHED)

@@ -227,10 +227,9 @@ def _weight(job: Job, state: SampleState) -> None:
     centre = body.position + (body.mesh.centroid * body.size) @ body.rotation.T
     thumb, middle = state.touches
     weight_n = np.array([0.0, 0.0, -(job.item.mass_kg or 0.0) * _GRAVITY_M_S2])
-    state.weight = weigh(weight_n, thumb.origin, middle.origin, centre)
-    state.tangential_n = -state.weight.tangential_n
+    axial_n, state.tangential_n = weigh(weight_n, thumb.origin, middle.origin, centre)
     if job.scene.grasps.balanced:
-        state.axial_load_n = state.weight.axial_n
+        state.axial_load_n = axial_n
 
 
 def _solve(level: str, job: Job, state: SampleState) -> None:
@@ -268,7 +267,7 @@ def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | No
 
 def _held(job: Job, state: SampleState) -> None:
     """Refuse a grasp out of which the object falls: where a tangential force exceeds Coulomb's limit."""
-    across = np.linalg.norm(state.weight.tangential_n, axis=1)
+    across = np.linalg.norm(state.tangential_n, axis=1)
     for finger, tangential_n, contact in zip(("thumb", "middle finger"), across, state.contacts, strict=True):
         if tangential_n > job.item.friction * contact.force_n:
             raise SimulationError(
@@ -286,14 +285,7 @@ EFFECTS = (
     Effect("first_touch", _first_touch, "fingers", reads=("bodies", "fingers", "postures"), writes=("pads", "touches")),
     Effect("relief", _relief, "fingers", reads=("bodies", "pads", "touches"), writes=("relief",)),
     Effect("surface", _surface, "objects.surface", reads=("bodies", "pads", "touches"), changes=("relief",)),
-    Effect(
-        "weight",
-        _weight,
-        "gravity",
-        reads=("bodies", "touches"),
-        writes=("weight",),
-        changes=("axial_load_n", "tangential_n"),
-    ),
+    Effect("weight", _weight, "gravity", reads=("bodies", "touches"), changes=("axial_load_n", "tangential_n")),
     *(
         Effect(
             f"contact_{level}",
@@ -305,5 +297,5 @@ EFFECTS = (
         )
         for level in LEVELS
     ),
-    Effect("held", _held, "gravity", reads=("weight",), changes=("contacts",)),
+    Effect("held", _held, "gravity", reads=("tangential_n",), changes=("contacts",)),
 )

@@ -52,10 +52,7 @@ def test_models_are_equal_to_those_of_samples_in_memory(samples, data, tmp_path)
         assert folders[0].keys() == folders[1].keys()
         assert [file for file in folders[0] if folders[0][file] != folders[1][file]] == []
 
-    cases = {
-        "supervised": {"validation": 0.2},
-        "contact": {"method": "contact", "calibrate": False, "contact": {"trees": 3}},
-    }
+    cases = {"supervised": {}, "contact": {"method": "contact", "calibrate": False, "contact": {"trees": 3}}}
     every_case([(name, {"name": "tiny", **settings}) for name, settings in cases.items()], check)
 
 

@@ -22,7 +22,7 @@ def facts(objects: int = 6, each: int = 20, unlabelled: int = 7) -> list[SampleF
 @pytest.fixture
 def book(tmp_path: Path) -> dict[str, list[SplitPart]]:
     (tmp_path / SPLITS_FILE).write_text(make_splits(facts(), 3))
-    return read_splits(tmp_path).parts
+    return read_splits(tmp_path)[0]
 
 
 def test_no_id_stands_on_both_sides_and_folds_test_every_labelled_sample_once(book) -> None:

@@ -23,7 +23,6 @@ from foretouch_lab.dataset.store_writer import build_store
 from foretouch_lab.learning.data import Dataset, load_dataset, make_folds
 from foretouch_lab.learning.evaluation.baselines import training_mean
 from foretouch_lab.learning.evaluation.evaluate import cross_validate, evaluate_model
-from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
 from foretouch_lab.learning.training.run import make_learner, train_run
 
 CONTACT = {"method": "contact", "contact": {"trees": 4}}
@@ -75,8 +74,6 @@ def test_it_is_left_out_of_scores_and_others_score_as_without_it(broken: Dataset
     for name in ("PDC_TH", "PDC_MF", "E_MF"):
         assert result["scores"]["model"][name]["rmse"] == scores["scores"]["model"][name]["rmse"]
     assert result["scores"]["model"]["E_TH"]["rmse"] != scores["scores"]["model"]["E_TH"]["rmse"]
-    played = evaluate_prequential(load_model(card), other.masked)
-    assert played["not_scored"] == {"TH": [5, 11]}
 
 
 def test_what_a_dead_electrode_reads_does_not_matter_to_a_hand(broken: Dataset, card: Path) -> None:

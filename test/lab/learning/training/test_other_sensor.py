@@ -17,7 +17,7 @@ from foretouch.tactile import touch_faults
 from foretouch.types import Touch
 from foretouch_lab.learning.data import channels_of, load_dataset
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model
-from foretouch_lab.learning.evaluation.prequential import evaluate_prequential
+from foretouch_lab.learning.prequential import replay_model
 from foretouch_lab.learning.training.calibration import rest_level, resting_labels
 from foretouch_lab.learning.training.run import train_run
 
@@ -45,9 +45,9 @@ def test_its_scores_are_by_its_modalities_and_touches_narrow_its_intervals(uskin
     assert tuple(found["scores"]["model"]) == USKIN.channels.modalities
     assert min(row["skill"] for row in found["scores"]["model"].values()) > 0.0
     assert min(row["coverage90"] for row in found["scores"]["model"].values()) > 0.8
-    played = evaluate_prequential(load_model(path), data.samples)["touches"]
-    before, after = (played[name]["scores"]["tracker"]["Z_FF"]["half_width"] for name in ("none", "3-9"))
-    assert after < before
+    done = replay_model(load_model(path), data.samples)
+    half, touches = done.played.half[:, USKIN.channels.columns(["Z_FF"])].mean(axis=1), done.recording.touches()
+    assert half[touches >= 3].mean() < half[touches == 0].mean()
 
 
 def test_a_dataset_of_another_sensor_or_of_a_changed_description_is_refused_by_name(uskin, data, tmp_path) -> None:
@@ -61,7 +61,7 @@ def test_a_dataset_of_another_sensor_or_of_a_changed_description_is_refused_by_n
     ):
         evaluate_model(path, changed, "random")
     with pytest.raises(TactileError, match=rf"{changed.samples[0].id}: is of xela_uskin_4x4 .* has changed"):
-        evaluate_prequential(load_model(path), changed.samples)
+        replay_model(load_model(path), changed.samples)
     with pytest.raises(TactileError, match=r"touch: is of biotac_sp .* not xela_uskin_4x4"):
         channels_of([*load_dataset(store).samples, *data.samples])
 

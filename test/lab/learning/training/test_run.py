@@ -13,7 +13,7 @@ import pytest
 import torch
 import yaml
 from every_case import every_case, every_refusal
-from run_builders import BASE, MODEL, quiet, run_config, stop_after
+from run_builders import MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file, save_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
@@ -29,7 +29,7 @@ from foretouch_lab.learning.training.run_folder import LOG_FILE, STATE_FILE, rea
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])
 def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) -> None:
-    chosen = run_config(method=method, split="labels/T50", validation=0.2)
+    chosen = run_config(method=method, split="labels/T50")
     whole = train_run(chosen, data, tmp_path / "whole", quiet)
     with pytest.raises(KeyboardInterrupt):
         train_run(chosen, data, tmp_path / "cut", stop_after(1))
@@ -82,21 +82,6 @@ def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(dat
     assert card["split"]["train"] == len(part.train)
 
 
-def test_validation_chooses_the_epoch(data, tmp_path) -> None:
-    said: list[dict] = []
-    chosen = run_config(validation=0.25, train={**BASE["train"], "epochs": 20, "learning_rate": 0.05})
-    card = train_run(chosen, data, tmp_path / "run", said.append)
-    errors = [record["validation"] for record in said[:-1]]
-    best = int(np.argmin(errors))
-    assert best < len(errors) == 20
-    assert json.loads(card.read_text())["training"]["best_epoch"] == best
-    tensors, plain = read_state(tmp_path / "run" / STATE_FILE)
-    weights = load_file(card.with_suffix(".safetensors"))
-    assert plain["best"]["error"] == errors[best]
-    assert torch.equal(weights["output.weight"], tensors["best/output.weight"])
-    assert torch.equal(weights["output.weight"], tensors["net/output.weight"]) == (best == 19)
-
-
 def test_splits_that_do_not_fit_are_named(data, tmp_path) -> None:
     out = tmp_path / "run"
     cases = (
@@ -104,7 +89,6 @@ def test_splits_that_do_not_fit_are_named(data, tmp_path) -> None:
         ("'time' has 5 parts; choose one: time/block 0", {"split": "time"}),
         ("'labels/T20' is not one of labels/T10, labels/T30", {"split": "labels/T20"}),
         ("'day' is not one of random, object, time, labels", {"split": "day"}),
-        ("no epochs to choose from", {"method": "contact", "validation": 0.2}),
     )
     every_refusal(ForetouchError, cases, lambda changes: train_run(run_config(**changes), data, out, quiet))
     assert not out.exists()

@@ -58,15 +58,15 @@ def test_commands_that_contradict_each_other_are_refused():
 def test_a_held_weight_balances_and_a_level_grip_shares_it_by_the_lever(rng):
     for _ in range(20):
         weight, g1, g2, centre = rng.normal(size=(4, 3))
-        held, axis = weigh(weight, g1, g2, centre), (g2 - g1) / np.linalg.norm(g2 - g1)
+        (axial_n, across_n), axis = weigh(weight, g1, g2, centre), (g2 - g1) / np.linalg.norm(g2 - g1)
         scale = np.linalg.norm(weight) * (1.0 + np.abs([g1, g2, centre]).max() / np.linalg.norm(g2 - g1))
-        forces = held.tangential_n + np.outer([7.0, -7.0 - held.axial_n], axis)
+        forces = np.outer([7.0, -7.0 - axial_n], axis) - across_n
         assert_allclose(forces.sum(axis=0) + weight, 0.0, atol=1e-13 * (scale + 7.0))
         moment = np.cross([g1 - centre, g2 - centre], forces).sum(axis=0)
         assert_allclose(np.cross(moment, axis), 0.0, atol=1e-12 * scale)  # what is left turns about the line
-        assert_allclose(held.tangential_n @ axis, 0.0, atol=1e-13 * scale)
-    held = weigh(*ON_THE_TABLE)
-    assert_allclose(held.tangential_n, [[0, 0, 1.0], [0, 0, 3.0]], atol=1e-12)
-    assert held.axial_n == 0.0
+        assert_allclose(across_n @ axis, 0.0, atol=1e-13 * scale)
+    axial_n, across_n = weigh(*ON_THE_TABLE)
+    assert_allclose(across_n, [[0, 0, -1.0], [0, 0, -3.0]], atol=1e-12)
+    assert axial_n == 0.0
     with pytest.raises(ContactError, match="contacts coincide"):
         weigh(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))

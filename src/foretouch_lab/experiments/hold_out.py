@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fit each predictor to some grasps and test it on others: one experiment for each way to split.
+
+    cross_validation   P1's five random folds over all objects: neighbours in time are in training and in test
+    time_blocked       five consecutive blocks of time within each object
+    unseen_object      each object left out once, without a touch and after some touches of it
+
+A fit is tested on all grasps that are held out; after k touches on all that were not touched, in random draws of the
+touched ones. The reference of the skill is the mean of the training labels also after touches, so that the skill shows
+their effect.
+"""
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError, DatasetError
+from foretouch.report.panels import Rows
+from foretouch.types import Float64, GraspSample
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
+from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fitted, find_predictor
+from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, score_table
+from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, MODEL, select, skill_tables, unique
+from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+
+_CORRECTION: Final = f"after n touches, predictors without adaptation add n / (n + {SHRINKAGE:g}) of their mean residual, as does the mean"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldOutSettings(Settings):
+    """Settings of all hold-out experiments."""
+
+    predictors: tuple[str, ...] = setting(
+        tuple(name for name in PREDICTORS if name not in NETWORKS), "Predictors to compare", choices=tuple(PREDICTORS)
+    )
+    seeds: tuple[int, ...] = setting(
+        (0, 1, 2, 3, 4), "Seeds of splits and predictors; errors are pooled over them", minimum=0
+    )
+    network_seeds: int = setting(1, "Number of seeds that the slow networks are trained with", minimum=1)
+    training_fraction: float = setting(
+        1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
+    )
+    references: tuple[str, ...] = setting(
+        ("geometry_trees",), "Predictors that the others are compared with", choices=tuple(PREDICTORS)
+    )
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("predictors", "seeds", *(["touches"] if isinstance(self, TouchSettings) else [])):
+            values = getattr(self, name)
+            if not values or len(set(values)) != len(values):
+                raise ConfigError(f"{name}: {list(values)} must contain at least one value and no duplicates")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchSettings(HoldOutSettings):
+    """Settings of `unseen_object`."""
+
+    touches: tuple[int, ...] = setting((0, 1, 3, 5), "Numbers of touches of the object", bounds=(0, 1000))
+    draws: int = setting(20, "Number of random draws of the touched grasps", bounds=(1, 1000))
+
+
+def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], list[Fold]]:
+    samples = labelled(data)
+    if not samples:
+        raise DatasetError("experiment: no sample is labelled")
+    return samples, make_folds(samples, split, seed)
+
+
+def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
+    """A cell for each seed, predictor and fold; the slow networks run with the first seeds only."""
+    table = "" if isinstance(settings, TouchSettings) else split
+    return [
+        Cell(
+            "+".join(filter(None, (name, table, fold.name, f"seed{seed}"))).replace(" ", "_"),
+            {"table": table, "part": fold.name, "predictor": name, "seed": seed},
+        )
+        for number, seed in enumerate(settings.seeds)
+        for name in settings.predictors
+        if name not in NETWORKS or number < settings.network_seeds
+        for fold in _folds(split, data, seed)[1]
+    ]
+
+
+def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> list[Row]:
+    """Fit and test once."""
+    samples, folds = _folds(split, data, cell.values["seed"])
+    (fold,) = (one for one in folds if one.name == cell.values["part"])
+    train, tested = ([samples[k] for k in side] for side in (fold.train, fold.test))
+    labels = labels_of(train)
+    fitted = find_predictor(cell.values["predictor"], settings.training_fraction)(train, labels, cell.values["seed"])
+    everything, mean = fitted.predict(tested), labels.mean(axis=0)  # at once: some baselines are fitted in each call
+    if not isinstance(settings, TouchSettings):
+        return error_rows(tested, everything, labels_of(tested), mean)
+    rows = []
+    for count in settings.touches:
+        parts = list(_predict_draws(fitted, tested, count, settings)) if count else [(tested, everything)]
+        scored = [sample for part, _ in parts for sample in part]
+        errors = error_rows(scored, np.concatenate([found for _, found in parts]), labels_of(scored), mean)
+        rows += [{"table": _table(count), "touches": count, **row} for row in errors]
+    return rows
+
+
+def _predict_draws(
+    fitted: Fitted, samples: Sequence[GraspSample], count: int, settings: TouchSettings
+) -> Iterator[tuple[list[GraspSample], Float64]]:
+    """For each draw, the scored grasps and their predictions after touches of the others."""
+    for order in touch_draws(samples[0].object, len(samples), max(settings.touches), settings.draws):
+        touched, rest = ([samples[k] for k in side] for side in (order[:count], np.sort(order[count:])))
+        yield rest, fitted.predict_after(touched, rest)
+
+
+def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
+    """For each draw, all grasps of an object in the order in which they would be touched.
+
+    The draws follow from the name, the number of grasps and their own number alone: they are the same for every
+    predictor, and 3 touches are the first of the 5. Raises `DatasetError` if no grasp would be left after `most`.
+    """
+    if count <= most:
+        raise DatasetError(f"{name}: {count} grasps leave none to score after {most} touches")
+    return [np.random.default_rng([zlib.crc32(name.encode()), draw]).permutation(count) for draw in range(draws)]
+
+
+def _table(count: int) -> str:
+    """Name of the table after a number of touches."""
+    return "no touch" if count == 0 else f"after {count} touch" + ("es" if count > 1 else "")
+
+
+def _tabulate(settings: HoldOutSettings, rows: Sequence[Row]) -> list[Row]:
+    columns = ("touches",) if isinstance(settings, TouchSettings) else ()
+    return score_table(rows, settings.predictors, settings.references, settings.bootstrap, columns)
+
+
+def _summarise_touches(rows: Sequence[Row]) -> list[Table]:
+    """A table of skills for each number of touches."""
+    return skill_tables(rows, [_CORRECTION])
+
+
+def _draw_touches(rows: Rows, folder: Path) -> list[Path]:
+    """Draw `touches.png`: all objects together above, each object below, with the default model if it was run."""
+    predictors = unique(rows, "predictor")
+    chosen = MODEL if MODEL in predictors else predictors[-1]
+    objects = sorted(set(unique(rows, "object")) - {ALL_OBJECTS})
+    together = partial(draw_series, x="touches", series="predictor", names=predictors, lowest=-1.0, spread=0.12)
+    each = partial(draw_series, x="touches", series="object", names=objects, lowest=-1.0)
+    own = [row for row in select(rows, predictor=chosen) if row["object"] != ALL_OBJECTS]
+    every, label = select(rows, object=ALL_OBJECTS), "skill, all objects, 95 % interval"
+    lines = [
+        Line(3.75, every, together, y_label=label, legend="right upper"),
+        Line(3.75, own, each, "", "touches of the new object", f"skill, {chosen}, each object", "right lower"),
+    ]
+    return save_panels(folder / "touches.png", 14.0, lines, sharex=True, sharey="row")
+
+
+def _experiment(
+    name: str, question: str, order: int, split: str, presets: Mapping[str, Mapping[str, Any]], **others: Any
+) -> Experiment:
+    """One way to split."""
+    return Experiment(
+        name=name,
+        question=question,
+        module=__name__,
+        order=order,
+        presets=presets,
+        load=load,
+        cells=partial(_cells, split),
+        run=partial(_run, split),
+        tabulate=_tabulate,
+        # No cell depends on these; its predictor and seed are among its values.
+        resumable_settings=("predictors", "seeds", "network_seeds", "references", "bootstrap"),
+        data_folder="vision2tactile",
+        **{"settings": HoldOutSettings, "summarise": skill_tables, **others},
+    )
+
+
+_PRESETS: Final[dict[str, dict[str, Any]]] = {
+    "full": {"predictors": list(PREDICTORS)},  # hours
+    "quick": {},  # all but the networks: minutes
+    "smoke": {"seeds": [0], "training_fraction": 0.1},
+}
+_KNOWN_OBJECTS_ONLY: Final = ("object_mean", "object_time_trees")  # predictors that cannot predict a new object
+
+_NEW_OBJECT: Final = [name for name in PREDICTORS if name not in _KNOWN_OBJECTS_ONLY]
+_TOUCHED: Final[dict[str, Any]] = {
+    "seeds": [0],
+    "references": ["training_mean", "geometry_trees"],
+    "touches": [0, 1, 3, 5, 10],
+    "predictors": [one for one in _NEW_OBJECT if one not in NETWORKS],
+}
+
+EXPERIMENTS: Final = (
+    _experiment(
+        "cross_validation",
+        "How accurate are predictions for other grasps of the same sessions?",
+        10,
+        "random",
+        _PRESETS,
+    ),
+    _experiment(
+        "time_blocked",
+        "How accurate are predictions for earlier or later grasps of the same objects?",
+        20,
+        "time",
+        _PRESETS,
+    ),
+    _experiment(
+        "unseen_object",
+        "How accurate are predictions on an object that was never touched, and after a few touches of it?",
+        40,
+        "object",
+        {
+            "full": {**_TOUCHED, "predictors": _NEW_OBJECT},
+            "quick": _TOUCHED,
+            "smoke": {**_TOUCHED, "training_fraction": 0.1, "draws": 5},
+        },
+        settings=TouchSettings,
+        summarise=_summarise_touches,
+        figure=_draw_touches,
+    ),
+)
