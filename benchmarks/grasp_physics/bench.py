@@ -17,8 +17,10 @@ import yaml
 
 from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics.camera import VIEWS, see
+from benchmarks.grasp_physics.figure import Case, draw
 from benchmarks.grasp_physics.objects import Item, read_items
-from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
+from benchmarks.grasp_physics.simulation import HELD, OPENING_M, Verdict, held
+from benchmarks.grasp_physics.surface import Placed, best_grasps, cones_hold
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
@@ -27,7 +29,8 @@ from foretouch.types import Float64
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
 OURS: Final = get_args(GraspMethod)
-METHODS: Final = (*OURS, RULE)
+FIRST, ANY = "true surface, first", "true surface, best of 10"
+METHODS: Final = (*OURS, RULE, FIRST, ANY)
 DEFAULT: Final = PipelineConfig().grasp.method
 REFERENCE: Final = "original"  # whose time the others are compared with
 NO_OBJECT: Final = "no object found"
@@ -53,44 +56,57 @@ class Task:
     opening_mm: float = 1e3 * OPENING_M
     settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
 
-    def row(self, pose: int, view: str, method: str, one: tuple[float, float], verdict: Verdict, ms: float) -> Row:
-        """What became of one grasp: `reason` is "held", the kind of failure, or why there was no grasp."""
-        found = {
-            "object": self.item.name,
-            "pose": pose,
-            "view": view,
-            "method": method,
-            "tip_mm": one[0],
-            "friction": one[1],
-        }
-        return found | verdict._asdict() | {"ms": ms}
+    def row(
+        self, pose: int, view: str, method: str, one: tuple[float, float], closed: Row, ms: float = math.nan
+    ) -> Row:
+        """What became of one grasp."""
+        found = {"object": self.item.name, "pose": pose, "view": view, "method": method}
+        return found | {"tip_mm": one[0], "friction": one[1]} | closed | {"ms": ms}
 
-    def close(self, one: tuple[float, float], pose: Float64, contacts: Float64 | None, reason: str = "") -> Verdict:
-        """The simulated closing on contacts (2, 3) in the world; where there are none, the reason."""
+    def close(self, one: tuple[float, float], surface: Placed, contacts: Float64 | None, reason: str = NO_GRASP) -> Row:
+        """The simulated closing on contacts (2, 3) in the world, and whether the friction cones hold; `reason` where there are none.
+
+        It is "held", the kind of failure, or why there was no grasp.
+        """
         if contacts is None:
-            return Verdict(False, False, reason)
-        return held(self.item, pose, *contacts, one[0] * 1e-3, one[1], self.opening_mm * 1e-3)
+            return Verdict(False, False, reason)._asdict() | {"analytic": False}
+        verdict = held(self.item, surface.pose, *contacts, one[0] * 1e-3, one[1], self.opening_mm * 1e-3)
+        return verdict._asdict() | {"analytic": cones_hold(surface, contacts, one[1])}
+
+    def pipeline(self, method: str) -> Pipeline:
+        """That plans by a method."""
+        return Pipeline(PipelineConfig().updated({"grasp.method": method, **self.settings} if method in OURS else {}))
 
 
 def rows_of(task: Task) -> list[Row]:
     """All rows of one object."""
-    return [row for pose in range(task.poses) for view in task.views for row in _planned(task, pose, view)]
+    return [row for number in range(task.poses) for row in _of_pose(task, number)]
 
 
-def _planned(task: Task, number: int, view: str) -> Iterator[Row]:
-    """The rows of one image."""
-    seen = see(task.item, number, view)
-    targets = Pipeline().segment(seen.cloud).targets
-    for method in task.methods:
-        settings = {} if method == RULE else {"grasp.method": method, **task.settings}
-        pipeline = Pipeline(PipelineConfig().updated(settings))
-        start = time.thread_time()
-        contacts = propose(method, pipeline, targets[0]) if targets else None
-        ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
-        world = None if contacts is None else seen.camera.to_world(contacts)
-        for one in task.conditions:
-            verdict = task.close(one, seen.pose, world, reason)
-            yield task.row(number, view, method, one, verdict, ms)
+def _of_pose(task: Task, number: int) -> Iterator[Row]:
+    """The rows of one pose: what is planned on images, and on the true surface, where the view does not matter."""
+    surface = Placed(task.item, task.item.pose(number))
+    chosen = [method for method in task.methods if method not in {FIRST, ANY}]
+    for view in task.views if chosen else ():
+        seen = see(task.item, number, view)
+        targets = Pipeline().segment(seen.cloud).targets
+        for method in chosen:
+            pipeline = task.pipeline(method)
+            start = time.thread_time()
+            contacts = propose(method, pipeline, targets[0]) if targets else None
+            ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
+            world = None if contacts is None else seen.camera.to_world(contacts)
+            for one in task.conditions:
+                yield task.row(number, view, method, one, task.close(one, surface, world, reason), ms)
+    for one in task.conditions if {FIRST, ANY} & set(task.methods) else ():
+        grasps = best_grasps(surface, one[0] * 1e-3, one[1], task.opening_mm * 1e-3)
+        closed = [task.close(one, surface, grasp) for grasp in grasps or [None]]
+        for method, best in (
+            (FIRST, closed[0]),
+            (ANY, max(closed, key=lambda found: (found["held"], found["strict"]))),
+        ):
+            for view in task.views if method in task.methods else ():
+                yield task.row(number, view, method, one, best)
 
 
 def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
@@ -158,13 +174,15 @@ def share(rows: Sequence[Row], what: str) -> str:
 
 
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Held and strict by view, and time beside that of the reference."""
+    """Held and strict by view, of the best on the true surface, and time beside that of the reference."""
     found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
     for (method,) in values(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
         for (view,) in values(rows, "view"):
-            mine = select(rows, method=method, view=view)
+            mine, best = (select(rows, method=name, view=view) for name in (method, FIRST))
             line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
+            if any(row["held"] for row in best):
+                line[f"{view}: of the best"] = f"{mean(mine, 'held') / mean(best, 'held'):.2f}"
         times = [row["ms"] for row in select(rows, method=method)]
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
@@ -208,8 +226,42 @@ def committed(rows: Sequence[Row]) -> Iterator[Row]:
     for key in keys:
         own = select(rows, **dict(zip(names, key, strict=True)))
         ended = "; ".join(f"{reason} {len(select(own, reason=reason))}" for (reason,) in values(own, "reason"))
-        counts = {what: sum(row[what] for row in own) for what in ("held", "strict")}
+        counts = {what: sum(row[what] for row in own) for what in ("held", "strict", "analytic")}
         yield dict(zip(names, key, strict=True)) | {"grasps": len(own), **counts, "reasons": ended}
+
+
+def agreement(rows: Sequence[Row]) -> str:
+    """How often simulation and friction cones agree, on grasps of all conditions."""
+    closed = [row for row in rows if row["reason"] not in {NO_GRASP, NO_OBJECT} and row["method"] != ANY]
+    alone = [len(select(closed, held=simulated, analytic=not simulated)) for simulated in (True, False)]
+    return (
+        f"The friction cones agree with the simulation in {1.0 - sum(alone) / max(1, len(closed)):.3f} of {len(closed)} grasps; "
+        f"{alone[0]} hold in the simulation alone, {alone[1]} by the cones alone."
+    )
+
+
+def pictured(rows: Sequence[Row], tasks: Sequence[Task]) -> Iterator[Case]:
+    """A grasp that holds and one of each kind of failure, planned again, under the first conditions.
+
+    Of the default method where there is one, last of the simple rule, and of as many objects as possible.
+    """
+    order = [DEFAULT, *(method for method in OURS if method != DEFAULT), RULE]
+    tip, friction = values(rows, "tip_mm", "friction")[0]
+    planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] in order]
+    reasons = {row["reason"] for row in planned} - {NO_GRASP, NO_OBJECT}
+    objects: Counter[str] = Counter()
+    for reason in sorted(reasons, key=lambda text: (text != HELD, HELD not in text, text)):
+        name, number, view, method = min(
+            values(select(planned, reason=reason), "object", "pose", "view", "method"),
+            key=lambda row: (order.index(row[3]), row[2] != "oblique", objects[row[0]]),
+        )
+        objects[name] += 1
+        (task,) = (task for task in tasks if task.item.name == name)
+        seen = see(task.item, number, view)
+        target = Pipeline().segment(seen.cloud).targets[0]
+        contacts, points = propose(method, task.pipeline(method), target), target.cloud.xyz.astype(np.float64)
+        title = f"{reason.replace(f'{HELD}, ', f'{HELD}, but ')}\n{name}, {method}, {view}"
+        yield Case(title, Placed(task.item, seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
 
 
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -233,7 +285,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, choices=(1, 2), default=1)
     parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
-    parser.add_argument("--renew", action="store_true", help="write the committed tables")
+    parser.add_argument("--renew", action="store_true", help="write the committed tables and the picture")
     options = parser.parse_args()
     ensure_libusb()
     tips, frictions = (TIPS_MM, FRICTIONS) if options.all else (options.tip_mm, options.friction)
@@ -251,11 +303,14 @@ def main() -> None:
     for title, lines in found.items():
         print(f"\n{title}")
         print_rows(lines)
+    print(f"\n{agreement(rows)}")
     if options.renew:
         write_csv(HERE / "results.csv", committed(rows))
         text = [f"{len(todo)} objects, {options.poses} poses each, opening {options.opening_mm:g} mm."]
         text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
+        text.append(agreement(rows))
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
+        draw(list(pictured(rows, todo)), HERE / "grasps.png")
 
 
 if __name__ == "__main__":
