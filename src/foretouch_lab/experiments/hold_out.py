@@ -23,7 +23,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.report.panels import Rows
 from foretouch.types import Float64, GraspSample
-from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fitted, find_predictor
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, score_table
@@ -141,11 +141,6 @@ def _tabulate(settings: HoldOutSettings, rows: Sequence[Row]) -> list[Row]:
     return score_table(rows, settings.predictors, settings.references, settings.bootstrap, columns)
 
 
-def _summarise_touches(rows: Sequence[Row]) -> list[Table]:
-    """A table of skills for each number of touches."""
-    return skill_tables(rows, [_CORRECTION])
-
-
 def _draw_touches(rows: Rows, folder: Path) -> list[Path]:
     """Draw `touches.png`: all objects together above, each object below, with the default model if it was run."""
     predictors = unique(rows, "predictor")
@@ -224,7 +219,7 @@ EXPERIMENTS: Final = (
             "smoke": {**_TOUCHED, "training_fraction": 0.1, "draws": 5},
         },
         settings=TouchSettings,
-        summarise=_summarise_touches,
+        summarise=partial(skill_tables, notes=[_CORRECTION]),
         figure=_draw_touches,
     ),
 )

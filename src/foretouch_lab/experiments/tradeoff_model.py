@@ -378,16 +378,12 @@ def _scene(data: Dataset, count: int) -> tuple[GraspSample, list[Grasp]]:
     """
     samples = sorted(labelled(data), key=lambda one: one.cloud.size)
     sample = samples[len(samples) // 2]
-    return sample, _grasps_on(sample, count)
-
-
-def _grasps_on(sample: GraspSample, count: int) -> list[Grasp]:
     xyz = sample.cloud.xyz.reshape(-1, 3)
     xyz = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
     pairs = np.random.default_rng(0).integers(0, len(xyz), (50 * count, 2))
     width = np.linalg.norm(xyz[pairs[:, 0]] - xyz[pairs[:, 1]], axis=1)
     near = pairs[(width > 0.02) & (width < 0.1)][: count - 1]
-    return [sample.grasp, *(Grasp(xyz[a], xyz[b], sample.grasp.rotation) for a, b in near)]
+    return sample, [sample.grasp, *(Grasp(xyz[a], xyz[b], sample.grasp.rotation) for a, b in near)]
 
 
 def _two_digits(value: float) -> str:

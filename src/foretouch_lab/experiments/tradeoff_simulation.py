@@ -173,7 +173,9 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     if name == EVERYTHING:
         row["counts"] = float(np.sqrt(np.mean([(one[2] - other[2]) ** 2 for one, other in both])))
     else:
-        drops, forces = ([_relative(one[k], other[k]) for one, other in both] for k in (0, 1))
+        drops, forces = (
+            [float(np.linalg.norm(one[k] - other[k]) / np.linalg.norm(other[k])) for one, other in both] for k in (0, 1)
+        )
         row |= {
             "pattern_error": float(np.median(drops)),
             "pattern_error_largest": float(max(drops)),
@@ -182,10 +184,6 @@ def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
     errors, best_errors = _errors(scene, best, settings), _errors(best, best, settings)
     row |= interval_columns(f"trained_{name}", skills(errors, _BOOTSTRAP)[MEAN])
     return [row | interval_columns("trained_change", compare(errors, best_errors, _BOOTSTRAP)[MEAN])]
-
-
-def _relative(values: Float64, true: Float64) -> float:
-    return float(np.linalg.norm(values - true) / np.linalg.norm(true))
 
 
 @lru_cache(maxsize=4)

@@ -10,19 +10,12 @@ from foretouch_lab.simulation.fingertip import (
     TAC_REST,
     TDC_PER_KELVIN,
     TDC_REST,
-    TemperatureConfig,
     creep,
     temperature_drift,
     warming,
 )
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scene.campaign import (
-    CONTACT_S,
-    CampaignConfig,
-    DriftTermConfig,
-    ExchangeConfig,
-    ThermistorConfig,
-)
+from foretouch_lab.simulation.scene.campaign import CONTACT_S, CampaignConfig, ThermistorConfig
 from foretouch_lab.simulation.scene.objects import ObjectConfig
 from foretouch_lab.simulation.world import Campaign
 
@@ -97,21 +90,9 @@ def _calendar_detail(config: CampaignConfig) -> str:
     )
 
 
-def _exchange_detail(exchanges: tuple[ExchangeConfig, ...]) -> str:
-    return ", ".join(f"{each.finger} at session {each.session}" for each in exchanges)
-
-
-def _drift_detail(terms: tuple[DriftTermConfig, ...]) -> str:
-    return f"memory {', '.join(f'{term.memory_days:g}' for term in terms)} days"
-
-
-def _warm_up_detail(config: TemperatureConfig) -> str:
-    return f"{config.warming_s:g} s after each power-on"
-
-
 def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     config = scene.campaign.warm_up if scene.campaign else None
-    return None if config is None or config.tdc else f"campaign.warm_up: {_warm_up_detail(config)}"
+    return None if config is None or config.tdc else f"campaign.warm_up: {config.warming_s:g} s after each power-on"
 
 
 def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
@@ -132,7 +113,7 @@ _DRIFT = Effect(
     "campaign.drift",
     reads=("campaign_time", "times", "load"),
     changes=("level",),
-    detail=_drift_detail,
+    detail=lambda terms: f"memory {', '.join(f'{term.memory_days:g}' for term in terms)} days",
 )
 _WARM_UP = Effect(
     "warm_up",
@@ -159,7 +140,7 @@ MOUNTING = (
         "campaign.exchanges",
         reads=("campaign_time",),
         writes=("sensors",),
-        detail=_exchange_detail,
+        detail=lambda exchanges: ", ".join(f"{each.finger} at session {each.session}" for each in exchanges),
     ),
 )
 
