@@ -15,7 +15,6 @@ import yaml
 from calibrated_models import save_calibrated_contact
 from corpus.changes import Draw, damaged, replaced, retyped
 from experiment_samples import make_samples
-from foretouch.dataset.recording.chain import list_sessions
 from hypothesis import strategies as st
 from other_sensor import USKIN, readings, write_readings
 from recording_builders import IDENTITY, QUICK, record, write_dataset, write_sample
@@ -28,6 +27,7 @@ from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import SampleRecord
+from foretouch.dataset.recording.folder import list_sessions
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter

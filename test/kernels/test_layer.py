@@ -24,12 +24,12 @@ def test_they_take_the_same_steps(rng) -> None:
         gap = (x[:, None] ** 2 + x**2) / 0.02 + 1e-5 * rng.normal(size=(n, n))
         problem = ContactProblem(gap - gap.min(), float(x[1] - x[0]), (skin(), soft))
         start = layers._expected_pressure(problem, command)
-        ours = layers._descend(problem, command, problem.gap, start, *LIMITS)
+        pressure, depth, iterations, residual = layers._descend(problem, command, problem.gap, start, *LIMITS)
         plain = reference.descend(problem, command, problem.gap, start, *LIMITS)
-        assert ours.iterations == plain.iterations > 2
-        assert_allclose(ours.pressure, plain.pressure, rtol=0.0, atol=1e-12 * plain.pressure.max())
-        assert_allclose(ours.depth, plain.depth, rtol=1e-10)
-        assert_allclose(ours.residual, plain.residual, rtol=0.0, atol=1e-12 * n * n)  # a sum over all cells
+        assert iterations == plain[2] > 2
+        assert_allclose(pressure, plain[0], rtol=0.0, atol=1e-12 * plain[0].max())
+        assert_allclose(depth, plain[1], rtol=1e-10)
+        assert_allclose(residual, plain[3], rtol=0.0, atol=1e-12 * n * n)  # a sum over all cells
 
     sides = (7, 8, 9, 11, 12, 15, 20, 21, 24, 32, 40, 46, 48)
     every_case(product(sides, (Command(force_n=1.0), Command(depth_m=3e-4))), check)

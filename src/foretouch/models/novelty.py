@@ -35,7 +35,7 @@ _MINIMUM_POINTS: Final = 8
 
 def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
     """(M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
-    points = np.asarray(xyz, np.float64).reshape(-1, 3)
+    points = np.ascontiguousarray(xyz, np.float64).reshape(-1, 3)
     if not np.isfinite(points).all():
         points = points[np.isfinite(points).all(axis=1)]
     if len(points) < _MINIMUM_POINTS:

@@ -34,4 +34,4 @@ def descend(problem, command, gap, start, tolerance, max_iterations):
             new, u = new * (total / new.sum()), u * (total / new.sum())
         residual, p, iterations = np.abs(new - p).sum() / new.sum(), new, iterations + 1
     depth = np.mean((u + gap)[p > 0.0]) if by_force else command.depth_m
-    return layers._End(p, depth, iterations, residual)
+    return p, depth, iterations, residual
