@@ -8,9 +8,7 @@ from collections.abc import Callable
 from typing import Final, Generic, Literal, TypeVar
 
 _BUSY_S: Final = 0.5  # for which something may wait without a pause until the receiver counts as late
-_LATE_S: Final = (
-    20.0  # for which it then counts as late: to find out that it is still so makes half a second of items old
-)
+_LATE_S: Final = 20.0  # for which it then counts as late, since each try whether it still is makes items old
 _Item = TypeVar("_Item")
 
 
