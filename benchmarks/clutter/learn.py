@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learn which fragments of clusters are one object: `python -m benchmarks.clutter.learn` writes `same_object.safetensors` and its card.
+
+The scenes are of random objects (`shapes.py`), none of which is one of the benchmark's. In each, segmentation joins fragments as
+the trees of the round before tell it, and keeps what it rated on the way; whether both are of one object is known. Boosted
+trees learn that. In further rounds they learn from what their own joining makes, too.
+"""
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from safetensors.numpy import save_file
+from scipy.ndimage import gaussian_filter
+from sklearn.ensemble import HistGradientBoostingClassifier
+
+from benchmarks.clutter import lccp, shapes
+from benchmarks.clutter.metrics import score, summary
+from benchmarks.clutter.models import Model, write_mesh
+from benchmarks.clutter.physics import Pile, Placed
+from benchmarks.clutter.piles import Scene, alone, look, make, save
+from benchmarks.clutter.scenes import LabelledCloud
+from foretouch.cloud.segmentation import parts
+from foretouch.cloud.segmentation.segment import segment
+from foretouch.types import Cloud, Float32, Float64
+from foretouch_lab.simulation.solids import about_z
+from foretouch_lab.simulation.world import SampleKey
+
+HELD_OUT: Final = 10  # every so many files are not learned from
+DEPTH, RATE = 5, 0.1
+ROUNDS: Final = ((150, 1.0), (300, 2.0))  # trees, weight of the pairs in piles
+FEATURES: Final = 38  # of a pair of fragments, see `describe` of kernels/split.c
+LESS, MORE = (0,), (2, 6, 7)  # concave borders tell against one object; convex ones, and surfaces that agree, for it
+_ROWS: Final = 8000  # of a scene at most
+
+Rng = np.random.Generator
+
+
+def in_piles(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
+    """A pile as those of the benchmark, or, every third time, three objects alone."""
+    rng = np.random.default_rng([11, number, 7])
+    makers = dict(shapes.FIXED)
+    for k in range(8):
+        one = shapes.DRAWN[rng.integers(len(shapes.DRAWN))]
+        makers[f"{one.__name__}_{k}"] = one
+    models = {name: replace(one(rng), name=name) for name, one in makers.items()}
+    seen = {name: _mesh(model, f"11_{number}", folder) for name, model in models.items()}
+    if number % 3 < 2:
+        pile = make(models, seen, 11, number + 1000)
+        yield f"{pile.kind}{number:04d}", pile
+        return
+    names = list(models)
+    for k in range(3):
+        name = names[8 + k] if rng.random() < 0.85 else names[rng.integers(8)]
+        rested, _ = alone(models[name], 11, 1000 * number + k, upright=rng.random() < 0.5)
+        tilt = 0.0 if rng.random() < 0.4 else float(rng.uniform(15.0, 60.0))
+        yield f"single{number:04d}{k}", look(rested, seen, "single", (tilt, float(rng.uniform(0.75, 1.1))), SampleKey(11, number, k))  # fmt: skip
+
+
+def arranged(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
+    """Larger objects that stand side by side, on and before each other, and do not fall as nothing moves."""
+    rng = np.random.default_rng([12, number])
+    placed: list[Placed] = []
+    under: list[Placed] = []
+    want = rng.integers(1, 6)
+    for _ in range(60):
+        if len(placed) == want:
+            break
+        maker = shapes.STANDING[rng.integers(len(shapes.STANDING))]
+        model = replace(maker(rng), name=f"o{len(placed)}_{maker.__name__}").scaled(rng.uniform(0.9, 1.7))
+        if model.shape and rng.random() < 0.4 and model.shape == "box":
+            model = replace(model, size=model.size[rng.permutation(3)])
+        below = None
+        if placed and rng.random() < 0.35:
+            flat = [one for one in placed if one.model.flat and not any(one is other for other in under)]
+            below = flat[rng.integers(len(flat))] if flat else None
+        place = _place(model, below, placed, rng)
+        if place is None:
+            continue
+        under += [below] if below is not None else []
+        angle = rng.uniform(0.0, 2.0 * np.pi) if rng.random() < 0.7 else np.pi / 2.0 * rng.integers(4)
+        placed.append(Placed(model, place, about_z(angle)))
+    seen = {one.model.name: _mesh(one.model, f"12_{number}", folder) for one in placed}
+    pile = Pile(tuple(placed), np.zeros((1, 1), np.bool_), 0.0, True)
+    view = float(rng.uniform(30.0, 62.0)), float(rng.uniform(0.75, 1.2))
+    yield f"arranged{number:04d}", look(pile, seen, "arranged", view, SampleKey(12, number, 0))
+
+
+def _place(model: Model, below: Placed | None, placed: Sequence[Placed], rng: Rng) -> Float64 | None:
+    """On another object, or where it is apart from those on the table; None if that fails."""
+    if below is not None:
+        aside = rng.uniform(-0.35, 0.35, 2) * np.minimum(below.model.size[:2], 0.1)
+        place = below.position + np.append(aside, (below.model.size[2] + model.size[2]) / 2.0)
+        return None if place[2] + model.size[2] / 2.0 > 0.45 else place
+    place = np.array([*rng.uniform(-0.13, 0.13, 2), model.size[2] / 2.0])
+    gap, radius = rng.choice([0.0, 0.01, 0.03]), float(np.linalg.norm(model.size[:2])) / 2.0
+    for one in placed:
+        near = radius + float(np.linalg.norm(one.model.size[:2])) / 2.0
+        if np.linalg.norm((one.position - place)[:2]) < near * rng.uniform(0.75, 1.0) + gap and one.position[2] < one.model.size[2]:  # fmt: skip
+            return None
+    return place
+
+
+def on_its_own(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
+    """One of the objects that are concave, obliquely and from above."""
+    rng = np.random.default_rng([13, number])
+    maker = shapes.CONCAVE[number % len(shapes.CONCAVE)]
+    model = replace(maker(rng), name=maker.__name__)
+    seen = {model.name: _mesh(model, f"13_{number}", folder)}
+    rested, _ = alone(model, 13, number, upright=rng.random() < 0.4)
+    for k in range(2):
+        view = (float(rng.uniform(20.0, 60.0)) if k else 0.0, float(rng.uniform(0.7, 1.15)))
+        yield f"{model.name}{number:04d}{k}", look(rested, seen, "single", view, SampleKey(13, number, k))
+
+
+def _mesh(model: Model, prefix: str, folder: Path) -> str:
+    return write_mesh(replace(model, name=f"{prefix}_{model.name}"), folder / "meshes")
+
+
+SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 360), "train": (in_piles, 776)}  # fmt: skip
+
+
+def write_scenes(folder: Path) -> None:
+    """Write all that are not there yet."""
+    for name, (maker, count) in SETS.items():
+        (folder / name / "meshes").mkdir(parents=True, exist_ok=True)
+        done = folder / name / "done.txt"
+        first = int(done.read_text(encoding="utf-8")) if done.is_file() else 0
+        for number in range(first, count):
+            try:
+                for stem, scene in maker(number, folder / name):
+                    save(scene, folder / name / f"{stem}.npz")
+            except (RuntimeError, ValueError) as err:  # it does not come to rest, or no physics takes its parts
+                print(f"{name} {number}: {err}", file=sys.stderr)
+            done.write_text(str(number + 1), encoding="utf-8")
+
+
+def faulty(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
+    """The scene in another size, with noise and steps of disparity as of a Kinect."""
+    z = scene.cloud.xyz[..., 2]
+    noise = rng.uniform(0.001, 0.0025)
+    grain = gaussian_filter(rng.normal(size=z.shape), rng.uniform(0.6, 1.2))
+    step = 0.0028 * rng.uniform(0.5, 1.0)
+    disparity = np.round(1.0 / (z + noise * z * z * grain / grain.std()) / step) * step
+    factor = rng.uniform(0.8, 1.7) / (disparity * z)
+    return replace(scene, cloud=Cloud(np.ascontiguousarray((scene.cloud.xyz * factor[..., None]).astype(np.float32))))
+
+
+class Recorder:
+    """The kernel that splits, called by segmentation, with what it rates, and the trees it rates with."""
+
+    def __init__(self) -> None:
+        self._kernel, self._rows = parts._split, np.zeros((_ROWS, FEATURES + 2))  # noqa: SLF001  the only way to its rows
+        self._at: tuple[int, int, int, int] | None = None
+        parts._split = self  # type: ignore[assignment]  # noqa: SLF001
+        self.use(
+            np.array([[0, np.radians(26.0), 1, -1]], np.float32)
+        )  # joined across borders that bend by less than 26 degrees
+
+    def use(self, trees: Float32) -> None:
+        """Rate with these trees from now on."""
+        found = trees, (trees.shape[1] // 3 + 1).bit_length() - 1
+        parts._trees = lambda: found  # type: ignore[assignment]  # noqa: SLF001
+
+    def __call__(self, *arguments: Any) -> None:
+        """The kernel's arguments."""
+        self._kernel(*arguments[:-2], self._rows, _ROWS)
+        first, _, _, w, k = arguments[:5]
+        self._at = first.ctypes.data, w, k, int(arguments[8][-1])
+
+    def pairs(self, scene: LabelledCloud) -> tuple[Float64, Float64]:
+        """Features (n, FEATURES) of what is rated in a scene, and whether both are one object (n,)."""
+        self._at = None
+        segment(scene.cloud)
+        if self._at is None:
+            return np.zeros((0, FEATURES)), np.zeros(0)
+        address, w, k, count = self._at
+        xyz, rows = scene.cloud.xyz, self._rows[: min(count, _ROWS)]
+        top, left = divmod((address - xyz.ctypes.data) // (3 * xyz.itemsize), xyz.shape[1])
+        v, u = np.divmod(rows[:, :2].astype(np.int64), -(-w // k) * k)
+        of = scene.labels[np.minimum(v + top, xyz.shape[0] - 1), np.minimum(u + left, xyz.shape[1] - 1)]
+        known = of.any(axis=1)
+        return rows[known, 2:].copy(), ((of[:, 0] == of[:, 1]) & (of[:, 0] > 0))[known].astype(np.float64)
+
+
+def variants(files: Sequence[Path]) -> Iterator[LabelledCloud]:
+    """Scenes of files, nearly half of them with the faults of another camera."""
+    for path in files:
+        rng = np.random.default_rng(list(path.stem.encode()))
+        with np.load(path) as arrays:
+            scene = LabelledCloud(path.stem, str(arrays["kind"]), Cloud(arrays["xyz"]), arrays["labels"])
+        yield faulty(scene, rng) if rng.random() < 0.45 else scene
+
+
+def learned(rows: Sequence[Float64], same: Sequence[Float64], weights: Sequence[Float64], count: int) -> Float32:
+    """Trees (T, 3 * 2**DEPTH - 2): nodes of (feature, threshold) and leaves in the order of a heap."""
+    x, y = np.concatenate(rows), np.concatenate(same)
+    signs = [MORE.count(k) - LESS.count(k) for k in range(FEATURES)]
+    model = HistGradientBoostingClassifier(
+        max_iter=count, max_depth=DEPTH, learning_rate=RATE, max_leaf_nodes=None, min_samples_leaf=40, l2_regularization=1.0,
+        early_stopping=False, random_state=0, monotonic_cst=signs,
+    ).fit(x, y, sample_weight=np.concatenate(weights))  # fmt: skip
+    inner = 2**DEPTH - 1
+    trees = np.zeros((count, 3 * inner + 1), np.float32)
+    trees[:, 1 : 2 * inner : 2] = np.inf  # to the left
+    for tree, (predictor,) in zip(trees, model._predictors, strict=True):  # noqa: SLF001  scikit-learn exports them as pickles only
+        _fill(tree, predictor.nodes, 0, 0)
+    trees[0, 2 * inner :] += float(np.ravel(model._baseline_prediction)[0])  # noqa: SLF001
+    return trees
+
+
+def _fill(tree: Float32, nodes: Any, node: int, at: int) -> None:
+    inner, one = len(tree) // 3, nodes[node]
+    if at >= inner:
+        tree[at + inner] = one["value"]
+    elif one["is_leaf"]:
+        _fill(tree, nodes, node, 2 * at + 1)
+    else:
+        tree[2 * at], tree[2 * at + 1] = one["feature_idx"], one["num_threshold"]
+        _fill(tree, nodes, one["left"], 2 * at + 1)
+        _fill(tree, nodes, one["right"], 2 * at + 2)
+
+
+def held_out(scenes: Iterator[LabelledCloud]) -> dict[str, float]:
+    """Scores of segmentation in scenes that were not learned from."""
+    found = [score(segment(scene.cloud).labels, scene.labels) for scene in scenes]
+    return {name: round(value, 3) for name, value in summary(found).items()}
+
+
+def main() -> None:
+    """Make scenes, learn, and write the trees."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=Path, default=lccp.cache() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
+    folder = parser.parse_args().scenes
+    write_scenes(folder)
+    files = sorted(path for name in SETS for path in (folder / name).glob("*.npz"))
+    known, new = [path for k, path in enumerate(files) if k % HELD_OUT], files[::HELD_OUT]
+    recorder, rows, same, piled = Recorder(), [], [], []
+    for count, weight in ROUNDS:
+        for scene in variants(known):
+            x, y = recorder.pairs(scene)
+            rows.append(x)
+            same.append(y)
+            piled.append(np.full(len(y), scene.kind not in {"single", "arranged"}))
+        trees = learned(rows, same, [np.where(one, weight, 1.0) for one in piled], count)
+        recorder.use(trees)
+        scores = held_out(variants(new))
+        print(f"{sum(map(len, same))} pairs: {scores}", flush=True)
+    write(trees, scores, len(known), sum(map(len, same)))
+
+
+def write(trees: Float32, scores: dict[str, float], scenes: int, pairs: int) -> None:
+    """The trees, and the card beside them."""
+    save_file({"trees": trees}, parts.TREES)
+    card = {
+        "what": "log odds that two fragments of a cluster are one object, from the features of `describe` in kernels/split.c",
+        "made_by": "python -m benchmarks.clutter.learn",
+        "learned_from": f"{pairs} pairs of fragments in {scenes} simulated scenes of random objects, nearly half as of a Kinect",
+        "not_learned_from": "any object or scene of benchmarks/clutter, OSD, YCB, or a recording",
+        "model": f"{len(trees)} boosted trees of depth {DEPTH}, learning rate {RATE}, in {len(ROUNDS)} rounds, seed 0",
+        "held_out_scenes": scores,
+        "sha256": hashlib.sha256(parts.TREES.read_bytes()).hexdigest(),
+    }
+    parts.TREES.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
