@@ -461,7 +461,6 @@ static void join(graph *g, int32_t a, int32_t b) {
     for (int k = 0; k < SUMS; k++) {
         to->sum[k] += from->sum[k];
     }
-    derive(to->sum, &to->is);
     for (int64_t i = 1; i <= g->n_fragments; i++) {
         g->fragments[i].to = g->fragments[i].to == b ? a : g->fragments[i].to;
         g->fragments[i].first = -1; /* from here on: the border of a with this one */
@@ -495,9 +494,6 @@ static void join(graph *g, int32_t a, int32_t b) {
 /* Joins tiny fragments across the border that bends least; then those that are rated highest, as long as they are rated as one
  * object; at last those that are smaller than the smallest part. */
 static void join_all(graph *g) {
-    for (int64_t i = 1; i <= g->n_fragments; i++) {
-        derive(g->fragments[i].sum, &g->fragments[i].is);
-    }
     for (int pass = 0; pass < 3;) {
         const border *best = NULL;
         double most = pass == 1 ? g->s[SAME] : -INFINITY;
@@ -514,7 +510,16 @@ static void join_all(graph *g) {
         }
         if (best) {
             g->counts[pass != 1 ? BY_SIZE : best->sum[LENGTH] > 0.0 ? BY_BORDER : BY_VIEW]++;
-            join(g, best->a, best->b);
+            const int32_t a = best->a;
+            join(g, a, best->b);
+            if (pass) {
+                derive(g->fragments[a].sum, &g->fragments[a].is);
+            }
+        }
+        for (int64_t i = 1; i <= g->n_fragments && !best && !pass; i++) { /* the shapes of those that are left */
+            if (g->fragments[i].to == i) {
+                derive(g->fragments[i].sum, &g->fragments[i].is);
+            }
         }
         pass += !best;
     }
