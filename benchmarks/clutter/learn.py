@@ -12,6 +12,9 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
+from itertools import pairwise
+from multiprocessing import Pool
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +24,7 @@ from scipy.ndimage import gaussian_filter
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from benchmarks.clutter import lccp, shapes
-from benchmarks.clutter.metrics import score, summary
+from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.models import Model, write_mesh
 from benchmarks.clutter.physics import Pile, Placed
 from benchmarks.clutter.piles import Scene, alone, look, make, save
@@ -32,11 +35,15 @@ from foretouch.types import Cloud, Float32, Float64
 from foretouch_lab.simulation.solids import about_z
 from foretouch_lab.simulation.world import SampleKey
 
+FAULTY, BARE = 0.42, 0.65  # share of scenes with a Kinect's faults, and of objects alone from which on they are bare
 HELD_OUT: Final = 10  # every so many files are not learned from
 DEPTH, RATE = 5, 0.1
 ROUNDS: Final = ((150, 1.0), (300, 2.0))  # trees, weight of the pairs in piles
 FEATURES: Final = 38  # of a pair of fragments, see `describe` of kernels/split.c
 LESS, MORE = (0,), (2, 6, 7)  # concave borders tell against one object; convex ones, and surfaces that agree, for it
+FIRST: Final = np.array(
+    [[0, np.radians(26.0), 1, -1]], np.float32
+)  # joined across borders that bend by less than 26 degrees
 _ROWS: Final = 8000  # of a scene at most
 
 Rng = np.random.Generator
@@ -119,26 +126,104 @@ def on_its_own(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
         yield f"{model.name}{number:04d}{k}", look(rested, seen, "single", view, SampleKey(13, number, k))
 
 
+def touching(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
+    """Two or three objects in contact, on or beside each other; or one that is plain, or whose neck is stepped."""
+    rng = np.random.default_rng([14, number])
+    kind = ("stacked", "beside", "plain", "stacked", "bowls", "stepped", "beside", "balls")[number % 8]
+    if kind in {"plain", "stepped"}:
+        makers = (
+            (shapes.stepped,)
+            if kind == "stepped"
+            else (shapes.box, shapes.packet, shapes.can, shapes.tube, shapes.ball)
+        )
+        model = replace(makers[rng.integers(len(makers))](rng), name="o0").scaled(rng.uniform(0.9, 1.5))
+        lying = model.shape == "box" and rng.random() < 0.4
+        model = replace(model, size=model.size[rng.permutation(3)]) if lying else model
+        placed = [Placed(model, np.array([0.0, 0.0, model.size[2] / 2.0]), about_z(rng.uniform(0.0, 2.0 * np.pi)))]
+    else:
+        placed = _stack(rng) if kind == "stacked" else _row(rng, kind)
+    seen = {one.model.name: _mesh(one.model, f"14_{number}", folder) for one in placed}
+    pile = Pile(tuple(placed), np.zeros((1, 1), np.bool_), 0.0, True)
+    tilt = 0.0 if len(placed) == 1 and rng.random() < 0.2 else float(rng.uniform(22.0, 60.0))
+    kind = "single" if len(placed) == 1 else kind
+    yield f"{kind}{number:04d}", look(pile, seen, kind, (tilt, float(rng.uniform(0.7, 1.15))), SampleKey(14, number, 0))
+
+
+def _one(rng: Rng, makers: Sequence[Callable[[Rng], Model]], name: str) -> Model:
+    model = replace(makers[rng.integers(len(makers))](rng), name=name).scaled(rng.uniform(0.85, 1.3))
+    return replace(model, size=model.size[rng.permutation(3)]) if model.shape == "box" and rng.random() < 0.3 else model
+
+
+def _stack(rng: Rng) -> list[Placed]:
+    placed: list[Placed] = []
+    count, place, yaw, top = rng.integers(2, 4), np.zeros(2), rng.uniform(0.0, 2.0 * np.pi), 0.0
+    for k in range(count):
+        last = k == count - 1 and rng.random() < 0.7
+        model = _one(rng, shapes.STANDING if last else (shapes.box, shapes.packet, shapes.can), f"o{k}")
+        if k and rng.random() < 0.25:  # as those of a shelf
+            model = replace(placed[-1].model, name=model.name)
+        place = place + (rng.uniform(-0.015, 0.015, 2) if k else 0.0)
+        yaw = yaw if rng.random() < 0.4 else rng.uniform(0.0, 2.0 * np.pi)
+        placed.append(Placed(model, np.array([*place, top + model.size[2] / 2.0]), about_z(yaw)))
+        top += model.size[2]
+    return placed
+
+
+def _row(rng: Rng, kind: str) -> list[Placed]:
+    """Objects of which each touches the one before, in the direction of x, all turned together."""
+    flat = (shapes.box, shapes.packet, shapes.can)
+    makers = {"bowls": (shapes.vessel,), "balls": (shapes.ball,)}.get(kind, flat)
+    models = [_one(rng, makers, "o0")]
+    models += [
+        _one(rng, makers if rng.random() < 0.6 else (*flat, shapes.vessel), f"o{k}")
+        for k in range(1, rng.integers(2, 4))
+    ]
+    turn, places = about_z(rng.uniform(0.0, 2.0 * np.pi)), [np.zeros(2)]
+    for one, other in pairwise(models):
+        aside = rng.uniform(-0.4, 0.4) * min(one.size[1], other.size[1])
+        if rng.random() < 0.3:  # flush
+            aside = (other.size[1] - one.size[1]) / 2.0
+        far = (one.size[0] + other.size[0]) / 2.0
+        if one.shape == other.shape == "ball":
+            far = float(np.sqrt(one.size[0] * other.size[0]))
+        if one.shape != "box" and other.shape != "box":
+            aside = float(np.clip(aside, -0.8 * far, 0.8 * far))
+            far = float(np.sqrt(far * far - aside * aside))
+        places.append(places[-1] + (far + rng.uniform(0.0, 0.001), aside))
+    middle = np.mean(places, axis=0)
+    return [
+        Placed(model, turn @ np.array([*(place - middle), model.size[2] / 2.0]), turn)
+        for model, place in zip(models, places, strict=True)
+    ]
+
+
 def _mesh(model: Model, prefix: str, folder: Path) -> str:
     return write_mesh(replace(model, name=f"{prefix}_{model.name}"), folder / "meshes")
 
 
-SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 360), "train": (in_piles, 776)}  # fmt: skip
+SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 360), "touch": (touching, 800), "train": (in_piles, 600)}  # fmt: skip
 
 
-def write_scenes(folder: Path) -> None:
+def write_scenes(folder: Path, jobs: int) -> None:
     """Write all that are not there yet."""
-    for name, (maker, count) in SETS.items():
+    for name, (_, count) in SETS.items():
         (folder / name / "meshes").mkdir(parents=True, exist_ok=True)
         done = folder / name / "done.txt"
         first = int(done.read_text(encoding="utf-8")) if done.is_file() else 0
-        for number in range(first, count):
-            try:
-                for stem, scene in maker(number, folder / name):
-                    save(scene, folder / name / f"{stem}.npz")
-            except (RuntimeError, ValueError) as err:  # it does not come to rest, or no physics takes its parts
-                print(f"{name} {number}: {err}", file=sys.stderr)
-            done.write_text(str(number + 1), encoding="utf-8")
+        with Pool(jobs) as pool:
+            for number, fault in enumerate(pool.imap(partial(_write, folder, name), range(first, count)), first):
+                if fault:
+                    print(f"{name} {number}: {fault}", file=sys.stderr)
+                done.write_text(str(number + 1), encoding="utf-8")
+
+
+def _write(folder: Path, name: str, number: int) -> str:
+    try:
+        for stem, scene in SETS[name][0](number, folder / name):
+            save(scene, folder / name / f"{stem}.npz")
+    except (RuntimeError, ValueError) as err:  # it does not come to rest, or no physics takes its parts
+        return str(err)
+    return ""
 
 
 def faulty(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
@@ -152,6 +237,37 @@ def faulty(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
     return replace(scene, cloud=Cloud(np.ascontiguousarray((scene.cloud.xyz * factor[..., None]).astype(np.float32))))
 
 
+def bare(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
+    """The object alone, noisier and with holes, often in half the pixels, before a table without noise: as points cut out before."""
+    some = (slice(None, None, int(rng.integers(1, 3))),) * 2
+    scene = replace(
+        scene, cloud=Cloud(np.ascontiguousarray(scene.cloud.xyz[some])), labels=np.ascontiguousarray(scene.labels[some])
+    )
+    z = scene.cloud.xyz[..., 2]
+    grain = gaussian_filter(rng.normal(size=z.shape), rng.uniform(0.5, 2.0))
+    seen = (scene.labels > 0) & np.isfinite(z)
+    holes = gaussian_filter(rng.normal(size=z.shape), rng.uniform(0.7, 4.0))
+    seen &= holes < np.quantile(holes, 1.0 - rng.uniform(0.0, 0.03))
+    if np.count_nonzero(seen) < 300:
+        return scene
+    rays = scene.cloud.xyz / z[..., None]
+    step = 0.0028 * rng.uniform(0.1, 0.7)
+    disparity = np.round(1.0 / (z + rng.uniform(0.0005, 0.003) * z * z * grain / grain.std()) / step) * step
+    v, u = np.nonzero(np.isfinite(z))
+    some = rng.permutation(len(v))[:2000]
+    fit = np.linalg.lstsq(
+        np.stack([np.ones(len(some)), u[some], v[some]], axis=1), rays[v[some], u[some], :2], rcond=None
+    )[0]
+    rows, columns = np.indices(z.shape)
+    rays[..., :2] = fit[0] + columns[..., None] * fit[1] + rows[..., None] * fit[2]
+    depth = np.where(seen, 1.0 / disparity, (1.0 / disparity)[seen].max() + 0.01)
+    rays[..., 2] = 1.0
+    xyz = (rays * depth[..., None] * rng.uniform(0.8, 1.4)).astype(np.float32)
+    return replace(
+        scene, cloud=Cloud(np.ascontiguousarray(xyz)), labels=np.where(seen, scene.labels, 0).astype(np.int32)
+    )
+
+
 class Recorder:
     """The kernel that splits, called by segmentation, with what it rates, and the trees it rates with."""
 
@@ -159,9 +275,6 @@ class Recorder:
         self._kernel, self._rows = parts._split, np.zeros((_ROWS, FEATURES + 2))  # noqa: SLF001  the only way to its rows
         self._at: tuple[int, int, int, int] | None = None
         parts._split = self  # type: ignore[assignment]  # noqa: SLF001
-        self.use(
-            np.array([[0, np.radians(26.0), 1, -1]], np.float32)
-        )  # joined across borders that bend by less than 26 degrees
 
     def use(self, trees: Float32) -> None:
         """Rate with these trees from now on."""
@@ -189,13 +302,39 @@ class Recorder:
         return rows[known, 2:].copy(), ((of[:, 0] == of[:, 1]) & (of[:, 0] > 0))[known].astype(np.float64)
 
 
-def variants(files: Sequence[Path]) -> Iterator[LabelledCloud]:
-    """Scenes of files, nearly half of them with the faults of another camera."""
-    for path in files:
-        rng = np.random.default_rng(list(path.stem.encode()))
-        with np.load(path) as arrays:
-            scene = LabelledCloud(path.stem, str(arrays["kind"]), Cloud(arrays["xyz"]), arrays["labels"])
-        yield faulty(scene, rng) if rng.random() < 0.45 else scene
+def variant(path: Path) -> LabelledCloud:
+    """The scene of a file, more than half of them with the faults of another camera."""
+    rng = np.random.default_rng(list(path.stem.encode()))
+    with np.load(path) as arrays:
+        scene = LabelledCloud(path.stem, str(arrays["kind"]), Cloud(arrays["xyz"]), arrays["labels"])
+    share = rng.random()
+    if scene.kind == "single" and share > BARE:
+        return bare(scene, rng)
+    return faulty(scene, rng) if share < FAULTY else scene
+
+
+def pairs_of(trees: Float32, path: Path) -> tuple[Float64, Float64, bool]:
+    """Of one file: features, whether both are one object, and whether objects touch."""
+    scene = variant(path)
+    return (*_recorder(trees).pairs(scene), scene.kind not in {"single", "arranged"})
+
+
+def score_of(trees: Float32, path: Path) -> SceneScore:
+    """Of segmentation with trees in one file."""
+    scene = variant(path)
+    _recorder(trees)
+    return score(segment(scene.cloud).labels, scene.labels)
+
+
+@cache
+def _the_recorder() -> Recorder:
+    return Recorder()
+
+
+def _recorder(trees: Float32) -> Recorder:
+    recorder = _the_recorder()
+    recorder.use(trees)
+    return recorder
 
 
 def learned(rows: Sequence[Float64], same: Sequence[Float64], weights: Sequence[Float64], count: int) -> Float32:
@@ -227,32 +366,35 @@ def _fill(tree: Float32, nodes: Any, node: int, at: int) -> None:
         _fill(tree, nodes, one["right"], 2 * at + 2)
 
 
-def held_out(scenes: Iterator[LabelledCloud]) -> dict[str, float]:
-    """Scores of segmentation in scenes that were not learned from."""
-    found = [score(segment(scene.cloud).labels, scene.labels) for scene in scenes]
-    return {name: round(value, 3) for name, value in summary(found).items()}
-
-
 def main() -> None:
     """Make scenes, learn, and write the trees."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, default=lccp.cache() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
-    folder = parser.parse_args().scenes
-    write_scenes(folder)
-    files = sorted(path for name in SETS for path in (folder / name).glob("*.npz"))
+    parser.add_argument("--jobs", type=int, default=2, help="processes; the result does not depend on them")
+    options = parser.parse_args()
+    write_scenes(options.scenes, options.jobs)
+    files = sorted(path for name in SETS for path in (options.scenes / name).glob("*.npz"))
+    learn(files, options.jobs)
+
+
+def learn(files: Sequence[Path], jobs: int) -> Float32:
     known, new = [path for k, path in enumerate(files) if k % HELD_OUT], files[::HELD_OUT]
-    recorder, rows, same, piled = Recorder(), [], [], []
+    trees, rows, same, piled = FIRST, [], [], []
     for count, weight in ROUNDS:
-        for scene in variants(known):
-            x, y = recorder.pairs(scene)
-            rows.append(x)
-            same.append(y)
-            piled.append(np.full(len(y), scene.kind not in {"single", "arranged"}))
+        with Pool(jobs) as pool:
+            for x, y, touch in pool.imap(partial(pairs_of, trees), known, chunksize=8):
+                rows.append(x)
+                same.append(y)
+                piled.append(np.full(len(y), touch))
         trees = learned(rows, same, [np.where(one, weight, 1.0) for one in piled], count)
-        recorder.use(trees)
-        scores = held_out(variants(new))
+        with Pool(jobs) as pool:
+            scores = {
+                name: round(value, 3)
+                for name, value in summary(pool.imap(partial(score_of, trees), new, chunksize=8)).items()
+            }
         print(f"{sum(map(len, same))} pairs: {scores}", flush=True)
     write(trees, scores, len(known), sum(map(len, same)))
+    return trees
 
 
 def write(trees: Float32, scores: dict[str, float], scenes: int, pairs: int) -> None:

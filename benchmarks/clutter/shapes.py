@@ -99,6 +99,14 @@ def bottle(rng: Rng) -> Model:
     return _squashed(rng, points)
 
 
+def stepped(rng: Rng) -> Model:
+    """A body with a sharp step to a neck or a lid that is narrower."""
+    r, body = rng.uniform((0.025, 0.05), (0.055, 0.15))
+    neck, long = r * rng.uniform(0.3, 0.75), rng.uniform(0.015, 0.08)
+    points = [(r, 0.0), (r, body), (neck, body + 0.001), (neck, body + long)]
+    return centred("", turned(points)) if rng.random() < 0.7 else _squashed(rng, points)
+
+
 def _wall(rng: Rng) -> Float64:
     if rng.random() < 0.5:
         angle = np.linspace(0.0, np.pi / 2.0, 4 * BANDS + 1)
