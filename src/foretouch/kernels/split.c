@@ -584,32 +584,59 @@ static void look_behind(graph *g) {
     }
 }
 
-/* Gives each pixel the part of the cell of its cluster that is nearest: in cells, and in depth by LIKE. */
-static int64_t write_parts(const graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, int32_t *labels) {
+/* The part of cells all of whose neighbours that are of a cluster are of it, else 0. */
+static void find_sole_parts(graph *g) {
+    for (int64_t i = 0; i < g->h; i++) {
+        for (int64_t j = 0; j < g->w; j++) {
+            cell *c = g->cells + i * g->w + j;
+            c->inside = c->part;
+            for (int64_t y = i ? i - 1 : 0; y <= i + 1 && y < g->h; y++) {
+                for (int64_t x = j ? j - 1 : 0; x <= j + 1 && x < g->w; x++) {
+                    const int32_t part = g->cells[y * g->w + x].part;
+                    c->inside = part && part != c->part ? 0 : c->inside;
+                }
+            }
+        }
+    }
+}
+
+/* The part of the cell of a pixel's cluster that is nearest: in cells, and in depth by LIKE. */
+static int32_t nearest_part(const graph *g, int64_t y, int64_t x, float z, int32_t label) {
+    float best = INFINITY;
+    int32_t part = 0;
+    for (int64_t near = 0; near < 9; near++) {
+        const int64_t i = y / g->k + near / 3 - 1, j = x / g->k + near % 3 - 1;
+        const cell *c = g->cells + i * g->w + j;
+        if (i < 0 || j < 0 || i >= g->h || j >= g->w || c->label != label) {
+            continue;
+        }
+        const float dy = ((float)y + 0.5f) / (float)g->k - (float)i - 0.5f, dx = ((float)x + 0.5f) / (float)g->k - (float)j - 0.5f;
+        const float dz = (z - c->p[2]) / LIKE, apart = dx * dx + dy * dy + dz * dz;
+        if (apart < best) {
+            best = apart, part = c->part;
+        }
+    }
+    return part;
+}
+
+static int64_t write_parts(graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, int32_t *labels) {
     int32_t *names = g->root, count = 0;
     memset(names, 0, (size_t)g->n * sizeof(int32_t));
+    find_sole_parts(g);
     for (int64_t y = 0; y < h; y++) {
-        for (int64_t x = 0; x < w; x++) {
-            const int32_t label = labels[y * w + x];
-            const float z = xyz[3 * (y * across + x) + 2];
-            float best = INFINITY;
-            int32_t part = 0;
-            for (int64_t near = 0; near < 9 && label; near++) {
-                const int64_t i = y / k + near / 3 - 1, j = x / k + near % 3 - 1;
-                const cell *c = g->cells + i * g->w + j;
-                if (i < 0 || j < 0 || i >= g->h || j >= g->w || c->label != label) {
-                    continue;
-                }
-                const float dy = ((float)y + 0.5f) / (float)k - (float)i - 0.5f, dx = ((float)x + 0.5f) / (float)k - (float)j - 0.5f;
-                const float dz = (z - c->p[2]) / LIKE, apart = dx * dx + dy * dy + dz * dz;
-                if (apart < best) {
-                    best = apart, part = c->part;
+        for (int64_t j = 0; j < g->w; j++) {
+            const cell *c = g->cells + y / g->k * g->w + j;
+            for (int64_t x = j * g->k; x < (j + 1) * g->k && x < w; x++) {
+                const int32_t label = labels[y * w + x];
+                if (label) {
+                    const float z = xyz[3 * (y * across + x) + 2];
+                    const int32_t part = c->inside && label == c->label ? c->inside : nearest_part(g, y, x, z, label);
+                    if (part && !names[part - 1]) {
+                        names[part - 1] = ++count;
+                    }
+                    labels[y * w + x] = part ? names[part - 1] : 0;
                 }
             }
-            if (part && !names[part - 1]) {
-                names[part - 1] = ++count;
-            }
-            labels[y * w + x] = part ? names[part - 1] : 0;
         }
     }
     return count;
@@ -641,7 +668,7 @@ VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int6
         measure(&g);
         look_behind(&g);
         join_all(&g);
-        counts[PARTS] = write_parts(&g, xyz, across, h, w, k, labels);
+        counts[PARTS] = write_parts(&g, xyz, across, h, w, labels);
     } else {
         counts[PARTS] = -1;
     }

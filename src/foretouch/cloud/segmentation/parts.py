@@ -129,7 +129,7 @@ def split_clusters(
     if found[0] < 0:
         raise MemoryError("split_clusters")
     parts, *joined, _ = found.tolist()
-    clusters = sum(len(np.unique(window.labels[window.labels > 0])) for window in windows)
+    clusters = int(np.count_nonzero(np.bincount(one.labels.ravel())[1:]))
     counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
     return [Clusters(labels, one.solid & (labels > 0), parts, one.rows, one.columns)], counts
 
