@@ -152,22 +152,29 @@ def test_a_handle_joins_and_an_angle_of_180_degrees_splits_nothing() -> None:
 _BODY: _Can = ((0.0, 0.0, 0.0), 0.045, 0.1)
 
 
-def test_a_can_beside_the_axis_of_another_or_on_a_box_or_on_a_narrower_one_is_separate() -> None:
+def test_a_neck_belongs_to_its_bottle_and_a_can_beside_the_axis_or_on_a_box_does_not() -> None:
     neck: _Can = ((0.0, 0.0, 0.1), 0.022, 0.16)
+    assert len(segment(Cloud(_scene(cans=[_BODY, neck])[0])).objects) == 1
     for name, scene in {
         "beside": _scene(cans=[_BODY, ((0.015, 0.0, 0.1), 0.022, 0.16)]),
         "on a box": _scene([((-0.05, -0.05, 0.0), (0.05, 0.05, 0.1))], cans=[neck]),
         "on a narrower one": _scene(cans=[((0.0, 0.0, 0.0), 0.04, 0.12), ((0.0, 0.0, 0.12), 0.055, 0.18)]),
+        "a box on it": _scene([((-0.03, -0.03, 0.1), (0.03, 0.03, 0.16))], cans=[_BODY]),
     }.items():
         found = segment(Cloud(scene[0]))
         assert len(found.objects) == 2, name
         assert min(_iou(found, scene[1])) > 0.8, name
 
 
-def test_a_bowl_that_is_seen_into_is_one() -> None:
-    whole = segment(Cloud(_scene(bowls=[((0.0, 0.0, 0.075), 0.07)])[0]))
+def test_a_bowl_that_is_seen_into_is_one_and_two_are_two() -> None:
+    bowl: _Ball = ((0.0, 0.0, 0.075), 0.07)
+    whole = segment(Cloud(_scene(bowls=[bowl])[0]))
     assert len(whole.objects) == 1
     assert whole.counts["joined_border"] >= 1
+    two, truth = _scene(bowls=[((-0.075, 0.0, 0.075), 0.07), ((0.075, 0.0, 0.075), 0.07)])
+    found = segment(Cloud(two))
+    assert len(found.objects) == 2
+    assert min(_iou(found, truth)) > 0.85
 
 
 def test_the_probability_decides_what_is_joined() -> None:
@@ -218,7 +225,7 @@ def test_the_kernel_finds_the_parts_of_its_reference(angle_deg: float, monkeypat
         counted = [(each.counts["parts"], sum(each.counts[rule] for rule in SPLIT_COUNTS[2:])) for each in (one, other)]
         assert counted[0] == counted[1], name  # a fragment may be joined for either reason: odds are sums of leaves
         assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
-        assert min(_iou(one, other.labels)) > 0.95, name  # a tiny fragment between two equal parts may be of either
+        assert min(_iou(one, other.labels)) > 0.98, name  # a cell between two parts may be of either
     rules = {rule: sum(one.counts[rule] for one in ours.values()) for rule in SPLIT_COUNTS[2:]}
     assert all(rules.values()), rules
 
@@ -255,7 +262,7 @@ def test_a_list_of_points_that_is_no_image_has_the_same_parts(name: str) -> None
     xyz, truth = _scene(*_TOUCHING[name])
     flat, labels = xyz.reshape(-1, 3), truth.ravel()
     some = rng.permutation(len(flat))[:60_000]
-    jittered = flat[some] + rng.normal(0.0, 0.0003, (len(some), 3)).astype(np.float32)
+    jittered = flat[some] + rng.normal(0.0, 0.0005, (len(some), 3)).astype(np.float32)
     object_points = np.flatnonzero(labels > 0)
     behind = flat[object_points] * np.float32(1.008)  # 6 mm behind the surface: another view's, or of the back
     lists = {
