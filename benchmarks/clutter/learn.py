@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from importlib.metadata import version
+from importlib import import_module
 from itertools import pairwise
 from multiprocessing import Pool
 from pathlib import Path
@@ -37,7 +37,11 @@ from foretouch.types import Cloud, Float32, Float64
 from foretouch_lab.simulation.solids import about_z
 from foretouch_lab.simulation.world import SampleKey
 
-FAULTY, BARE = 0.42, 0.65  # share of scenes with a Kinect's faults, and of objects alone from which on they are bare
+WHITE, FAULTY, BARE = (
+    0.1,
+    0.5,
+    0.65,
+)  # share of scenes with white noise, up to which one has a Kinect's faults, and of objects alone from which on they are bare
 HELD_OUT: Final = 10  # every so many files are not learned from
 DEPTH, RATE = 5, 0.1
 ROUNDS: Final = ((150, 1.0), (300, 2.0))  # trees, weight of the pairs in piles
@@ -308,6 +312,9 @@ def variant(path: Path) -> LabelledCloud:
     share = rng.random()
     if scene.kind == "single" and share > BARE:
         return bare(scene, rng)
+    if share < WHITE:  # noise of which each pixel has its own
+        noise = 1.0 + rng.normal(0.0, rng.uniform(0.0002, 0.0008), scene.labels.shape)
+        return replace(scene, cloud=Cloud((scene.cloud.xyz * noise[..., None]).astype(np.float32)))
     return faulty(scene, rng) if share < FAULTY else scene
 
 
@@ -401,7 +408,7 @@ def write(trees: Float32, scores: dict[str, float], scenes: int, pairs: int) -> 
     card = {
         "what": "log odds that two fragments of a cluster are one object, from the features of `describe` in kernels/split.c",
         "made_by": "python -m benchmarks.clutter.learn",
-        "versions": {name: version(name) for name in ("numpy", "scipy", "scikit-learn", "mujoco")},
+        "versions": {name: import_module(name).__version__ for name in ("numpy", "scipy", "sklearn", "mujoco")},
         "learned_from": f"{pairs} pairs of fragments in {scenes} simulated scenes of random objects, nearly half as of a Kinect; of one object, a third as points cut out",
         "not_learned_from": "any object or scene of benchmarks/clutter, OSD, YCB, or a recording",
         "model": f"{len(trees)} boosted trees of depth {DEPTH}, learning rate {RATE}, in {len(ROUNDS)} rounds; seeds 11 to 14 of the scenes, 0 of the trees",
