@@ -44,10 +44,8 @@ _LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per dept
 _STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
 _CELL_NOISE = 1.4  # side of a cell by the noise of the threshold, which is 2.5 standard deviations unless configured
 _CELL_PER_M = 0.005  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
-_NO_NOISE, _UNKNOWN_CELL_PER_M = (
-    1e-4,
-    0.0075,
-)  # a table without noise tells nothing of the camera, so that cells are larger
+_UNKNOWN_CELL_PER_M = 0.0075  # the same where a table without noise tells nothing of the camera
+_NO_NOISE = 1e-4  # of the threshold, per depth² [1/m]
 _LIST_CELL_M = 0.005  # of a list of points at least: those of several views do not agree exactly
 _FEW_CELLS = 80  # of a part, whose normals are as doubtful as its outline
 _FEW = 8  # concave points that noise makes; two convex parts of 3 cm meet in as many
