@@ -238,7 +238,7 @@ def _mesh(model: Model, prefix: str, folder: Path) -> str:
     return write_mesh(replace(model, name=f"{prefix}_{model.name}"), folder / "meshes")
 
 
-SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 360), "touch": (touching, 1100), "behind": (behind, 320), "train": (in_piles, 400)}  # fmt: skip
+SETS: Final[dict[str, tuple[Callable[[int, Path], Iterator[tuple[str, Scene]]], int]]] = {"arr": (arranged, 500), "sing": (on_its_own, 360), "touch": (touching, 800), "behind": (behind, 240), "train": (in_piles, 400)}  # fmt: skip
 
 
 def write_scenes(folder: Path, jobs: int) -> None:
