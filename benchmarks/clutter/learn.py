@@ -44,7 +44,7 @@ WHITE, FAULTY, BARE = (
 )  # share of scenes with white noise, up to which one has a Kinect's faults, and of objects alone from which on they are bare
 HELD_OUT: Final = 10  # every so many files are not learned from
 DEPTH, RATE = 5, 0.1
-ROUNDS: Final = ((150, 1.0), (300, 2.0))  # trees, weight of the pairs in piles
+ROUNDS: Final = ((150, 1.0), (200, 2.0), (300, 2.0))  # trees, weight of the pairs in piles
 FEATURES: Final = 38  # of a pair of fragments, see `describe` of kernels/split.c
 LESS, MORE = (0,), (2, 6, 7)  # concave borders tell against one object; convex ones, and surfaces that agree, for it
 FIRST: Final = np.array(
