@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull
 from foretouch.types import Float64, Int64
 
 _SECTORS: Final = 32  # of a hollow solid
-_BANDS: Final = 4  # of its height
+BANDS: Final = 4  # of its height
 _SHRINK: Final = 1.0 - 1e-5  # of each part about its middle, so that no two parts have an edge in common
 
 #: Solid of the physics that stands for a shape of the simulator.
@@ -67,17 +67,17 @@ def _shapes() -> Iterator[Model]:
 
 
 def _turned() -> Iterator[Model]:
-    angle = np.linspace(0.0, np.pi / 2.0, 4 * _BANDS + 1)
+    angle = np.linspace(0.0, np.pi / 2.0, 4 * BANDS + 1)
     bowl = np.stack([0.030 + 0.042 * np.sin(angle), 0.055 * (1.0 - np.cos(angle))], axis=1)
-    yield _centred("bowl", hollow(bowl, 0.004))
+    yield centred("bowl", hollow(bowl, 0.004))
     dish = np.stack([0.050 + 0.040 * np.sin(angle), 0.035 * (1.0 - np.cos(angle))], axis=1)
-    yield _centred("dish", hollow(dish, 0.004))
-    wall = np.stack([np.full(_BANDS + 1, 0.040), np.linspace(0.0, 0.095, _BANDS + 1)], axis=1)
-    yield _centred("mug", [*hollow(wall, 0.004), *_handle(0.040, 0.050, 0.028)])
-    conical = np.stack([np.linspace(0.030, 0.043, _BANDS + 1), np.linspace(0.0, 0.080, _BANDS + 1)], axis=1)
-    yield _centred("cup", [*hollow(conical, 0.004), *_handle(0.036, 0.042, 0.022)])
-    yield _centred("bottle", turned([(0.033, 0.0), (0.035, 0.004), (0.035, 0.115), (0.030, 0.135), (0.013, 0.160), (0.013, 0.200), (0.015, 0.201), (0.015, 0.212)]))  # fmt: skip
-    yield _centred("flask", turned([(0.040, 0.0), (0.042, 0.004), (0.042, 0.075), (0.036, 0.090), (0.020, 0.105), (0.018, 0.130), (0.022, 0.131), (0.022, 0.150)]))  # fmt: skip
+    yield centred("dish", hollow(dish, 0.004))
+    wall = np.stack([np.full(BANDS + 1, 0.040), np.linspace(0.0, 0.095, BANDS + 1)], axis=1)
+    yield centred("mug", [*hollow(wall, 0.004), *handle(0.040, 0.050, 0.028)])
+    conical = np.stack([np.linspace(0.030, 0.043, BANDS + 1), np.linspace(0.0, 0.080, BANDS + 1)], axis=1)
+    yield centred("cup", [*hollow(conical, 0.004), *handle(0.036, 0.042, 0.022)])
+    yield centred("bottle", turned([(0.033, 0.0), (0.035, 0.004), (0.035, 0.115), (0.030, 0.135), (0.013, 0.160), (0.013, 0.200), (0.015, 0.201), (0.015, 0.212)]))  # fmt: skip
+    yield centred("flask", turned([(0.040, 0.0), (0.042, 0.004), (0.042, 0.075), (0.036, 0.090), (0.020, 0.105), (0.018, 0.130), (0.022, 0.131), (0.022, 0.150)]))  # fmt: skip
 
 
 def turned(profile: list[tuple[float, float]]) -> list[Float64]:
@@ -92,7 +92,7 @@ def hollow(outer: Float64, wall_m: float) -> list[Float64]:
     inner[:, 1] = wall_m + outer[:, 1] * (1.0 - wall_m / outer[-1, 1])
     bottom = [_ring(outer[0, 0], 0.0, 2 * _SECTORS), _ring(outer[0, 0], wall_m, 2 * _SECTORS)]
     parts = [np.concatenate(bottom)]
-    step = (len(outer) - 1) // _BANDS
+    step = (len(outer) - 1) // BANDS
     for start in range(0, len(outer) - 1, step):
         band = slice(start, start + step + 1)
         for sector in range(_SECTORS):
@@ -101,7 +101,7 @@ def hollow(outer: Float64, wall_m: float) -> list[Float64]:
     return parts
 
 
-def _handle(radius: float, middle: float, reach: float) -> list[Float64]:
+def handle(radius: float, middle: float, reach: float) -> list[Float64]:
     """A handle beside a wall of a radius, about a height, that reaches so far out [m]: half a ring of straight pieces."""
     bend = np.linspace(-np.pi / 2.0, np.pi / 2.0, 11)
     path = np.stack([radius - 0.002 + reach * np.cos(bend), np.zeros(11), middle + reach * np.sin(bend)], axis=1)
@@ -131,10 +131,10 @@ def _ycb(folder: Path) -> Model:
         elif line.startswith("v "):
             parts[-1].append([float(word) for word in line.split()[1:4]])
     flat = folder.name in {"CrackerBox", "FoamBrick", "MasterChefCan"}
-    return replace(_centred(folder.name, [np.array(part) for part in parts if part]), flat=flat)
+    return replace(centred(folder.name, [np.array(part) for part in parts if part]), flat=flat)
 
 
-def _centred(name: str, parts: list[Float64]) -> Model:
+def centred(name: str, parts: list[Float64]) -> Model:
     every = np.concatenate(parts)
     low, high = every.min(axis=0), every.max(axis=0)
     return Model(name, "", high - low, tuple(part - (low + high) / 2.0 for part in parts))

@@ -176,7 +176,7 @@ def singles(models: Models, shapes: Shapes, seed: int) -> Iterator[Scene]:
         RuntimeError: If no attempt at a pose gives one.
     """
     for number, (name, pose) in enumerate(product(models, range(_POSES))):
-        pile, rng = _alone(models[name], seed, number, upright=pose % 2 == 0)
+        pile, rng = alone(models[name], seed, number, upright=pose % 2 == 0)
         for view in (
             (float(rng.uniform(25.0, 55.0)), float(rng.uniform(0.75, 1.1))),
             (0.0, float(rng.uniform(0.75, 1.1))),
@@ -184,7 +184,7 @@ def singles(models: Models, shapes: Shapes, seed: int) -> Iterator[Scene]:
             yield look(pile, shapes, "single", view, SampleKey(seed, number, int(view[0] == 0.0)))
 
 
-def _alone(model: Model, seed: int, number: int, *, upright: bool) -> tuple[Pile, Rng]:
+def alone(model: Model, seed: int, number: int, *, upright: bool) -> tuple[Pile, Rng]:
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt])
         if upright:

@@ -4,33 +4,33 @@
  * A window is divided into square cells of a few millimetres. A surface is fitted to the inverse depth of each cell and its
  * neighbours: the image of a plane is linear in it, and the noise of a stereo camera has the same size everywhere. Across each
  * edge between two cells the normals some cells away from it are compared: `bend`, positive where concave, STEP where the
- * depth jumps. Fragments are the watersheds of the distance from such edges; a border between two of them then has a mean bend
- * along its whole length, and the fragments whose border bends least are joined first. */
+ * depth jumps. Fragments are the watersheds of the distance from such edges. Two fragments that have a border in common, or
+ * that continue each other behind a nearer one, are joined where boosted trees rate them as one object, by FEATURES numbers
+ * that describe both and their border; the most certain ones first, and again with what they have become. */
 #include "eigen.h"
 
-enum { BEND, STEP_M, PART_M2, PLANE, PITCH = PLANE + 4, SETTINGS }; /* of `settings` */
-enum { PARTS, BY_SIZE, BY_HOLLOW, BY_VIEW, BY_AXIS, COUNTS };                      /* of `counts` */
+enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4 };      /* of `settings` */
+enum { PARTS, BY_SIZE, BY_BORDER, BY_VIEW, RATED, COUNTS };           /* of `counts` */
 
 #define STEP 2.0f   /* bend of a step in depth: chord of opposite normals */
 #define FULL 0.7f   /* a sharper bend counts as much as this one, of 40 degrees, and a convex one as none */
+#define CONVEX_BEND 0.17f /* an edge is convex from 10 degrees on */
 #define REACH 2     /* cells from an edge to the normals that are compared, and from a normal to the edge of its window */
-#define EDGE 0.75f /* of the angle that separates two objects: a sharper edge may separate two fragments */
-#define NECK 2     /* halves of a cell by which a neck is narrower than both fragments that it separates, on each side */
+#define NECK 2      /* halves of a cell by which a neck is narrower than both fragments that it separates, on each side */
 #define SLOPE 4.0f  /* depth per lateral distance of cells that have no further neighbours */
-#define TURN 0.25f /* chord of the normals of one surface on both sides of a nearer part */
-#define SKEW 0.05f /* and how far it may be off for each metre between them */
-#define LINES 4    /* of cells on which they agree, at least */
-#define TOUCH 0.03 /* height between a hollow part and its rim [m] */
+#define TINY 10     /* a fragment of fewer cells has no shape, and joins the neighbour from which it is separated least */
+#define SMOOTH 2.0  /* log odds of one object that are added where a border bends less than the angle on average */
+#define TURN 0.25f  /* chord of the normals of one surface on both sides of a nearer part */
+#define SKEW 0.05f  /* and how far it may be off for each metre between them */
 #define LIKE 0.005f /* a difference in depth that counts as much as a cell [m] */
 #define HOLLOW 0.1f /* bend of a surface that is hollow, 6 degrees over 2 * REACH + 1 cells */
-#define EVEN 0.02  /* share of the normals in all directions that is assumed besides those that are seen */
-#define ECCENTRIC 0.006 /* distance of normals from the common axis of two parts, root mean square [m] */
-#define SIDE 0.3   /* mean of the squared sine between normals and the axis, at least */
-#define FLAT 0.9   /* squared length of the mean of normals across the axis: 1 for a plane, 0.4 for half a cylinder, at most */
-#define SURE 2.0   /* squares of ECCENTRIC by which the next best axis fits worse, at least: two balls have a common axis anyway */
-#define UPRIGHT 0.7 /* cosine between the axis and the table's normal */
-#define CLOSED 0.2 /* and 0 for a ring */
-#define LID 0.1    /* mean of the squared sine of a lid */
+#define EVEN 0.02   /* share of the normals in all directions that is assumed besides those that are seen */
+
+/* Sums over the cells of a fragment: of points p about an origin, and where there is a normal n of p, n and m = p x n. */
+enum { CELLS, AREA, OUTLINE, P, PP = P + 3, SEEN = PP + 6, HOLLOWS, PN, Q, N = Q + 3, NN = N + 3, NM = NN + 6, MM = NM + 9, SUMS = MM + 6 };
+/* and over the edges of a border: `before` those where the first is nearer less the others, then lines behind a nearer part. */
+enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, EDGES };
+enum { FEATURES = 38 }; /* see `describe` */
 
 typedef struct {
     float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
@@ -38,28 +38,33 @@ typedef struct {
 } cell;
 
 typedef struct {
-    int32_t a, b, next; /* fragments, a < b; the next border of a */
-    int32_t steps, length, behind, apart; /* edges; those where b is behind a less those where it is before; no common axis */
-    double bend; /* sum */
-} border;
+    double c[3], n[3], flat, thin, out; /* middle, mean normal and its length, thickness, mean of n (p - c) */
+    double u[3], axis[3], miss, next, side; /* axis that the normals meet, how far they miss it and the next best, share across it */
+} shape;
 
 typedef struct {
-    double area, tops; /* m2; largest height above the table */
-    int32_t cells, hollow, rim, to, first;
+    double sum[SUMS], top, bottom; /* heights above the table */
+    shape is;
+    int32_t to, first, seed; /* the fragment that it has joined, its first border, the innermost cell of its largest */
 } fragment;
 
 typedef struct {
-    int64_t h, w, n, n_fragments, n_borders;
+    int32_t a, b, next, rated; /* fragments, a < b; the next border of a */
+    double sum[EDGES], score;
+} border;
+
+typedef struct {
+    int64_t h, w, n, n_fragments, n_borders, k;
     cell *cells;
     float *bends; /* right and down (n, 2); NAN where there is no edge */
     int32_t *root;
     fragment *fragments;
     border *borders;
     const double *s;
+    const float *trees;
+    double *rows, origin[3];
+    int64_t count, depth, room, *counts;
 } graph;
-
-/* A sharper edge may separate two fragments. */
-INLINE float least_bend(const graph *g) { return (float)g->s[BEND] * EDGE; }
 
 INLINE int broken(const cell *c, const cell *o, const cell *before, const cell *after, float step) {
     const float limit = step * c->d * o->d, by = o->d - c->d;
@@ -199,7 +204,7 @@ static int32_t find_depths(graph *g) {
         g->cells[i].inside = g->cells[i].n[0] == g->cells[i].n[0] ? INT32_MAX / 2 : 0;
     }
     for (int64_t k = 0; k < 2 * g->n; k++) {
-        if (!(g->bends[k] <= least_bend(g))) {
+        if (!(g->bends[k] <= (float)g->s[BEND])) {
             const int64_t i = k / 2, o = i + (k & 1 ? g->w : 1);
             g->cells[i].inside = g->cells[i].inside ? 1 : 0;
             if (o < g->n) {
@@ -233,7 +238,7 @@ static void make_fragments(graph *g) {
             int32_t own = g->root[i] = (int32_t)i;
             for (int side = 0; side < 4; side++) {
                 const int64_t o = others[side];
-                if (edges[side] < 0 || !(g->bends[edges[side]] <= least_bend(g)) || g->root[o] < 0) {
+                if (edges[side] < 0 || !(g->bends[edges[side]] <= (float)g->s[BEND]) || g->root[o] < 0) {
                     continue;
                 }
                 const int32_t one = root_of(g->root, (int32_t)o), a = g->cells[one].inside, b = g->cells[own].inside;
@@ -255,7 +260,7 @@ static void make_fragments(graph *g) {
     g->n_fragments = count;
 }
 
-/* The border of two fragments, made if there is none; NULL without memory. */
+/* The border of two fragments, made if there is none. */
 static border *border_of(graph *g, int32_t a, int32_t b) {
     const int32_t first = a < b ? a : b, second = a < b ? b : a;
     int32_t *at = &g->fragments[first].first;
@@ -263,48 +268,199 @@ static border *border_of(graph *g, int32_t a, int32_t b) {
         at = &g->borders[*at].next;
     }
     if (*at < 0) {
-        g->borders[g->n_borders] = (border){first, second, -1, 0, 0, 0, 0, 0.0};
+        g->borders[g->n_borders] = (border){.a = first, .b = second, .next = -1};
         *at = (int32_t)g->n_borders++;
     }
     return g->borders + *at;
 }
 
+static const int AT[9] = {0, 1, 2, 1, 3, 4, 2, 4, 5}; /* of a symmetric matrix in its upper half */
+
+INLINE double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+INLINE void cross(const double *a, const double *b, double *c) {
+    c[0] = a[1] * b[2] - a[2] * b[1], c[1] = a[2] * b[0] - a[0] * b[2], c[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* Adds a vector to a sum, and its products with itself to the one behind that. */
+INLINE void add(double *sum, const double *p) {
+    for (int k = 0, at = 3; k < 3; k++) {
+        sum[k] += p[k];
+        for (int l = k; l < 3; l++) {
+            sum[at++] += p[k] * p[l];
+        }
+    }
+}
+
+static void add_cell(graph *g, int64_t i) {
+    const cell *c = g->cells + i;
+    fragment *f = g->fragments + c->part;
+    const double *t = g->s + PLANE, height = c->p[0] * t[0] + c->p[1] * t[1] + c->p[2] * t[2] + t[3], side = g->s[PITCH] * c->p[2];
+    const double p[3] = {c->p[0] - g->origin[0], c->p[1] - g->origin[1], c->p[2] - g->origin[2]}, n[3] = {c->n[0], c->n[1], c->n[2]};
+    f->top = height > f->top ? height : f->top, f->bottom = height < f->bottom ? height : f->bottom;
+    f->seed = g->root[i] == i ? (int32_t)i : f->seed;
+    f->sum[CELLS] += 1.0, f->sum[AREA] += side * side;
+    add(f->sum + P, p);
+    if (c->n[0] == c->n[0]) {
+        double m[6] = {0.0}, *nm = f->sum + NM;
+        cross(p, n, m);
+        f->sum[SEEN] += 1.0, f->sum[PN] += dot(n, p);
+        f->sum[HOLLOWS] += (g->bends[2 * i] > HOLLOW && g->bends[2 * i] < STEP) || (g->bends[2 * i + 1] > HOLLOW && g->bends[2 * i + 1] < STEP);
+        add(f->sum + N, n);
+        for (int k = 0; k < 9; k++) {
+            nm[k] += n[k / 3] * m[k % 3];
+            f->sum[Q + k % 3] += k < 3 ? p[k] : 0.0;
+            f->sum[MM + AT[k]] += k % 3 >= k / 3 ? m[k / 3] * m[k % 3] : 0.0;
+        }
+    }
+}
+
 static void measure(graph *g) {
     for (int64_t i = 0; i <= g->n_fragments; i++) {
-        g->fragments[i] = (fragment){0.0, -INFINITY, 0, 0, 0, (int32_t)i, -1};
+        g->fragments[i] = (fragment){.top = -INFINITY, .bottom = INFINITY, .to = (int32_t)i, .first = -1};
     }
-    for (int64_t i = 0; i < g->n; i++) {
+    for (int64_t i = 0, any = 0; i < g->n; i++) {
         const cell *c = g->cells + i;
+        for (int k = 0; k < 3 && c->part && !any; k++) {
+            g->origin[k] = c->p[k]; /* near all others, so that moments about it are exact enough */
+        }
         if (c->part) {
-            fragment *f = g->fragments + c->part;
-            const double *t = g->s + PLANE, side = g->s[PITCH] * c->p[2];
-            const double height = c->p[0] * t[0] + c->p[1] * t[1] + c->p[2] * t[2] + t[3];
-            f->tops = height > f->tops ? height : f->tops;
-            f->area += side * side;
-            f->cells++;
-            f->hollow += (g->bends[2 * i] > HOLLOW && g->bends[2 * i] < STEP) || (g->bends[2 * i + 1] > HOLLOW && g->bends[2 * i + 1] < STEP);
+            any = 1;
+            add_cell(g, i);
         }
         for (int dir = 0; dir < 2; dir++) {
-            const cell *o = c + (dir ? g->w : 1);
+            const int last = dir ? i + g->w >= g->n : i % g->w == g->w - 1;
+            const cell *o = last ? g->cells + g->n : c + (dir ? g->w : 1); /* behind the last cell is one of no part */
             const float bend = g->bends[2 * i + dir];
-            if (bend == bend && c->part != o->part) {
+            if (c->part == o->part) {
+                continue;
+            }
+            g->fragments[c->part].sum[OUTLINE] += 1.0, g->fragments[o->part].sum[OUTLINE] += 1.0;
+            if (bend == bend) {
                 border *one = border_of(g, c->part, o->part);
-                one->bend += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
-                one->steps += bend == STEP;
-                one->length++;
-                one->behind += (c->p[2] < o->p[2]) == (c->part == one->a) ? 1 : -1;
+                const double before = (c->p[2] < o->p[2]) == (c->part == one->a) ? 1.0 : -1.0;
+                const int step = bend == STEP;
+                one->sum[LENGTH] += 1.0, one->sum[BENT] += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
+                one->sum[STEPS] += step, one->sum[CONVEX] += bend < -CONVEX_BEND, one->sum[SIGNED] += step ? 0.0f : bend;
+                one->sum[BEFORE] += before, one->sum[STEPPED] += step ? before : 0.0;
             }
         }
     }
 }
 
-/* More than half of its cells are; one that has joined its rim counts as solid. */
-INLINE int is_hollow(const fragment *f) { return !f->rim && 2 * f->hollow > f->cells; }
+/* The shape of cells by their sums. The axis: the lines along normals that meet it are a linear complex, fitted as by Pottmann and
+ * Randrup (Computing 60, 1998): the motion with rotation u and velocity v of the middle q in which the cells move least in the
+ * direction of their normals, sum (n v + u (p x n))^2. */
+static void derive(const double *s, shape *is) {
+    const double seen = s[SEEN] > 0.0 ? s[SEEN] : 1.0, length = sqrt(dot(s + N, s + N));
+    double spread[6], values[3], q[3], v[3] = {0.0}, nn[6], nm[9], mm[6], turn[9], move[9];
+    for (int k = 0; k < 3; k++) {
+        is->c[k] = s[P + k] / s[CELLS], is->n[k] = length > 0.0 ? s[N + k] / length : 0.0, q[k] = s[Q + k] / seen;
+    }
+    for (int k = 0; k < 9; k++) {
+        spread[AT[k]] = s[PP + AT[k]] / s[CELLS] - is->c[k / 3] * is->c[k % 3];
+    }
+    eigen3(spread, values, v);
+    is->thin = sqrt(values[0] > 0.0 ? values[0] : 0.0), is->flat = length / seen, is->out = (s[PN] - dot(s + N, q)) / seen;
+    const double shift[9] = {0.0, -q[2], q[1], q[2], 0.0, -q[0], -q[1], q[0], 0.0}; /* q x n: from the origin to the middle */
+    for (int k = 0; k < 9; k++) {
+        const double *row = shift + k / 3 * 3, *column = s + NN;
+        turn[k] = row[0] * column[AT[k % 3]] + row[1] * column[AT[3 + k % 3]] + row[2] * column[AT[6 + k % 3]];
+        nn[AT[k]] = column[AT[k]] + (k % 4 ? 0.0 : EVEN * seen + 1e-9); /* a cylinder may move along its axis */
+    }
+    for (int k = 0; k < 9; k++) {
+        const int a = k / 3, b = k % 3;
+        nm[k] = s[NM + k] - turn[3 * b + a];
+        mm[AT[k]] = s[MM + AT[k]];
+        for (int x = 0; x < 3; x++) {
+            mm[AT[k]] += turn[3 * a + x] * shift[3 * b + x] - shift[3 * a + x] * s[NM + 3 * x + b] - shift[3 * b + x] * s[NM + 3 * x + a];
+        }
+    }
+    const double minors[6] = {nn[3] * nn[5] - nn[4] * nn[4], nn[2] * nn[4] - nn[1] * nn[5], nn[1] * nn[4] - nn[2] * nn[3],
+                              nn[0] * nn[5] - nn[2] * nn[2], nn[1] * nn[2] - nn[0] * nn[4], nn[0] * nn[3] - nn[1] * nn[1]};
+    const double det = nn[0] * minors[0] + nn[1] * minors[1] + nn[2] * minors[2];
+    for (int k = 0; k < 9; k++) {
+        const int *at = AT + k / 3 * 3, y = k % 3;
+        move[k] = (minors[at[0]] * nm[y] + minors[at[1]] * nm[3 + y] + minors[at[2]] * nm[6 + y]) / det;
+    }
+    for (int k = 0; k < 9; k++) {
+        const int a = k / 3, b = k % 3;
+        mm[AT[k]] -= b < a ? 0.0 : nm[a] * move[b] + nm[3 + a] * move[3 + b] + nm[6 + a] * move[6 + b];
+    }
+    eigen3(mm, values, is->u);
+    for (int k = 0; k < 3; k++) {
+        v[k] = -dot(move + 3 * k, is->u);
+    }
+    cross(is->u, v, is->axis);
+    is->miss = sqrt(values[0] > 0.0 ? values[0] / seen : 0.0), is->next = sqrt(values[1] > 0.0 ? values[1] / seen : 0.0), is->side = 1.0;
+    for (int k = 0; k < 9; k++) {
+        is->side -= is->u[k / 3] * is->u[k % 3] * s[NN + AT[k]] / seen;
+        is->axis[k % 3] += k < 3 ? q[k] : 0.0;
+    }
+}
+
+/* What tells whether two fragments are one object: the border, the small one, the large one and both together [m, share]. */
+static void describe(const graph *g, const border *one, double *x) {
+    const int swap = g->fragments[one->a].sum[AREA] < g->fragments[one->b].sum[AREA];
+    const fragment *large = g->fragments + (swap ? one->b : one->a), *small = g->fragments + (swap ? one->a : one->b), *both[2] = {small, large};
+    const double *b = one->sum, *t = g->s + PLANE, sign = swap ? 1.0 : -1.0, length = b[LENGTH] > 0.0 ? b[LENGTH] : 1.0;
+    const double firm = b[LENGTH] > b[STEPS] ? b[LENGTH] - b[STEPS] : 1.0, side = sqrt(small->sum[AREA] / small->sum[CELLS]);
+    double sum[SUMS], apart[3], turn[3], away[3], beside[3];
+    shape all;
+    for (int k = 0; k < SUMS; k++) {
+        sum[k] = small->sum[k] + large->sum[k];
+    }
+    derive(sum, &all);
+    for (int k = 0; k < 3; k++) {
+        apart[k] = small->is.c[k] - large->is.c[k], turn[k] = small->is.n[k] - large->is.n[k], away[k] = small->is.c[k] - large->is.axis[k];
+    }
+    cross(away, large->is.u, beside);
+    *x++ = b[BENT] / length, *x++ = b[STEPS] / length, *x++ = b[CONVEX] / length, *x++ = b[SIGNED] / firm;
+    *x++ = sign * b[BEFORE] / length, *x++ = sign * b[STEPPED] / (b[STEPS] > 0.0 ? b[STEPS] : 1.0);
+    *x++ = b[LINES] > 0.0 ? b[AGREE] / b[LINES] : -1.0, *x++ = b[AGREE] / sqrt(small->sum[CELLS]);
+    for (int k = 0; k < 2; k++) {
+        const fragment *f = both[k];
+        *x++ = b[LENGTH] * side / sqrt(f->sum[AREA]), *x++ = b[LENGTH] / f->sum[OUTLINE];
+        *x++ = f->is.flat, *x++ = f->is.thin, *x++ = f->is.side, *x++ = f->is.out / sqrt(f->sum[AREA]);
+        *x++ = fabs(dot(f->is.n, apart)), *x++ = f->sum[HOLLOWS] / (f->sum[SEEN] > 0.0 ? f->sum[SEEN] : 1.0);
+    }
+    *x++ = sqrt(small->sum[AREA] / large->sum[AREA]), *x++ = sqrt(dot(turn, turn)), *x++ = dot(large->is.n, apart), *x++ = dot(small->is.n, apart);
+    *x++ = dot(t, apart), *x++ = small->top - large->top, *x++ = small->bottom - large->bottom;
+    *x++ = large->is.miss, *x++ = fabs(dot(large->is.u, t)), *x++ = sqrt(dot(beside, beside));
+    *x++ = all.miss, *x++ = all.next, *x++ = fabs(dot(all.u, t)), *x++ = all.thin;
+}
+
+/* Log odds of one object, by trees of nodes (feature, threshold) and leaves, each tree complete. With room for it, the row is kept
+ * for learning, after the pixels in the middle of both fragments. */
+static void rate(graph *g, border *one) {
+    double x[FEATURES + 2] = {0.0};
+    const int64_t inner = ((int64_t)1 << g->depth) - 1;
+    describe(g, one, x + 2);
+    one->score = one->sum[LENGTH] > 0.0 && one->sum[BENT] < one->sum[LENGTH] * g->s[BEND] ? SMOOTH : 0.0, one->rated = 1;
+    for (const float *tree = g->trees; tree < g->trees + g->count * (3 * inner + 1); tree += 3 * inner + 1) {
+        int64_t at = 0;
+        while (at < inner) {
+            at = 2 * at + 1 + (x[2 + (int)tree[2 * at]] > tree[2 * at + 1]);
+        }
+        one->score += tree[inner + at];
+    }
+    for (int k = 0; k < 2; k++) {
+        const int32_t seed = g->fragments[k ? one->b : one->a].seed;
+        x[k] = (double)((seed / g->w * g->k + g->k / 2) * g->w * g->k + seed % g->w * g->k + g->k / 2);
+    }
+    if (g->counts[RATED] < g->room) {
+        memcpy(g->rows + g->counts[RATED] * (FEATURES + 2), x, sizeof x);
+    }
+    g->counts[RATED]++;
+}
 
 static void join(graph *g, int32_t a, int32_t b) {
     fragment *to = g->fragments + a, *from = g->fragments + b;
-    to->area += from->area, to->cells += from->cells, to->hollow += from->hollow, to->rim |= from->rim;
-    to->tops = to->tops > from->tops ? to->tops : from->tops;
+    to->seed = from->sum[CELLS] > to->sum[CELLS] ? from->seed : to->seed;
+    to->top = to->top > from->top ? to->top : from->top, to->bottom = to->bottom < from->bottom ? to->bottom : from->bottom;
+    for (int k = 0; k < SUMS; k++) {
+        to->sum[k] += from->sum[k];
+    }
     for (int64_t i = 1; i <= g->n_fragments; i++) {
         g->fragments[i].to = g->fragments[i].to == b ? a : g->fragments[i].to;
         g->fragments[i].first = -1; /* from here on: the border of a with this one */
@@ -313,176 +469,60 @@ static void join(graph *g, int32_t a, int32_t b) {
     for (int64_t k = 0; k < g->n_borders; k++) {
         border one = g->borders[k];
         one.a = one.a == b ? a : one.a, one.b = one.b == b ? a : one.b;
-        if (one.a > one.b) {
-            const int32_t first = one.b;
-            one.b = one.a, one.a = first, one.behind = -one.behind;
-        }
-        const int32_t other = one.a == a ? one.b : one.b == a ? one.a : 0;
-        if (other == a) {
+        if (one.a == one.b) {
+            to->sum[OUTLINE] -= 2.0 * one.sum[LENGTH];
             continue;
         }
-        one.apart = other ? 0 : one.apart;
-        if (other && g->fragments[other].first >= 0) {
-            border *same = g->borders + g->fragments[other].first;
-            same->bend += one.bend, same->steps += one.steps, same->length += one.length;
-            same->behind += one.behind;
-        } else {
-            if (other) {
-                g->fragments[other].first = (int32_t)kept;
-            }
+        if (one.a > one.b) {
+            const int32_t first = one.b;
+            one.b = one.a, one.a = first, one.sum[BEFORE] = -one.sum[BEFORE], one.sum[STEPPED] = -one.sum[STEPPED];
+        }
+        const int32_t other = one.a == a ? one.b : one.b == a ? one.a : 0;
+        const int64_t same = other ? g->fragments[other].first : -1;
+        one.rated = other ? 0 : one.rated;
+        for (int j = 0; j < EDGES && same >= 0; j++) {
+            g->borders[same].sum[j] += one.sum[j];
+        }
+        if (same < 0) {
+            g->fragments[other].first = (int32_t)kept;
             g->borders[kept++] = one;
         }
     }
     g->n_borders = kept;
 }
 
-/* Whether a border may be that of a hollow fragment with its rim: as high, mostly before it, and mostly at a step in depth. */
-INLINE int rim_of(const graph *g, const border *one) {
-    const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
-    const int front = is_hollow(a) && !is_hollow(b) ? -one->behind : is_hollow(b) && !is_hollow(a) ? one->behind : -1;
-    return front >= 0 && 2 * one->steps >= one->length && fabs(a->tops - b->tops) < TOUCH;
-}
-
-/* Whether two fragments are surfaces of revolution about one axis, seen from outside, as a bottle and its neck: the lines along
- * their normals meet the axis; or a closed ring and a flat part in the middle of it. The axis is that of the larger one, since
- * one between two axes side by side fits both. Lines that meet it are a linear complex, fitted as by Pottmann and Randrup
- * (Computing 60, 1998): the motion with rotation u and velocity v of the middle of the cells in which the cells move least in
- * the direction of their normals, sum (n v + u (p x n))^2. */
-static int concentric(const graph *g, const border *one) {
-    const int32_t large = g->fragments[one->a].cells < g->fragments[one->b].cells ? one->b : one->a;
-    double middle[3] = {0.0}, nn[6] = {1e-9, 0.0, 0.0, 1e-9, 0.0, 1e-9}, nm[9] = {0.0}, mm[6] = {0.0}, count = 0.0;
-    for (int pass = 0; pass < 2; pass++) {
-        for (int64_t i = 0; i < g->n; i++) {
-            const cell *c = g->cells + i;
-            const int32_t part = g->fragments[c->part].to;
-            if (part != large || !c->part || c->n[0] != c->n[0]) {
-                continue;
-            }
-            if (!pass) {
-                middle[0] += c->p[0], middle[1] += c->p[1], middle[2] += c->p[2], count += 1.0;
-                continue;
-            }
-            const double p[3] = {c->p[0] - middle[0], c->p[1] - middle[1], c->p[2] - middle[2]};
-            const double n[3] = {c->n[0], c->n[1], c->n[2]};
-            const double m[3] = {p[1] * n[2] - p[2] * n[1], p[2] * n[0] - p[0] * n[2], p[0] * n[1] - p[1] * n[0]};
-            for (int x = 0, at = 0; x < 3; x++) {
-                for (int y = 0; y < 3; y++) {
-                    nm[3 * x + y] += n[x] * m[y];
-                    if (y >= x) {
-                        nn[at] += n[x] * n[y], mm[at++] += m[x] * m[y];
-                    }
-                }
-            }
-        }
-        for (int x = 0; x < 3 && !pass; x++) {
-            middle[x] /= count > 0.0 ? count : 1.0;
-        }
-    }
-    nn[0] += EVEN * count, nn[3] += EVEN * count, nn[5] += EVEN * count; /* a cylinder may move along its axis */
-    const double minors[6] = {nn[3] * nn[5] - nn[4] * nn[4], nn[2] * nn[4] - nn[1] * nn[5], nn[1] * nn[4] - nn[2] * nn[3],
-                              nn[0] * nn[5] - nn[2] * nn[2], nn[1] * nn[2] - nn[0] * nn[4], nn[0] * nn[3] - nn[1] * nn[1]};
-    const double det = nn[0] * minors[0] + nn[1] * minors[1] + nn[2] * minors[2];
-    double move[9], values[3], u[3], v[3] = {0.0}; /* v = -move u */
-    for (int k = 0; k < 9; k++) {
-        static const int at[9] = {0, 1, 2, 1, 3, 4, 2, 4, 5};
-        const int x = k / 3, y = k % 3;
-        move[k] = (minors[at[3 * x]] * nm[y] + minors[at[3 * x + 1]] * nm[3 + y] + minors[at[3 * x + 2]] * nm[6 + y]) / det;
-    }
-    for (int x = 0, at = 0; x < 3; x++) {
-        for (int y = x; y < 3; y++) {
-            mm[at++] -= nm[x] * move[y] + nm[3 + x] * move[3 + y] + nm[6 + x] * move[6 + y];
-        }
-    }
-    eigen3(mm, values, u);
-    for (int k = 0; k < 9; k++) {
-        v[k / 3] -= move[k] * u[k % 3];
-    }
-    const double axis[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
-    double side[2] = {0.0}, off[2] = {0.0}, out[2] = {0.0}, normals[2][3] = {{0.0}}, places[2][3] = {{0.0}}, cells[2] = {0.0};
-    for (int64_t i = 0; i < g->n; i++) {
-        const cell *c = g->cells + i;
-        const int32_t part = g->fragments[c->part].to;
-        if ((part != one->a && part != one->b) || !c->part || c->n[0] != c->n[0]) {
-            continue;
-        }
-        const int k = part != large;
-        const double r[3] = {c->p[0] - middle[0] - axis[0], c->p[1] - middle[1] - axis[1], c->p[2] - middle[2] - axis[2]};
-        const double along = u[0] * c->n[0] + u[1] * c->n[1] + u[2] * c->n[2], height = u[0] * r[0] + u[1] * r[1] + u[2] * r[2];
-        double n[3], miss = 0.0;
-        for (int x = 0; x < 3; x++) {
-            n[x] = c->n[x] - along * u[x];
-            out[k] += n[x] * r[x], side[k] += n[x] * n[x];
-            normals[k][x] += n[x], places[k][x] += r[x] - height * u[x];
-        }
-        for (int x = 0; x < 3; x++) {
-            miss += u[x] * (r[(x + 1) % 3] * n[(x + 2) % 3] - r[(x + 2) % 3] * n[(x + 1) % 3]);
-        }
-        off[k] += miss * miss, cells[k] += 1.0;
-    }
-    const int sure = values[1] > SURE * ECCENTRIC * ECCENTRIC * count;
-    int turned[2], closed[2], lid[2];
-    for (int k = 0; k < 2; k++) {
-        const double *n = normals[k], *r = places[k], flat = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) / (cells[k] * side[k]);
-        turned[k] = side[k] > SIDE * cells[k] && off[k] < ECCENTRIC * ECCENTRIC * side[k] && flat < FLAT && out[k] > 0.0;
-        closed[k] = turned[k] && flat < CLOSED;
-        lid[k] = side[k] < LID * cells[k] && sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]) < ECCENTRIC * cells[k];
-    }
-    const double *t = g->s + PLANE, upright = u[0] * t[0] + u[1] * t[1] + u[2] * t[2];
-    const fragment *a = g->fragments + large, *b = g->fragments + one->a + one->b - large;
-    if (fabs(upright) > UPRIGHT && b->tops < a->tops) {
-        return 0; /* it stands on the smaller one */
-    }
-    return (turned[0] && turned[1] && sure) || (closed[0] && lid[1]);
-}
-
-/* Joins fragments whose border bends least, as long as it bends less than the limit. A fragment smaller than a fingertip joins
- * the neighbour from which it is separated least; two hollow ones are one wall; a hollow one joins its rim; concentric ones are one. */
-static void join_all(graph *g, int64_t *counts) {
-    for (;;) {
+/* Joins tiny fragments across the border that bends least; then those that are rated highest, as long as they are rated as one
+ * object; at last those that are smaller than the smallest part. */
+static void join_all(graph *g) {
+    for (int pass = 0; pass < 3;) {
         const border *best = NULL;
-        double least = g->s[BEND];
-        const border *rim = NULL;
-        int why = -1;
-        for (int64_t k = 0; k < g->n_borders; k++) {
-            const border *one = g->borders + k;
-            const fragment *a = g->fragments + one->a, *b = g->fragments + one->b;
-            double bend = one->bend / one->length;
-            int reason = -1;
-            if (a->area < g->s[PART_M2] || b->area < g->s[PART_M2]) {
-                reason = bend < g->s[BEND] ? -1 : BY_SIZE;
-                bend -= 10.0;
-            } else if (is_hollow(a) && is_hollow(b) && 2 * one->steps < one->length) {
-                reason = bend < g->s[BEND] ? -1 : BY_HOLLOW;
-                bend -= 5.0;
+        double most = pass == 1 ? g->s[SAME] : -INFINITY;
+        for (border *one = g->borders; one < g->borders + g->n_borders; one++) {
+            const double *a = g->fragments[one->a].sum, *b = g->fragments[one->b].sum;
+            if (pass && !one->rated) {
+                rate(g, one);
             }
-            if (bend < least) {
-                least = bend, best = one, why = reason;
+            const int tiny = a[CELLS] < TINY || b[CELLS] < TINY, little = a[AREA] < g->s[PART_M2] || b[AREA] < g->s[PART_M2];
+            const double score = pass ? one->score : -one->sum[BENT] / one->sum[LENGTH];
+            if (score > most && (pass == 1 || (one->sum[LENGTH] > 0.0 && (pass ? little : tiny)))) {
+                most = score, best = one;
             }
         }
-        for (int64_t k = 0; k < g->n_borders && why < 0 && !best; k++) { /* a hollow fragment and its longest border */
-            rim = rim_of(g, g->borders + k) && (!rim || g->borders[k].length > rim->length) ? g->borders + k : rim;
-        }
-        if (rim && !best) {
-            best = rim, why = BY_HOLLOW;
-            g->fragments[rim->a].rim = 1;
-        }
-        for (int64_t k = 0; k < g->n_borders && !best; k++) {
-            border *other = g->borders + k;
-            if (!other->apart && !(other->apart = !concentric(g, other))) {
-                best = other, why = BY_AXIS;
+        if (best) {
+            g->counts[pass != 1 ? BY_SIZE : best->sum[LENGTH] > 0.0 ? BY_BORDER : BY_VIEW]++;
+            const int32_t a = best->a;
+            join(g, a, best->b);
+            if (pass) {
+                derive(g->fragments[a].sum, &g->fragments[a].is);
             }
         }
-        if (!best) {
-            break;
+        for (int64_t i = 1; i <= g->n_fragments && !best && !pass; i++) { /* the shapes of those that are left */
+            if (g->fragments[i].to == i) {
+                derive(g->fragments[i].sum, &g->fragments[i].is);
+            }
         }
-        if (why >= 0) {
-            counts[why]++;
-        }
-        join(g, best->a, best->b);
+        pass += !best;
     }
-}
-
-static void name_parts(graph *g) {
     for (int64_t i = 0; i < g->n; i++) {
         g->cells[i].part = g->fragments[g->cells[i].part].to;
     }
@@ -519,12 +559,8 @@ static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
     return -1;
 }
 
-/* Joins parts on both sides of a nearer one where their surfaces agree along most lines of cells. */
-static void join_hidden(graph *g, int64_t *counts) {
-    g->n_borders = 0;
-    for (int64_t i = 1; i <= g->n_fragments; i++) {
-        g->fragments[i].first = -1;
-    }
+/* Lines of cells from a fragment to another one behind a nearer one, and those on which their surfaces agree. */
+static void look_behind(graph *g) {
     for (int64_t k = 0; k < 2 * g->n; k++) {
         const int dir = k & 1;
         const int64_t i = k / 2, to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w;
@@ -543,45 +579,64 @@ static void join_hidden(graph *g, int64_t *counts) {
         }
         const float limit = (float)g->s[STEP_M] + SKEW * sqrtf(apart);
         border *one = border_of(g, g->cells[i].part, g->cells[other].part);
-        one->steps += chord < TURN * TURN && fabsf(behind(a, b)) < limit && fabsf(behind(b, a)) < limit;
-        one->length++;
+        one->sum[AGREE] += chord < TURN * TURN && fabsf(behind(a, b)) < limit && fabsf(behind(b, a)) < limit;
+        one->sum[LINES] += 1.0;
     }
-    for (int64_t k = 0; k < g->n_borders; k++) {
-        const border *one = g->borders + k;
-        if (one->steps >= LINES && 2 * one->steps > one->length) {
-            counts[BY_VIEW]++;
-            join(g, one->a, one->b);
-            k = -1;
+}
+
+/* The part of cells all of whose neighbours that are of a cluster are of it, else 0. */
+static void find_sole_parts(graph *g) {
+    for (int64_t i = 0; i < g->h; i++) {
+        for (int64_t j = 0; j < g->w; j++) {
+            cell *c = g->cells + i * g->w + j;
+            c->inside = c->part;
+            for (int64_t y = i ? i - 1 : 0; y <= i + 1 && y < g->h; y++) {
+                for (int64_t x = j ? j - 1 : 0; x <= j + 1 && x < g->w; x++) {
+                    const int32_t part = g->cells[y * g->w + x].part;
+                    c->inside = part && part != c->part ? 0 : c->inside;
+                }
+            }
         }
     }
 }
 
-/* Gives each pixel the part of the cell of its cluster that is nearest: in cells, and in depth by LIKE. */
-static int64_t write_parts(const graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, int32_t *labels) {
+/* The part of the cell of a pixel's cluster that is nearest: in cells, and in depth by LIKE. */
+static int32_t nearest_part(const graph *g, int64_t y, int64_t x, float z, int32_t label) {
+    float best = INFINITY;
+    int32_t part = 0;
+    for (int64_t near = 0; near < 9; near++) {
+        const int64_t i = y / g->k + near / 3 - 1, j = x / g->k + near % 3 - 1;
+        const cell *c = g->cells + i * g->w + j;
+        if (i < 0 || j < 0 || i >= g->h || j >= g->w || c->label != label) {
+            continue;
+        }
+        const float dy = ((float)y + 0.5f) / (float)g->k - (float)i - 0.5f, dx = ((float)x + 0.5f) / (float)g->k - (float)j - 0.5f;
+        const float dz = (z - c->p[2]) / LIKE, apart = dx * dx + dy * dy + dz * dz;
+        if (apart < best) {
+            best = apart, part = c->part;
+        }
+    }
+    return part;
+}
+
+static int64_t write_parts(graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, int32_t *labels) {
     int32_t *names = g->root, count = 0;
     memset(names, 0, (size_t)g->n * sizeof(int32_t));
+    find_sole_parts(g);
     for (int64_t y = 0; y < h; y++) {
-        for (int64_t x = 0; x < w; x++) {
-            const int32_t label = labels[y * w + x];
-            const float z = xyz[3 * (y * across + x) + 2];
-            float best = INFINITY;
-            int32_t part = 0;
-            for (int64_t near = 0; near < 9 && label; near++) {
-                const int64_t i = y / k + near / 3 - 1, j = x / k + near % 3 - 1;
-                const cell *c = g->cells + i * g->w + j;
-                if (i < 0 || j < 0 || i >= g->h || j >= g->w || c->label != label) {
-                    continue;
-                }
-                const float dy = ((float)y + 0.5f) / (float)k - (float)i - 0.5f, dx = ((float)x + 0.5f) / (float)k - (float)j - 0.5f;
-                const float dz = (z - c->p[2]) / LIKE, apart = dx * dx + dy * dy + dz * dz;
-                if (apart < best) {
-                    best = apart, part = c->part;
+        for (int64_t j = 0; j < g->w; j++) {
+            const cell *c = g->cells + y / g->k * g->w + j;
+            for (int64_t x = j * g->k; x < (j + 1) * g->k && x < w; x++) {
+                const int32_t label = labels[y * w + x];
+                if (label) {
+                    const float z = xyz[3 * (y * across + x) + 2];
+                    const int32_t part = c->inside && label == c->label ? c->inside : nearest_part(g, y, x, z, label);
+                    if (part && !names[part - 1]) {
+                        names[part - 1] = ++count;
+                    }
+                    labels[y * w + x] = part ? names[part - 1] : 0;
                 }
             }
-            if (part && !names[part - 1]) {
-                names[part - 1] = ++count;
-            }
-            labels[y * w + x] = part ? names[part - 1] : 0;
         }
     }
     return count;
@@ -590,17 +645,20 @@ static int64_t write_parts(const graph *g, const float *xyz, int64_t across, int
 /* Splits the clusters of a window (h, w) of an image, at `xyz`, whose rows have `across` points.
  *
  * k: side of a cell in pixels. solid: (h, w), pixels with a reliable depth. labels: (h, w), in: the clusters, out: the parts, from
- * 1. counts: (COUNTS), the number of parts, and of those that each rule joined; -1 in the first without memory. */
+ * 1. counts: (COUNTS), the number of parts, those that were joined for each reason, and the borders that were rated; -1 in the
+ * first without memory. trees: `count` of them, of a depth. rows: (room, 2 + FEATURES), the first that were rated, see `rate`. */
 VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, const double *settings,
-                               const uint8_t *solid, int32_t *labels, int64_t *counts) {
-    graph g = {(h + k - 1) / k, (w + k - 1) / k, 0, 0, 0, NULL, NULL, NULL, NULL, NULL, settings};
+                               const uint8_t *solid, int32_t *labels, int64_t *counts, const float *trees, int64_t count,
+                               int64_t depth, double *rows, int64_t room) {
+    graph g = {.h = (h + k - 1) / k, .w = (w + k - 1) / k, .k = k, .s = settings, .trees = trees, .count = count, .depth = depth,
+               .rows = rows, .room = room, .counts = counts};
     const size_t n = (size_t)(g.n = g.h * g.w);
     memset(counts, 0, COUNTS * sizeof(int64_t));
-    g.cells = malloc((n + 1) * sizeof(cell));
+    g.cells = calloc(n + 1, sizeof(cell));
     g.bends = malloc((2 * n + 1) * sizeof(float));
     g.root = malloc((n + 1) * sizeof(int32_t));
     g.fragments = malloc((n + 1) * sizeof(fragment));
-    g.borders = malloc((2 * n + 1) * sizeof(border));
+    g.borders = malloc((4 * n + 1) * sizeof(border));
     if (g.cells && g.bends && g.root && g.fragments && g.borders) {
         make_cells(&g, xyz, across, h, w, labels, solid, k);
         find_steps(&g);
@@ -608,11 +666,9 @@ VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int6
         make_bends(&g);
         make_fragments(&g);
         measure(&g);
-        join_all(&g, counts);
-        name_parts(&g);
-        join_hidden(&g, counts);
-        name_parts(&g);
-        counts[PARTS] = write_parts(&g, xyz, across, h, w, k, labels);
+        look_behind(&g);
+        join_all(&g);
+        counts[PARTS] = write_parts(&g, xyz, across, h, w, labels);
     } else {
         counts[PARTS] = -1;
     }

@@ -133,7 +133,10 @@ def test_without_a_plausible_object_the_reason_is_named(rng: np.random.Generator
     assert segment(random_scene(rng, n_objects=0).render(rng, 0.002).cloud()).status == "no_object"
     crumb = rng.uniform((0.0, 0.0, 0.97), (0.02, 0.02, 0.98), (100, 3)).astype(np.float32)
     wall = rng.uniform((-0.4, 0.29, 0.6), (0.4, 0.3, 0.98), (4000, 3)).astype(np.float32)
-    rejected = segment(Cloud(np.concatenate([_table(rng), crumb, wall])))
+    whole = SegmentationConfig().updated(
+        {"split.angle_deg": 180.0}
+    )  # points at random in a wall are no surface, and would be split
+    rejected = segment(Cloud(np.concatenate([_table(rng), crumb, wall])), whole)
     assert rejected.status == "no_object"
     assert rejected.counts["n_rejected"] >= 2
     assert "none with 150 points" in rejected.reason

@@ -10,20 +10,10 @@ from scipy.sparse.csgraph import dijkstra
 
 Array = np.ndarray[Any, Any]
 Pair = tuple[int, int]
-_STEP, _FULL, _REACH, _SLOPE, _LIKE = 2.0, 0.7, 2, 4.0, 0.005
-_EDGE, _NECK = 0.75, 2  # fragments
-_HOLLOW, _TOUCH = 0.1, 0.03  # vessels
-_EVEN, _ECCENTRIC, _SIDE, _FLAT, _SURE, _UPRIGHT, _CLOSED, _LID = (
-    0.02,
-    0.006,
-    0.3,
-    0.9,
-    2.0,
-    0.7,
-    0.2,
-    0.1,
-)  # common axis
-_TURN, _SKEW, _LINES = 0.25, 0.05, 4  # on both sides of a nearer part
+_STEP, _FULL, _CONVEX, _REACH, _SLOPE, _LIKE = 2.0, 0.7, 0.17, 2, 4.0, 0.005
+_NECK, _TINY, _SMOOTH = 2, 10, 2.0  # fragments
+_HOLLOW, _EVEN = 0.1, 0.02  # shapes
+_TURN, _SKEW = 0.25, 0.05  # on both sides of a nearer part
 
 
 class Split:
@@ -34,12 +24,12 @@ class Split:
         labels: (H, W) clusters, 0 for none.
         solid: (H, W) pixels with a reliable depth.
         k: Pixels of a cell's side.
-        settings: Angle [rad], step [m], smallest part [m2], plane (4), pitch of the cells.
+        settings: Angle [rad], step [m], smallest part [m2], least log odds, plane (4), pitch of the cells.
     """
 
     def __init__(self, xyz: Array, labels: Array, solid: Array, k: int, settings: Array) -> None:
         self.k, self.xyz, self.labels = k, xyz.astype(np.float64), labels
-        self.angle, self.step, self.least_m2, self.table, self.pitch = *settings[:3], settings[3:7], settings[7]
+        self.angle, self.step, self.least_m2, self.table, self.pitch = *settings[:3], settings[4:8], settings[8]
         h, w = (-(-size // k) for size in labels.shape)
         self.p, self.d, self.cluster = np.full((h, w, 3), np.nan), np.full((h, w), np.nan), np.zeros((h, w), int)
         for at in np.ndindex(h, w):
@@ -124,7 +114,7 @@ class Split:
         h, w = self.d.shape
         start = np.where(np.isfinite(self.n[..., 0]), np.inf, 0.0)
         start[[0, -1]], start[:, [0, -1]] = np.minimum(start[[0, -1]], 1.0), np.minimum(start[:, [0, -1]], 1.0)
-        for i, j, axis in np.argwhere(~(self.bends <= _EDGE * self.angle)):
+        for i, j, axis in np.argwhere(~(self.bends <= self.angle)):
             for at in ((i, j), (i + axis, j + 1 - axis)):
                 if at[0] < h and at[1] < w:
                     start[at] = min(start[at], 1.0)
@@ -159,7 +149,7 @@ class Split:
                 ((i - 1, j), (i - 1, j, 1)),
                 ((i + 1, j), (i, j, 1)),
             ):
-                if at not in parent or not self.bends[edge] <= _EDGE * self.angle:
+                if at not in parent or not self.bends[edge] <= self.angle:
                     continue
                 one = root(at)
                 deeper = own is None or depths[one] > depths[own]
@@ -183,91 +173,119 @@ class Split:
         apart = both[:, 0] != both[:, 1]
         return ends[apart], both[apart], self.bends[tuple(at[apart].T)]
 
-    def borders(self, part: Array) -> dict[Pair, tuple[float, int, int, int]]:
-        """Of each pair of parts: mean bend, edges, those at a step, and those where the first is behind less the others."""
-        ends, both, bends = self.edges(part)
-        z = self.p[ends[..., 0], ends[..., 1], 2]
-        found: dict[Pair, list[tuple[float, bool, int]]] = {}
-        for (one, other), bend, (near, far) in zip(both.tolist(), bends.tolist(), z, strict=True):
-            behind = 1 if (near < far) == (one < other) else -1
-            found.setdefault((min(one, other), max(one, other)), []).append(
-                (min(max(bend, 0.0), _FULL), bend == _STEP, behind)
+    def joined(self, part: Array, trees: Array, least: float, counts: list[int]) -> Array:
+        """Tiny fragments joined across the border that bends least, then those rated as one object, then small parts."""
+        lines, rated, step = self.lines(part), {}, 0
+        groups = {int(k): frozenset([int(k)]) for k in np.unique(part[part > 0])}
+        while step < 3:
+            cells = {k: np.count_nonzero(part == k) for k in groups}
+            area = {k: ((self.pitch * self.p[part == k][:, 2]) ** 2).sum() for k in groups}
+            ends, both, bends = self.edges(part)
+            pairs = {(min(one), max(one)) for one in [*both.tolist(), *(line[:2] for line in lines)]}
+            found: list[tuple[float, Pair, bool]] = []
+            for a, b in sorted(pairs):
+                of = ((both == (a, b)) | (both == (b, a))).all(axis=1)
+                if step == 0 and of.any() and min(cells[a], cells[b]) < _TINY:
+                    found.append((-np.clip(bends[of], 0.0, _FULL).mean(), (a, b), True))
+                if step > 0:
+                    key = groups[a], groups[b]
+                    if key not in rated:
+                        agree = [line[2] for line in lines if {line[0], line[1]} == {a, b}]
+                        smooth = of.any() and np.clip(bends[of], 0.0, _FULL).mean() < self.angle
+                        row = self.features(part, a, b, ends[of], bends[of], agree)
+                        rated[key] = _SMOOTH * smooth + _odds(trees, row)
+                    if (rated[key] > least) if step == 1 else (of.any() and min(area[a], area[b]) < self.least_m2):
+                        found.append((rated[key], (a, b), bool(of.any())))
+            if not found:
+                step += 1
+                continue
+            _, (a, b), border = max(found, key=lambda one: one[0])
+            counts[1 if step != 1 else 2 if border else 3] += 1
+            groups[a] |= groups.pop(b)
+            part = np.where(part == b, a, part)
+            lines = [(*(a if k == b else k for k in line[:2]), line[2]) for line in lines]
+            lines = [line for line in lines if line[0] != line[1]]
+        return part
+
+    def features(self, part: Array, a: int, b: int, ends: Array, bends: Array, agree: list[bool]) -> list[float]:
+        """What the trees are told of two parts, as `describe` of the kernel."""
+        area = {k: ((self.pitch * self.p[part == k][:, 2]) ** 2).sum() for k in (a, b)}
+        small, large = (a, b) if area[a] < area[b] else (b, a)
+        one, two, both = (self.shape(np.isin(part, of)) for of in ([small], [large], [a, b]))
+        nearer = self.p[ends[..., 0], ends[..., 1], 2]
+        own = part[ends[..., 0], ends[..., 1]] == small
+        before = np.where((nearer[:, 0] < nearer[:, 1]) == own[:, 0], 1.0, -1.0)
+        steps, count = bends == _STEP, max(1, len(bends))
+        apart, turn = one["middle"] - two["middle"], one["normal"] - two["normal"]
+        beside = np.linalg.norm(np.cross(one["middle"] - two["axis"], two["u"]))
+        found = [
+            np.clip(bends, 0.0, _FULL).sum() / count,
+            steps.sum() / count,
+            (bends < -_CONVEX).sum() / count,
+            bends[~steps].sum() / max(1, (~steps).sum()),
+            before.sum() / count,
+            before[steps].sum() / max(1, steps.sum()),
+            np.mean(agree) if agree else -1.0,
+            np.sum(agree) / np.sqrt(one["cells"]),
+        ]
+        for k, shape in ((small, one), (large, two)):
+            other = np.pad(part, ((0, 1), (0, 1)))
+            outline = sum(
+                ((other == k) != (np.roll(other, 1, axis=axis) == k))[1 - axis :, axis:].sum() for axis in (0, 1)
             )
-        sums = {pair: np.sum(rows, axis=0) for pair, rows in found.items()}
-        return {pair: (s[0] / len(found[pair]), len(found[pair]), int(s[1]), int(s[2])) for pair, s in sums.items()}
+            side = np.sqrt(area[small] / one["cells"])
+            found += [
+                len(bends) * side / np.sqrt(area[k]),
+                len(bends) / outline,
+                shape["flat"],
+                shape["thin"],
+                shape["side"],
+            ]
+            found += [shape["out"] / np.sqrt(area[k]), abs(shape["normal"] @ apart), shape["hollow"]]
+        up, heights = self.table[:3], [(self.p[part == k] @ self.table[:3]) for k in (small, large)]
+        found += [
+            np.sqrt(area[small] / area[large]),
+            np.linalg.norm(turn),
+            two["normal"] @ apart,
+            one["normal"] @ apart,
+            up @ apart,
+        ]
+        found += [
+            heights[0].max() - heights[1].max(),
+            heights[0].min() - heights[1].min(),
+            two["miss"],
+            abs(two["u"] @ up),
+        ]
+        return [*found, beside, both["miss"], both["next"], abs(both["u"] @ up), both["thin"]]
 
-    def joined(self, part: Array, counts: list[int]) -> Array:
-        """Parts joined as long as a rule tells; counts what the rules for small, hollow and concentric ones join."""
-        heights, solid = self.p @ self.table[:3] + self.table[3], set()
-        bent = (self.bends > _HOLLOW) & (self.bends < _STEP)
-        while True:
-            names = np.unique(part[part > 0]).tolist()
-            area = {k: ((self.pitch * self.p[part == k][:, 2]) ** 2).sum() for k in names}
-            tops = {k: heights[part == k].max() for k in names}
-            hollow = {k: k not in solid and bent.any(axis=-1)[part == k].mean() > 0.5 for k in names}
-            borders = self.borders(part)
-            rated: dict[Pair, tuple[float, int | None]] = {}
-            for (a, b), (bend, length, steps, _) in borders.items():
-                if min(area[a], area[b]) < self.least_m2:
-                    rated[a, b] = bend - 10.0, None if bend < self.angle else 1
-                elif hollow[a] and hollow[b] and 2 * steps < length:
-                    rated[a, b] = bend - 5.0, None if bend < self.angle else 2
-                elif bend < self.angle:
-                    rated[a, b] = bend, None
-            chosen = min(rated, key=lambda pair: rated[pair][0], default=None)
-            rule = rated[chosen][1] if chosen else None
-            if chosen is None:
-                rims = [
-                    (length, (a, b))
-                    for (a, b), (_, length, steps, behind) in borders.items()
-                    if hollow[a] != hollow[b]
-                    and (behind if hollow[b] else -behind) >= 0
-                    and 2 * steps >= length
-                    and abs(tops[a] - tops[b]) < _TOUCH
-                ]
-                if rims:
-                    chosen, rule = max(rims, key=lambda one: one[0])[1], 2
-                    solid.add(chosen[0])
-            if chosen is None:
-                chosen, rule = next((pair for pair in borders if self.concentric(part, pair, tops)), None), 4
-            if chosen is None:
-                return part
-            if rule:
-                counts[rule] += 1
-            if chosen[1] in solid:
-                solid.add(chosen[0])
-            part = np.where(part == chosen[1], chosen[0], part)
-
-    def concentric(self, part: Array, pair: Pair, tops: dict[int, float]) -> bool:
-        """Whether the normals of both parts meet the axis of the larger one: a linear complex of lines (Pottmann, Randrup 1998)."""
-        sizes = [np.count_nonzero(part == k) for k in pair]
-        large, small = pair[::-1] if sizes[0] < sizes[1] else pair
-        seen = {k: (part == k) & np.isfinite(self.n[..., 0]) for k in pair}
-        middle, n = self.p[seen[large]].mean(axis=0), self.n[seen[large]]
-        m = np.cross(self.p[seen[large]] - middle, n)
-        even = n.T @ n + (_EVEN * len(n) + 1e-9) * np.eye(3)
+    def shape(self, of: Array) -> dict[str, Any]:
+        """The shape of cells; the axis that their normals meet is that of a linear complex of lines (Pottmann, Randrup 1998)."""
+        seen = of & np.isfinite(self.n[..., 0])
+        p, n, count = self.p[seen], self.n[seen], max(1, np.count_nonzero(seen))
+        middle = p.sum(axis=0) / count
+        m = np.cross(p - middle, n)
+        even = n.T @ n + (_EVEN * count + 1e-9) * np.eye(3)
         values, vectors = np.linalg.eigh(m.T @ m - (n.T @ m).T @ np.linalg.solve(even, n.T @ m))
-        u = vectors[:, 0]
-        axis = middle + np.cross(u, -np.linalg.solve(even, n.T @ m) @ u)
-        turned, closed, lid = [], [], []
-        for k in (large, small):
-            r, n = self.p[seen[k]] - axis, self.n[seen[k]]
-            r, across = r - np.outer(r @ u, u), n - np.outer(n @ u, u)
-            side, off = (across**2).sum(), ((np.cross(r, across) @ u) ** 2).sum()
-            flat = (across.sum(axis=0) ** 2).sum() / (len(n) * side)
-            turned.append(
-                side > _SIDE * len(n) and off < _ECCENTRIC**2 * side and flat < _FLAT and (across * r).sum() > 0.0
-            )
-            closed.append(turned[-1] and flat < _CLOSED)
-            lid.append(side < _LID * len(n) and np.linalg.norm(r.mean(axis=0)) < _ECCENTRIC)
-        if abs(u @ self.table[:3]) > _UPRIGHT and tops[small] < tops[large]:
-            return False
-        sure = values[1] > _SURE * _ECCENTRIC**2 * np.count_nonzero(seen[large])
-        return bool((turned[0] and turned[1] and sure) or (closed[0] and lid[1]))
+        u, length = vectors[:, 0], np.linalg.norm(n.sum(axis=0))
+        bent = ((self.bends > _HOLLOW) & (self.bends < _STEP)).any(axis=-1)
+        return {
+            "cells": np.count_nonzero(of),
+            "middle": self.p[of].mean(axis=0),
+            "normal": n.sum(axis=0) / length if length else np.zeros(3),
+            "flat": length / count,
+            "thin": np.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(self.p[of].T, bias=True))[0])),
+            "out": ((p - middle) * n).sum() / count,
+            "hollow": np.count_nonzero(bent & seen) / count,
+            "u": u,
+            "axis": middle + np.cross(u, -np.linalg.solve(even, n.T @ m) @ u),
+            "miss": np.sqrt(max(0.0, values[0] / count)),
+            "next": np.sqrt(max(0.0, values[1] / count)),
+            "side": 1.0 - ((n @ u) ** 2).sum() / count,
+        }
 
-    def hidden(self, part: Array, counts: list[int]) -> Array:
-        """Parts joined on both sides of a nearer one where their surfaces agree along most lines of cells."""
-        votes: dict[Pair, list[int]] = {}
+    def lines(self, part: Array) -> list[tuple[int, int, bool]]:
+        """Lines of cells from a part to another one behind a nearer one, and whether the surfaces agree."""
+        found = []
         for i, j, axis in np.ndindex(*self.d.shape, 2):
             to = (i + axis, j + 1 - axis)
             if not part[i, j] or to[0] >= part.shape[0] or to[1] >= part.shape[1] or part[to] == part[i, j]:
@@ -281,20 +299,8 @@ class Split:
             agree = np.linalg.norm(self.n[a] - self.n[b]) < _TURN and all(
                 abs(self.p[q][2] - self.on_ray(p, q)) < limit for p, q in ((a, b), (b, a))
             )
-            pair = tuple(sorted((int(part[i, j]), int(part[far]))))
-            votes.setdefault(pair, []).append(int(agree))
-        while True:
-            chosen = next((pair for pair, one in votes.items() if sum(one) >= _LINES and 2 * sum(one) > len(one)), None)
-            if chosen is None:
-                return part
-            counts[3] += 1
-            part = np.where(part == chosen[1], chosen[0], part)
-            merged: dict[Pair, list[int]] = {}
-            for pair, one in votes.items():
-                a, b = sorted(chosen[0] if k == chosen[1] else k for k in pair)
-                if a != b:
-                    merged[a, b] = merged.get((a, b), []) + one
-            votes = merged
+            found.append((int(part[i, j]), int(part[far]), bool(agree)))
+        return found
 
     def on_ray(self, at: Pair, ray: Pair) -> float:
         """Depth of the plane of a cell on the ray of another."""
@@ -342,11 +348,22 @@ class Split:
         return names
 
 
-def split_clusters(xyz, across, h, w, k, settings, solid, labels, counts) -> None:
+def _odds(trees: Array, row: list[float]) -> float:
+    """Sum of the leaves that a row reaches, of complete trees in the order of a heap."""
+    total, inner = 0.0, len(trees[0]) // 3
+    for tree in trees:
+        at = 0
+        while at < inner:
+            at = 2 * at + 1 + int(row[int(tree[2 * at])] > tree[2 * at + 1])
+        total += float(tree[inner + at])
+    return total
+
+
+def split_clusters(xyz, across, h, w, k, settings, solid, labels, counts, trees, *_) -> None:
     """The kernel's arguments."""
     points = np.lib.stride_tricks.as_strided(xyz, (h, w, 3), (across * 12, 12, 4))
     one, found = Split(points, labels.copy(), solid, k, settings), [0] * 5
-    parts = one.pixels(one.hidden(one.joined(one.fragments(), found), found))
+    parts = one.pixels(one.joined(one.fragments(), trees, settings[3], found))
     labels[...] = np.unique(np.append(parts, 0), return_inverse=True)[1][:-1].reshape(labels.shape)
     found[0] = labels.max()
     counts[:] = found

@@ -3,35 +3,40 @@
 
 Household objects are mostly convex, and where two of them touch, the visible surface has a concave edge or a step in depth
 (Stein, Schoeler, Papon, Wörgötter: Object Partitioning using Local Convexity, CVPR 2014). A cluster is divided into fragments
-along such edges and across the necks between them, and fragments are joined while the border between two of them bends less
-than `angle_deg` on average over its whole length: an edge that fades out, or that bends only at its end, does not separate.
+along such edges and across the necks between them. Fragments are joined where boosted trees (`same_object.safetensors`, made by
+`python -m benchmarks.clutter.learn`) rate them as one object, by the shape of both, of both together and of their border. It is
+counted why:
 
-Whole objects stay whole by four rules, each counted:
-
-- `joined_small`: a fragment smaller than a large fingertip, or of fewer than 80 cells, belongs to the neighbour from which it is
-  separated least (a handle).
-- `joined_hollow`: hollow fragments are one wall, and belong to the rim before them that is as high as they are (a bowl, a cup).
-- `joined_concentric`: fragments that are surfaces of revolution about one axis, seen from outside, are one (a bottle and its
-  neck, or its cap from above). A can on a box, or beside the axis of another can by more than 6 mm, stays apart.
-- `joined_hidden`: fragments on both sides of a nearer object are one where the surface of one continues in the other.
+- `joined_border`: rated as one object across the border that they have in common (a bottle and its neck, the walls of a bowl).
+- `joined_hidden`: rated as one object on both sides of a nearer one.
+- `joined_small`: smaller than a large fingertip, or of fewer than 80 cells: it belongs to the neighbour that is rated highest.
 
 An image with neither a concave surface nor two clusters next to each other is not processed further.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 import numpy as np
+from safetensors.numpy import load_file
 
 from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Int64
 
-_split = Kernel("split_clusters", *(np.float32, int, int, int, int), np.float64, np.uint8, np.int32, np.int64)
+_split = Kernel(
+    "split_clusters",
+    *(np.float32, int, int, int, int, np.float64, np.uint8, np.int32, np.int64),
+    *(np.float32, int, int, np.float64, int),
+)
 _concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
 
-SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_hollow", "joined_hidden", "joined_concentric")
+SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_border", "joined_hidden")
+TREES = Path(__file__).with_name("same_object.safetensors")
+_NO_ROWS = np.empty(0)
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
@@ -39,6 +44,8 @@ _LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per dept
 _STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
 _CELL_NOISE = 1.4  # side of a cell by the noise of the threshold, which is 2.5 standard deviations unless configured
 _CELL_PER_M = 0.005  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
+_UNKNOWN_CELL_PER_M = 0.0075  # the same where a table without noise says nothing about the camera
+_NO_NOISE = 1e-4  # of the threshold, per depth² [1/m]
 _LIST_CELL_M = 0.005  # of a list of points at least: those of several views do not agree exactly
 _FEW_CELLS = 80  # of a part, whose normals are as doubtful as its outline
 _FEW = 8  # concave points that noise makes; two convex parts of 3 cm meet in as many
@@ -49,19 +56,31 @@ class SplitConfig(Settings):
     """Where a cluster is split into objects that touch."""
 
     angle_deg: float = setting(
-        29.0,
-        "A border that is concave by more than this on average separates two objects; from 40 on all that touches is joined, 180 does not split at all",
+        22.0,
+        "An edge that is concave by more than this may separate two objects, and a border that is by less on average hardly does; 180 does not split at all",
         bounds=(5.0, 180.0),
     )
-    step_m: float = setting(0.01, "A step in depth by more than this separates two objects", bounds=(0.002, 0.1))
+    step_m: float = setting(0.01, "A step in depth by more than this may separate two objects", bounds=(0.002, 0.1))
     cell_m: float = setting(
         0.0035,
         "Least side of the squares over which the surface is averaged; where the depth is noisier, they are larger: 3.5 standard deviations of its noise",
         bounds=(0.002, 0.02),
     )
+    same_object: float = setting(
+        0.75,
+        "Fragments are joined if the probability that they are one object is higher: less cuts fewer objects, more merges fewer",
+        bounds=(0.01, 0.99),
+    )
     min_part_m: float = setting(
         0.03, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
     )
+
+
+@cache
+def _trees() -> tuple[Float32, int]:
+    """Trees, each of nodes (feature, threshold) and leaves in the order of a heap, and their depth."""
+    trees: Float32 = load_file(TREES)["trees"]
+    return trees, (trees.shape[1] // 3 + 1).bit_length() - 1
 
 
 def split_clusters(
@@ -77,8 +96,7 @@ def split_clusters(
         config: Settings.
 
     Returns:
-        The windows as they are, or one window with all parts; and the counts `clusters`, `parts`, `joined_small`,
-        `joined_hollow`, `joined_hidden` and `joined_concentric`, all 0 if nothing calls for splitting.
+        The windows as they are, or one window with all parts; and the counts (`SPLIT_COUNTS`), all 0 if nothing calls for splitting.
     """
     counts = dict.fromkeys(SPLIT_COUNTS, 0)
     if config.angle_deg >= 180.0 or not windows or pitch <= 0.0:
@@ -92,26 +110,29 @@ def split_clusters(
         return list(windows), counts
     depth = float(np.median(depths))
     side = pitch * depth  # of a pixel [m]
-    arm, found = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS) - 1, np.int64)
+    arm, found = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
     _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
     if found[:2].max() < _FEW:
         return list(windows), counts
-    cell_m = max(config.cell_m, max(_CELL_PER_M, _CELL_NOISE * threshold.noise_per_m) * depth**2)
+    least = _UNKNOWN_CELL_PER_M if threshold.noise_per_m < _NO_NOISE else _CELL_PER_M
+    cell_m = max(config.cell_m, max(least, _CELL_NOISE * threshold.noise_per_m) * depth**2)
     cell = min(max(round(cell_m / side), 1), _MAX_CELL)
     settings = [
         np.radians(config.angle_deg),
         config.step_m,
         max(config.min_part_m**2, _FEW_CELLS * (cell * side) ** 2),
+        np.log(config.same_object / (1.0 - config.same_object)),
         *threshold.plane.coefficients,
         pitch * cell,
     ]
-    labels = one.labels.copy()
-    _split(first, xyz.shape[1], h, w, cell, np.array(settings), one.solid.view(np.uint8), labels, found)
+    labels, (trees, depth) = one.labels.copy(), _trees()
+    image = first, xyz.shape[1], h, w, cell, np.array(settings), one.solid.view(np.uint8), labels
+    _split(*image, found, trees, len(trees), depth, _NO_ROWS, 0)
     if found[0] < 0:
         raise MemoryError("split_clusters")
-    parts, *joined = found.tolist()
-    clusters = sum(len(np.unique(window.labels[window.labels > 0])) for window in windows)
+    parts, *joined, _ = found.tolist()
+    clusters = int(np.count_nonzero(np.bincount(one.labels.ravel())[1:]))
     counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
     return [Clusters(labels, one.solid & (labels > 0), parts, one.rows, one.columns)], counts
 

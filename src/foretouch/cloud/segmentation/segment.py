@@ -71,8 +71,8 @@ class Segmentation:
     points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
     affect the result are checked; background is the table, points below it, isolated points and those without x or y;
     rejected are the points of `n_rejected` implausible clusters. `clusters` are split into `parts`; `joined_small`,
-    `joined_hollow`, `joined_concentric` and `joined_hidden` are the fragments that each rule joined again (see `parts`), all
-    0 where nothing calls for splitting.
+    `joined_border` and `joined_hidden` are the fragments that were joined again, by reason (see `parts`), all 0 where nothing
+    calls for splitting.
     """
 
     status: SegmentationStatus  # "ok" with at least one object, else what is missing
