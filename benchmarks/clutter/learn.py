@@ -413,6 +413,7 @@ def main() -> None:
 
 
 def learn(files: Sequence[Path], jobs: int) -> Float32:
+    """Trees learned in rounds from nine tenths of the scenes in these files, written with their scores on the others."""
     known, new = [path for k, path in enumerate(files) if k % HELD_OUT], files[::HELD_OUT]
     trees, rows, same, piled = FIRST, [], [], []
     for count, weight in ROUNDS:
