@@ -370,7 +370,7 @@ def test_memory_does_not_grow_with_the_number_of_rows(tmp_path: Path) -> None:
             file.writelines(block.replace("GRASP", str(k)) for k in range(count))
         command = [sys.executable, "-c", MEASURE, str(folder), str(tmp_path / f"ds{count}"), str(map_file)]
         used.append(int(subprocess.run(command, capture_output=True, check=True, text=True).stdout))  # [MB]
-    assert used[1] < used[0] + 40
+    assert used[1] < used[0] + 60  # blocks that are read ahead; the table alone takes 72 MB
     assert used[1] < 300
 
 
