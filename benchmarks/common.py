@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all benchmarks share: one command line, cells that become rows, tables as CSV, Markdown and text. Run them from the root.
 
-A benchmark is a function that yields rows, plain dicts with the same keys, from the options of its command line. `command` runs it: it prints
-each table, writes it as CSV where asked, and replaces what stands between the marks of its README.
+A benchmark is a function that yields rows, plain dicts with the same keys, from the options of its command line. `command` runs it,
+prints each table and writes it as CSV. Those with a table in their README replace what stands between its marks.
 """
 
 import csv

@@ -2,9 +2,9 @@
 """Learn which fragments of clusters are one object: `python -m benchmarks.clutter.learn` writes `same_object.safetensors` and its card.
 
 The scenes are of random objects (`shapes.py`), none of which is one of the benchmark's: piles at rest, objects placed side by
-side, in contact, and alone. In each, segmentation joins fragments as
-the trees of the round before tell it, and keeps what it rated on the way; whether both are of one object is known. Boosted
-trees learn that. In further rounds they learn from what their own joining makes, too.
+side, in contact, behind each other, and alone. In each, segmentation joins fragments by the trees of the round before and keeps the
+pairs that it rated; whether both are of one object is known from the labels. Boosted trees learn that, in further rounds also
+from the pairs that their own joining makes.
 """
 
 import argparse
@@ -37,19 +37,16 @@ from foretouch.types import Cloud, Float32, Float64
 from foretouch_lab.simulation.solids import about_z
 from foretouch_lab.simulation.world import SampleKey
 
-WHITE, FAULTY, BARE = (
-    0.1,
-    0.5,
-    0.65,
-)  # share of scenes with white noise, up to which one has a Kinect's faults, and of objects alone from which on they are bare
+# Of a number that is drawn for each scene from 0 to 1: up to the first it gets white noise, then up to the second a Kinect's
+# faults; from the third on, an object alone is cut out.
+WHITE, FAULTY, BARE = 0.1, 0.5, 0.65
 HELD_OUT: Final = 10  # every so many files are not learned from
 DEPTH, RATE = 5, 0.1
 ROUNDS: Final = ((150, 1.0), (200, 2.0), (300, 2.0))  # trees, weight of the pairs in piles
 FEATURES: Final = 38  # of a pair of fragments, see `describe` of kernels/split.c
 LESS, MORE = (0,), (2, 6, 7)  # concave borders tell against one object; convex ones, and surfaces that agree, for it
-FIRST: Final = np.array(
-    [[0, np.radians(26.0), 1, -1]], np.float32
-)  # joined across borders that bend by less than 26 degrees
+# Of the first round: joined across borders that bend by less than 26 degrees.
+FIRST: Final = np.array([[0, np.radians(26.0), 1, -1]], np.float32)
 _FEWEST: Final = 300  # pixels of an object that is cut out
 _ROWS: Final = 8000  # of a scene at most
 
@@ -100,10 +97,8 @@ def arranged(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
         under += [below] if below is not None else []
         angle = rng.uniform(0.0, 2.0 * np.pi) if rng.random() < 0.7 else np.pi / 2.0 * rng.integers(4)
         placed.append(Placed(model, place, about_z(angle)))
-    seen = {one.model.name: _mesh(one.model, f"12_{number}", folder) for one in placed}
-    pile = Pile(tuple(placed), np.zeros((1, 1), np.bool_), 0.0, True)
     view = float(rng.uniform(30.0, 62.0)), float(rng.uniform(0.75, 1.2))
-    yield f"arranged{number:04d}", look(pile, seen, "arranged", view, SampleKey(12, number, 0))
+    yield f"arranged{number:04d}", _standing(placed, "arranged", view, SampleKey(12, number, 0), folder)
 
 
 def _place(model: Model, below: Placed | None, placed: Sequence[Placed], rng: Rng) -> Float64 | None:
@@ -149,11 +144,10 @@ def touching(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
         placed = [Placed(model, np.array([0.0, 0.0, model.size[2] / 2.0]), about_z(rng.uniform(0.0, 2.0 * np.pi)))]
     else:
         placed = _stack(rng) if kind == "stacked" else _row(rng, kind)
-    seen = {one.model.name: _mesh(one.model, f"14_{number}", folder) for one in placed}
-    pile = Pile(tuple(placed), np.zeros((1, 1), np.bool_), 0.0, True)
     tilt = 0.0 if len(placed) == 1 and rng.random() < 0.2 else float(rng.uniform(22.0, 60.0))
     kind = "single" if len(placed) == 1 else kind
-    yield f"{kind}{number:04d}", look(pile, seen, kind, (tilt, float(rng.uniform(0.7, 1.15))), SampleKey(14, number, 0))
+    view = tilt, float(rng.uniform(0.7, 1.15))
+    yield f"{kind}{number:04d}", _standing(placed, kind, view, SampleKey(14, number, 0), folder)
 
 
 def _one(rng: Rng, makers: Sequence[Callable[[Rng], Model]], name: str) -> Model:
@@ -221,10 +215,8 @@ def behind(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     near = max(float(np.linalg.norm(one.size[:2])) for one in models) / 2.0 + rng.uniform(0.02, 0.1)
     aside = rng.uniform(-0.25, 0.25) * wide
     placed.append(Placed(post, np.array([aside, -near, post.size[2] / 2.0]), about_z(rng.uniform(-0.5, 0.5))))
-    seen = {one.model.name: _mesh(one.model, f"15_{number}", folder) for one in placed}
-    pile = Pile(tuple(placed), np.zeros((1, 1), np.bool_), 0.0, True)
     view = float(rng.uniform(35.0, 62.0)), float(rng.uniform(0.7, 1.15))
-    yield f"behind{number:04d}", look(pile, seen, "behind", view, SampleKey(15, number, 0))
+    yield f"behind{number:04d}", _standing(placed, "behind", view, SampleKey(15, number, 0), folder)
 
 
 def _lying(rng: Rng, model: Model) -> Model:
@@ -232,6 +224,12 @@ def _lying(rng: Rng, model: Model) -> Model:
     if model.shape != "box":
         return model
     return replace(model, size=np.roll(np.sort(model.size), 1) * (rng.uniform(1.0, 1.7), 1.0, 1.0))
+
+
+def _standing(placed: Sequence[Placed], kind: str, view: tuple[float, float], key: SampleKey, folder: Path) -> Scene:
+    """What a camera sees of objects that stay where they are placed."""
+    seen = {one.model.name: _mesh(one.model, f"{key.seed}_{key.slot}", folder) for one in placed}
+    return look(Pile(tuple(placed), np.zeros((1, 1), np.bool_), 0.0, True), seen, kind, view, key)
 
 
 def _mesh(model: Model, prefix: str, folder: Path) -> str:
@@ -310,8 +308,7 @@ class Recorder:
 
     def use(self, trees: Float32) -> None:
         """Rate with these trees from now on."""
-        found = trees, (trees.shape[1] // 3 + 1).bit_length() - 1
-        parts._trees = lambda: found  # type: ignore[assignment]  # noqa: SLF001
+        parts._trees = lambda: trees  # type: ignore[assignment]  # noqa: SLF001
 
     def __call__(self, *arguments: Any) -> None:
         """The kernel's arguments."""

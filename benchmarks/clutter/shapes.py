@@ -24,6 +24,10 @@ def _moved(parts: Parts, axis: tuple[float, float, float], angle: float, to: tup
     return [part @ turn.T + np.array(to) for part in parts]
 
 
+def _shifted(parts: Parts, x: float, y: float, z: float) -> Parts:
+    return [part + np.array([x, y, z]) for part in parts]
+
+
 def _block(x: float, y: float, z: float, bevel: float = 0.15) -> Parts:
     """A box with bevelled edges about its middle."""
     half = np.array([x, y, z]) / 2.0
@@ -145,22 +149,15 @@ def drill(rng: Rng) -> Model:
         ]
     )
     if rng.random() < 0.4:
-        barrel = [
-            *_block(2 * r, 2 * r * rng.uniform(0.8, 1.3), long),
-            *_moved(_rod(chuck, out), (0, 0, 1), 0.0, (0, 0, long / 2)),
-        ]
-        barrel = _moved(barrel, (0, 0, 1), 0.0, (0, 0, long / 2))
+        barrel = [*_block(2 * r, 2 * r * rng.uniform(0.8, 1.3), long), *_shifted(_rod(chuck, out), 0, 0, long / 2)]
+        barrel = _shifted(barrel, 0, 0, long / 2)
     parts = _moved(barrel, (0, 1, 0), np.pi / 2, (0, 0, 0))
     wide, deep, tall = rng.uniform((0.025, 0.03, 0.07), (0.042, 0.06, 0.13))
     at, lean = rng.uniform(0.1, 0.6) * long, rng.uniform(-0.35, 0.35)
     grip = [*_block(deep, wide, tall, 0.4)]
     if rng.random() < 0.75:
-        grip += _moved(
-            _block(*rng.uniform((0.05, 0.04, 0.02), (0.1, 0.08, 0.05)), 0.2),
-            (0, 0, 1),
-            0.0,
-            (rng.uniform(-0.01, 0.02), 0, -tall / 2),
-        )
+        foot = _block(*rng.uniform((0.05, 0.04, 0.02), (0.1, 0.08, 0.05)), 0.2)
+        grip += _shifted(foot, rng.uniform(-0.01, 0.02), 0, -tall / 2)
     return centred("", [*parts, *_moved(grip, (0, 1, 0), lean, (at, 0, -tall / 2 - 0.4 * r))])
 
 
@@ -170,7 +167,7 @@ def hammer(rng: Rng) -> Model:
     shaft = (
         _rod(r, long, rng.uniform(0.7, 1.2))
         if rng.random() < 0.5
-        else _moved(_block(2 * r, 3 * r, long), (0, 0, 1), 0.0, (0, 0, long / 2))
+        else _shifted(_block(2 * r, 3 * r, long), 0, 0, long / 2)
     )
     head = _moved(_rod(1.0, 1.0), (1, 0, 0), np.pi / 2, (0, 0.5, 0)) if rng.random() < 0.5 else _block(2, 1, 2)
     size = rng.uniform((0.015, 0.06, 0.015), (0.035, 0.12, 0.035))
@@ -215,10 +212,7 @@ def pan(rng: Rng) -> Model:
     long = rng.uniform(0.06, 0.14)
     return centred(
         "",
-        [
-            *hollow(wall, 0.004),
-            *_moved(_block(long, 0.022, 0.012), (0, 0, 1), 0.0, (1.05 * radius + long / 2 - 0.002, 0, 0.8 * tall)),
-        ],
+        [*hollow(wall, 0.004), *_shifted(_block(long, 0.022, 0.012), 1.05 * radius + long / 2 - 0.002, 0, 0.8 * tall)],
     )
 
 
@@ -228,10 +222,13 @@ def union(rng: Rng) -> Model:
     place = np.zeros(3)
     for k in range(rng.integers(2, 4)):
         size = rng.uniform(0.025, 0.1, 3) * 0.8**k
-        solid = (_block(*size, rng.uniform(0.05, 0.6)), _moved(_rod(size[0] / 2, size[2], rng.uniform(0.4, 1.0)), (0, 0, 1), 0.0, (0, 0, -size[2] / 2)),
-                 [part * 0.8 for part in [rng.normal(size=(60, 3))]])[rng.integers(3)]  # fmt: skip
-        if len(solid[0]) == 60:
-            solid = [solid[0] / np.linalg.norm(solid[0], axis=1, keepdims=True) * size / 2]
+        block = _block(*size, rng.uniform(0.05, 0.6))
+        rod = _shifted(_rod(size[0] / 2, size[2], rng.uniform(0.4, 1.0)), 0, 0, -size[2] / 2)
+        points = 0.8 * rng.normal(
+            size=(60, 3)
+        )  # the factor keeps the solids that the trees were learned from, to the bit
+        round_one = [points / np.linalg.norm(points, axis=1, keepdims=True) * size / 2]
+        solid = (block, rod, round_one)[rng.integers(3)]
         turn = Rotation.random(random_state=rng).as_matrix() if rng.random() < 0.4 else np.eye(3)
         solid = [part @ turn.T + place for part in solid]
         parts += solid

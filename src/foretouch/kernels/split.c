@@ -399,7 +399,8 @@ static void derive(const double *s, shape *is) {
     }
 }
 
-/* What tells whether two fragments are one object: the border, the small one, the large one and both together [m, share]. */
+/* Features of two fragments, from which the trees predict whether they are one object: of their border, of the smaller and the
+ * larger one, and of both together [m, share]. */
 static void describe(const graph *g, const border *one, double *x) {
     const int swap = g->fragments[one->a].sum[AREA] < g->fragments[one->b].sum[AREA];
     const fragment *large = g->fragments + (swap ? one->b : one->a), *small = g->fragments + (swap ? one->a : one->b), *both[2] = {small, large};

@@ -86,9 +86,10 @@ def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
             {"table": table, "part": fold.name, "predictor": name, "seed": seed},
         )
         for number, seed in enumerate(settings.seeds)
+        for _, folds in [_folds(split, data, seed)]
         for name in settings.predictors
         if name not in NETWORKS or number < settings.network_seeds
-        for fold in _folds(split, data, seed)[1]
+        for fold in folds
     ]
 
 
@@ -96,7 +97,7 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
     """Fit and test once."""
     samples, folds = _folds(split, data, cell.values["seed"])
     (fold,) = (one for one in folds if one.name == cell.values["part"])
-    train, tested = ([samples[k] for k in side] for side in (fold.train, fold.test))
+    train, tested = fold.sides(samples)
     labels = labels_of(train)
     fitted = find_predictor(cell.values["predictor"], settings.training_fraction)(train, labels, cell.values["seed"])
     everything, mean = fitted.predict(tested), labels.mean(axis=0)  # at once: some baselines are fitted in each call

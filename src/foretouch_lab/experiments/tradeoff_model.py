@@ -221,7 +221,7 @@ def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[t
     from foretouch_lab.learning.training.supervised import train_network
 
     run: Any = load_run_config(NETWORK)
-    train, tested = ([data.samples[k] for k in side] for side in (fold.train, fold.test))
+    train, tested = fold.sides(data.samples)
     net = train_network(TrainingSet.build(train, run.model), np.arange(len(train)), run.train.replace(seed=0))
     fallback = Fallback.fit(BIOTAC, describe_objects(train), data.labels[fold.train])
     for variant in _variants(settings):

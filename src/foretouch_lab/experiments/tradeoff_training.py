@@ -19,7 +19,6 @@ from foretouch_lab.experiments.shared.simulated_data import beside, simulate_sto
 from foretouch_lab.experiments.shared.tables import grouped, select
 from foretouch_lab.experiments.tradeoff_model import describe
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
-from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.training.contact import ContactTrainingConfig, fit_contact
 
@@ -92,21 +91,13 @@ def _run(cell: Cell, settings: TrainingSettings, data: Dataset) -> list[Row]:
     hours = _robot_seconds(samples) / 3600.0
     rows: list[Row] = []
     for fold in folds[:1] if cell.values["column"] == _ONE_BLOCK else folds:
-        train, test = split_by_fold(samples, folds, fold.name)
+        train, test = fold.sides(samples)
         chosen = _chosen_samples(cell.values, train)
         predicted = _predict(cell.values, settings, data, chosen, test)
         head = {"part": fold.name, "train": len(chosen), "robot_h": len(chosen) * hours}
         mean = labels_of(train).mean(axis=0)
         rows += [{**head, **row} for row in error_rows(test, predicted, labels_of(test), mean)]
     return rows
-
-
-def split_by_fold(
-    samples: Sequence[GraspSample], folds: Sequence[Fold], name: str
-) -> tuple[list[GraspSample], list[GraspSample]]:
-    """Training and test samples of the fold of a name."""
-    (fold,) = (one for one in folds if one.name == name)
-    return [samples[k] for k in fold.train], [samples[k] for k in fold.test]
 
 
 def _by_object(samples: Sequence[GraspSample]) -> dict[str, list[GraspSample]]:
@@ -180,7 +171,8 @@ def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed
     predicts some test samples.
     """
     samples = labelled(data)
-    train, test = split_by_fold(samples, make_folds(samples, "time", 0), _FIRST)
+    (fold,) = (one for one in make_folds(samples, "time", 0) if one.name == _FIRST)
+    train, test = fold.sides(samples)
     chosen = _chosen_samples(variant.values, train)
     if variant.values["kind"] != "network":
         return lambda _: _predict(variant.values, settings, data, chosen, test[:_PREDICTED]), 1.0

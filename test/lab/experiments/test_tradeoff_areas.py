@@ -149,7 +149,8 @@ def test_more_grasps_are_more_skilful_take_the_robot_longer_and_fewer_are_part_o
     assert shipped["known_low"] < shipped["known"] < shipped["known_high"]
     columns = {cell.values["column"] for cell in area.cells(TRAINING.replace(networks=True), GRASPS)}
     assert columns == {"known", "new", "one_block"}
-    train, test = tradeoff_training.split_by_fold(GRASPS.samples, make_folds(GRASPS.samples, "time", 0), "block 0")
+    (fold,) = (one for one in make_folds(GRASPS.samples, "time", 0) if one.name == "block 0")
+    train, test = fold.sides(GRASPS.samples)
     chosen = tradeoff_training._chosen_samples
     five = chosen({"grasps": 5}, train)
     assert len(five) == 5 * 8

@@ -77,10 +77,10 @@ class SplitConfig(Settings):
 
 
 @cache
-def _trees() -> tuple[Float32, int]:
-    """Trees, each of nodes (feature, threshold) and leaves in the order of a heap, and their depth."""
+def _trees() -> Float32:
+    """(T, 3 * 2**depth - 2) float32: trees, each of nodes (feature, threshold) and leaves in the order of a heap."""
     trees: Float32 = load_file(TREES)["trees"]
-    return trees, (trees.shape[1] // 3 + 1).bit_length() - 1
+    return trees
 
 
 def split_clusters(
@@ -126,9 +126,10 @@ def split_clusters(
         *threshold.plane.coefficients,
         pitch * cell,
     ]
-    labels, (trees, depth) = one.labels.copy(), _trees()
+    labels, trees = one.labels.copy(), _trees()
+    tree_depth = (trees.shape[1] // 3 + 1).bit_length() - 1
     image = first, xyz.shape[1], h, w, cell, np.array(settings), one.solid.view(np.uint8), labels
-    _split(*image, found, trees, len(trees), depth, _NO_ROWS, 0)
+    _split(*image, found, trees, len(trees), tree_depth, _NO_ROWS, 0)
     if found[0] < 0:
         raise MemoryError("split_clusters")
     parts, *joined, _ = found.tolist()

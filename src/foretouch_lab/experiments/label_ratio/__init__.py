@@ -114,7 +114,7 @@ def _run(cell: Cell, settings: LabelRatioSettings, data: Dataset) -> list[Row]:
     split = data.partition(f"labels/T{ratio}")
     if model == TREES:
         # For all modalities at once, also those that are not asked for: a run may be extended by further ones.
-        train, test = ([data.samples[k] for k in index] for index in (split.train, split.test))
+        train, test = split.sides(data.samples)
         found = geometry_trees(train, labels_of(train), test, seed)
         return [
             {"modality": name, **error_row(data, (name,), split, found[:, BIOTAC.columns([name])])}

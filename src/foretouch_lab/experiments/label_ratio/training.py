@@ -208,7 +208,7 @@ def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Flo
     Returns:
         By object, in order of the samples, both means over the modality's values [counts²].
     """
-    train, test = ([data.samples[k] for k in index] for index in (split.train, split.test))
+    train, test = split.sides(data.samples)
     own = BIOTAC.columns(outputs)
     actual, mean = labels_of(test)[:, own], labels_of(train)[:, own].mean(axis=0)
     both = {"squared": ((predicted - actual) ** 2).mean(axis=1), "reference": ((mean - actual) ** 2).mean(axis=1)}

@@ -42,6 +42,10 @@ class Fold:
     name: str = ""  # name of the test side
     unlabelled: Indices = field(default_factory=lambda: np.empty(0, np.intp))  # samples to learn from without labels
 
+    def sides(self, samples: Sequence[GraspSample]) -> tuple[list[GraspSample], list[GraspSample]]:
+        """Those to learn from with their labels, and those to evaluate on."""
+        return [samples[k] for k in self.train], [samples[k] for k in self.test]
+
 
 HoldOut = Callable[[Fold], Float64]
 """Fits to the training side of a fold and returns (T, D) predictions of its test side [counts]."""

@@ -69,7 +69,8 @@ def cross_validate(
 
 
 def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
-    return baseline([samples[i] for i in fold.train], labels[fold.train], [samples[i] for i in fold.test], seed)
+    train, tested = fold.sides(samples)
+    return baseline(train, labels[fold.train], tested, seed)
 
 
 def evaluate_model(
