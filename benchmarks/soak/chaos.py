@@ -56,11 +56,10 @@ class Soak:
     def __init__(self, folder: Path, rate_hz: int) -> None:
         scene = {"scene.path": ROOT / "config" / "scenes" / "clean.yaml", "scene.origin_ns": time.time_ns()}
         timeouts = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}
-        disk = {"fallback_folder": folder / "fallback", "writing.min_free_mb": 0.0}  # written to until it refuses
         self._parameters: dict[str, dict[str, Any]] = {
             "camera": {"source": "scene", "camera.fps": rate_hz, **timeouts, **scene},
             "hand": scene,
-            "recorder": {"folder": folder, "record": "main", **disk},
+            "recorder": {"folder": folder, "record": "main", "writing.min_free_mb": 0.0},  # written to until it refuses
         }
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}

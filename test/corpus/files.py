@@ -27,7 +27,6 @@ from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import SampleRecord
-from foretouch.dataset.recording.folder import list_sessions
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
@@ -124,8 +123,6 @@ def _reseal(folder: Path) -> None:
     """Write the hashes of all files as they are, if all are files, as a damaged writer would."""
     if any(path.is_symlink() or not (path.is_file() or path.is_dir()) for path in folder.rglob("*")):
         return
-    with suppress(Exception):
-        list_sessions(folder / "recording")
     for path in folder.rglob("*.json"):
         with suppress(Exception):
             content, beside = json.loads(path.read_text()), path.parent

@@ -85,9 +85,8 @@ def test_names_that_leave_a_folder_are_absent_taken_or_being_written_are_refused
 
 def test_flipped_bits_of_the_log_are_found_and_an_edit_that_was_cut_off_does_not_count(dataset: Path, rng) -> None:
     relabel(dataset, ["ball/000001"], "cup")
-    edited, listed = ids(dataset), (dataset / "manifest.json").read_bytes()
+    edited = ids(dataset)
     drop(dataset, ["cup/000001"])
-    (dataset / "manifest.json").write_bytes(listed)  # a crash cuts off a line that is not listed
     log = dataset / "edits.jsonl"
     good = log.read_bytes()
     for place in {*range(0, len(good), 3), good.index(b"\n"), len(good) - 1}:
@@ -147,7 +146,7 @@ def test_an_edit_that_does_not_fit_on_the_disk_is_not_in_force_and_the_next_one_
     for cut in (1, 2500, 5000):
         resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + cut, limits[1]))
         try:
-            with pytest.raises(FileError, match=r"(edits\.jsonl|manifest\.json).*: (No space left|File too large)"):
+            with pytest.raises(FileError, match=r"edits\.jsonl.*: (No space left|File too large)"):
                 append_edit(dataset, Edit(action="note", ids=("ball/000002",), text="x" * 5000))
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)

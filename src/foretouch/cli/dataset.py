@@ -14,7 +14,7 @@ from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
 from foretouch.dataset.record import Identity, SampleRecord
-from foretouch.dataset.recording.folder import is_dataset, listed_sessions
+from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
@@ -215,8 +215,6 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
             store.verify()
             yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
             return
-        if is_dataset(path) and listed_sessions(Path(path)) is None:
-            warn(f"{path}: its manifest lists no sessions (foretouch 0.2.0): one that is missing is not noticed")
         for report in verify_dataset(path):
             counts = {} if report.counts is None else report.counts.to_record()
             yield {

@@ -5,15 +5,13 @@ None of them needs more memory than the file.
 """
 
 import hashlib
-import json
-import re
-import shutil
 import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,19 +19,14 @@ from every_case import every_case
 from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, record, write_dataset
 
 from foretouch.dataset.editing import drop
-from foretouch.dataset.files import sealed
 from foretouch.dataset.info import describe
-from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import listed_sessions, write_listed
-from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.reader import RecordedDataset, sample_messages
-from foretouch.dataset.recording.records import Chunk, Declarations, Record, walk
+from foretouch.dataset.recording.reader import RecordedDataset, samples_in
+from foretouch.dataset.recording.records import RecordingFile
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
 from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
-from foretouch.files import FileBytes
 
 COUNT = 4
 
@@ -45,13 +38,18 @@ def file(tmp_path: Path) -> Path:
 
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
-    return [(one.start, one.end) for one in sample_messages(path, FileBytes(path), Declarations())]
+    return [(one.start, one.end) for one in samples_in(RecordingFile(path))]
 
 
 def chunks(path: Path) -> list[tuple[int, int]]:
     """Start and end of the chunk of each sample [bytes]."""
-    records = [one for one in walk(FileBytes(path)) if isinstance(one, Record) and isinstance(one.content, Chunk)]
-    return [next((one.offset, one.end) for one in records if one.offset < start < one.end) for start, _ in spans(path)]
+    found = records(path)
+    return [next((one.offset, one.end) for one in found if one.offset < start < one.end) for start, _ in spans(path)]
+
+
+def records(path: Path) -> list[Any]:
+    file = RecordingFile(path)
+    return [one for one in file._records(8, len(file.data)) if hasattr(one, "opcode")]
 
 
 def numbers(path: Path) -> list[int]:
@@ -170,7 +168,7 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
     check_repaired(file, {0, 2, 3})
     name = b"foretouch_msgs/msg/GraspSample"
     file.write_bytes(good.replace(name, b"x" + name[1:], 1))
-    with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, its index declares {COUNT}"):
+    with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, and counts {COUNT}"):
         RecordedDataset(file)
     check_repaired(file, range(COUNT))
     changed = bytearray(good)  # in the declaring chunk; a finished file repeats its topics in the summary
@@ -183,7 +181,7 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
 def test_no_length_of_a_record_takes_memory(tmp_path: Path) -> None:
     file = write_dataset(tmp_path / "ds", 2, points=5_000)
     good = file.read_bytes()
-    places = [one.offset for one in walk(FileBytes(file))]
+    places = [one.offset for one in records(file)]
     places.append(spans(file)[0][0] - 31)  # the message of the first sample
     assert good[places[-1]] == 5
 
@@ -284,91 +282,13 @@ def test_what_a_crash_left_unwritten_is_counted_as_lost(tmp_path: Path) -> None:
     assert report.counts.topics["/cloud"].dropped == {"lost before repair": 5}
 
 
-def test_a_session_or_edits_that_are_missing_replaced_or_added_are_named_and_repair_enters_what_is_there(
-    tmp_path: Path,
-) -> None:
-    other = write_dataset(tmp_path / "other", 2, first=20, name="can")
-
-    def made(name: str) -> Path:
-        path = tmp_path / name
-        for first in (0, 3, 6):
-            write_dataset(path, 3, first=first)
-        drop(path, ["ball/000001"])
-        drop(path, ["ball/000002"])
-        return path
-
-    def remove(path: Path) -> None:
-        (path / "session-0001.mcap").unlink()
-
-    def replace(path: Path) -> None:
-        shutil.copy(other, path / "session-0001.mcap")
-
-    def replace_by_own(path: Path) -> None:
-        shutil.copy(path / "session-0002.mcap", path / "session-0001.mcap")
-
-    def add(path: Path) -> None:
-        shutil.copy(other, path / "session-0009.mcap")
-
-    def older(path: Path) -> None:
-        lines = (path / "edits.jsonl").read_text().splitlines(keepends=True)
-        (path / "edits.jsonl").write_text(lines[0])
-        write_listed(path, "edits", {"count": 3, "sha256": ""})
-
-    cases = [
-        (remove, "session-0001.mcap: .*is missing: the manifest lists it with 3 samples", 6),
-        (replace, "session-0001.mcap: .*is the file of another session", 6),
-        (replace_by_own, "session-0001.mcap: .*is the file of another session", 6),
-        (add, "session-0009.mcap: .*is not in the list of the manifest", 11),
-        (lambda path: (path / "edits.jsonl").write_bytes(b""), "edits.jsonl: holds 0 edits, which are not the 2", 9),
-        (lambda path: (path / "edits.jsonl").write_bytes(bytes(500)), "edits.jsonl: holds 0 edits", 9),
-        (older, "edits.jsonl: holds 1 edits, which are not the 3", 9),
-    ]
-
-    def check(change, rule: str, left: int) -> None:
-        path = made(f"ds{sum(1 for _ in tmp_path.iterdir())}")
-        change(path)
-        told = refusal(lambda: [_raise(line) for report in verify_dataset(path) for line in report.fault_lines()])
-        assert re.search(rule, told)
-        assert refusal(lambda: RecordedDataset(path)).startswith(str(path))
-        assert any(report.changed for report in repair_dataset(path))
-        assert [line for report in verify_dataset(path) for line in report.fault_lines()] == []
-        assert len(RecordedDataset(path)) == left
-        assert not any(report.changed for report in repair_dataset(path))
-
-    every_case(cases, check)
-
-
-def _raise(line: str) -> None:
-    raise ForetouchError(line)
-
-
-def test_what_a_crash_leaves_of_the_list_is_no_fault_and_a_dataset_without_a_list_gets_one(tmp_path: Path) -> None:
-    path = tmp_path / "ds"
-    write_dataset(path, 2)
-    write_dataset(path, 2, first=2)
-    drop(path, ["ball/000001"])
-    listed = (path / "manifest.json").read_bytes()
-    drop(path, ["ball/000002"])
-    (path / "manifest.json").write_bytes(listed)  # killed before the second edit was listed
-    assert [line for report in verify_dataset(path) for line in report.fault_lines()] == []
-    assert len(read_edits(path).edits) == 2
-    with RecordingWriter(path, IDENTITY, QUICK) as writer:
-        open_list = (path / "manifest.json").read_bytes()
-        writer.append(record(4))
-    (path / "manifest.json").write_bytes(open_list)  # before the end of the session was listed
-    McapFile(path / "session-0004.mcap").abandon()  # before the session was listed
-    assert len(RecordedDataset(path)) == 5
-    repair_dataset(path)
-    assert [line for report in verify_dataset(path) for line in report.fault_lines()] == []
-    assert len(RecordedDataset(path)) == 5
-    manifest = json.loads((path / "manifest.json").read_text())
-    for content in ({"sessions": 3}, {"sessions": [{"file": 1}]}, {"edits": {"count": True}}, {"edits": []}):
-        (path / "manifest.json").write_text(sealed({**manifest, **content}, "sha256"))
-        assert "manifest.json: " in refusal(lambda: verify_dataset(path))
-    old = {name: value for name, value in manifest.items() if name not in ("sessions", "edits")}
-    (path / "manifest.json").write_text(sealed(old, "sha256"))
-    assert len(RecordedDataset(path)) == 5
-    write_dataset(path, 1, first=5)
-    drop(path, ["ball/000003"])
-    assert [one.samples for one in listed_sessions(path)] == [2, 2, 1, 0, 1]
-    assert [report.clean for report in verify_dataset(path)] == [True] * 5
+def test_a_damaged_log_of_edits_is_named_and_renamed_by_a_repair(file: Path) -> None:
+    drop(file.parent, ["ball/000001"])
+    log = file.parent / "edits.jsonl"
+    log.write_bytes(bytes([log.read_bytes()[0] ^ 1]) + log.read_bytes()[1:])
+    for read in (verify_dataset, RecordedDataset):
+        assert refusal(lambda read=read: read(file.parent)).startswith(f"{log}: line 1: ")  # type: ignore[misc]
+    reports = repair_dataset(file.parent)
+    assert [report.changed for report in reports] == [False, True]
+    assert reports[1].original == log.with_name("edits.jsonl.before-repair")
+    assert len(RecordedDataset(file.parent)) == COUNT

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The operator's changes, in a log beside the recordings, which themselves are never rewritten.
 
-The recorder writes it too, at keys and services during a session: then it is also the session's journal. The manifest
-lists how many lines there are, and the digest of the last; a crash may leave one line more.
+The recorder writes it too, at keys and services during a session: then it is also the session's journal.
 
 `edits.jsonl` in the dataset's folder is only appended to: one JSON object a line, each with its format version and the
 SHA-256 over itself and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A
@@ -15,33 +14,20 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
 from foretouch.dataset.files import require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
-from foretouch.dataset.recording.folder import is_dataset, read_listed, write_listed
 from foretouch.errors import DatasetError, FileError
-from foretouch.files import (
-    COUNT,
-    TEXT_LIMIT,
-    free_name,
-    open_own,
-    parse_json,
-    read_bytes,
-    require_schema,
-    system_errors,
-)
+from foretouch.files import COUNT, TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema, system_errors
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
-_FIRST: Final = ("relabel", "drop", "undo")  # in version 1
-_ACTIONS: Final = (*_FIRST, "outcome", "note", "object", "pause")
-_VERSION: Final = 2
-_SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": COUNT}
-_ADDED: Final = {"text": "", "stamp_ns": 0}  # left out of a line where they are these
+_ACTIONS: Final = ("relabel", "drop", "undo", "outcome", "note", "object", "pause")
+_VERSION: Final = 2  # 1, of foretouch 0.2, has no text and no stamp
+_SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": COUNT, "text?": str, "stamp_ns?": COUNT}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +110,7 @@ def _changed(changes: Changes, edit: Edit) -> Changes:
 
 def read_edits(path: Path) -> EditLog:
     """Read the log of a dataset; a `FileError` names the line that is damaged or of another version."""
-    return EditLog(_read_listed(path)[0])
+    return EditLog(_read(path / EDITS)[0])
 
 
 def append_edit(path: Path, edit: Edit) -> int:
@@ -133,16 +119,9 @@ def append_edit(path: Path, edit: Edit) -> int:
     After a `FileError`, as of a full disk, it is not in force.
     """
     file = path / EDITS
-    edits, digests, size = _read_listed(path)
-    if edits:
-        _list(path, digests)  # a line that a crash left is in force
-    digest = digests[-1] if digests else ""
-    known = edit.action in _FIRST and not (edit.action == "undo" and edit.ids)
-    body = {"schema_version": 1 if known else _VERSION, **asdict(edit)}
-    for name, nothing in _ADDED.items():
-        if body[name] == nothing:
-            del body[name]
-    digest = _digest(digest, body)
+    edits, before, size = _read(file)
+    body = {"schema_version": _VERSION, **asdict(edit)}
+    digest = _digest(before, body)
     line = (json.dumps({**body, "sha256": digest}, ensure_ascii=False) + "\n").encode()
     with system_errors(file):
         with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab", buffering=0) as log:
@@ -155,85 +134,50 @@ def append_edit(path: Path, edit: Edit) -> int:
                 log.truncate(size)
                 raise
         sync_folder(path)
-    with suppress(FileError):  # as after a crash: the line is in force, and the next edit lists it first
-        _list(path, [*digests, digest])
     return len(edits) + 1
 
 
-def forget_edits(path: Path) -> str:
-    """List the edits as they are, of which lines may be lost; a log that cannot be read is renamed; says what was lost."""
-    file, lost = path / EDITS, ""
-    try:
-        _read_listed(path)
-    except FileError as err:
-        lost = err.rule
-        try:
-            _list(path, _read(file)[1])
-        except FileError:
-            with system_errors(file):
-                file.rename(free_name(file, "before-repair"))
-            _list(path, [])
-    return lost
-
-
-def _list(path: Path, digests: Sequence[str]) -> None:
-    write_listed(path, "edits", {"count": len(digests), "sha256": digests[-1] if digests else ""})
-
-
-def _read_listed(path: Path) -> tuple[list[Edit], list[str], int]:
-    """As `_read`, compared with the manifest, which may not list the last line yet."""
-    found = read_listed(path, "edits", {"count": int, "sha256": str}) if is_dataset(path) else None
-    edits, digests, size = _read(path / EDITS)
-    if found is not None:
-        count = found["count"]
-        if len(edits) not in (count, count + 1) or (["", *digests][count] if count >= 0 else None) != found["sha256"]:
-            raise FileError(path / EDITS, f"holds {len(edits)} edits, which are not the {count} of the manifest")
-    return edits, digests, size
-
-
-def _read(file: Path) -> tuple[list[Edit], list[str], int]:
-    """The edits, the digest of each, and the offset of the next one [bytes]."""
+def _read(file: Path) -> tuple[list[Edit], str, int]:
+    """The edits, the digest of all, and the offset of the next one [bytes]."""
     try:
         data = read_bytes(file, TEXT_LIMIT)
     except FileError as err:
         if isinstance(err.__cause__, FileNotFoundError):
-            return [], [], 0
+            return [], "", 0
         raise
     edits: list[Edit] = []
-    digests: list[str] = []
-    size = data.rfind(b"\n") + 1
+    digest, size = "", data.rfind(b"\n") + 1
     if _COMPLETE_LINE.search(data, size):
         raise FileError(file, "damaged: the last line is complete, but has no line end", field=f"byte {size}")
     for number, line in enumerate(data[:size].split(b"\n")[:-1], 1):
         try:
-            edit, digest = _edit(file, line, digests[-1] if digests else "", len(edits))
-        except (DatasetError, ValueError) as err:
-            raise FileError(file, " ".join(str(err).split()), field=f"line {number}") from err
+            edit, digest = _edit(line, digest, len(edits))
+        except (DatasetError, FileError, ValueError) as err:
+            rule = err.rule if isinstance(err, FileError) else " ".join(str(err).split())
+            raise FileError(file, rule, field=f"line {number}") from err
         edits.append(edit)
-        digests.append(digest)
-    return edits, digests, size
+    return edits, digest, size
 
 
-def _edit(file: Path, line: bytes, before: str, known: int) -> tuple[Edit, str]:
-    """The edit in a line, and the digest up to it."""
-    content = require_schema(file, parse_json(line), dict, f"line {known + 1}")
-    version = content.get("schema_version")
-    require_version(version, 1 if version == 1 else _VERSION)
-    if content.pop("sha256", None) != _digest(before, content):
+def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
+    """The edit in a line after so many known ones, and the digest up to it."""
+    content = require_schema("", parse_json(line), dict)
+    require_version(content.get("schema_version"), _VERSION, 1)
+    digest = _digest(before, {name: value for name, value in content.items() if name != "sha256"})
+    if content.get("sha256") != digest:
         raise DatasetError("damaged: this line and those before it do not match their checksum")
-    require_schema(file, content, _SCHEMA, f"line {known + 1}")
-    if content["action"] not in _ACTIONS:
-        raise DatasetError(f"action {content['action']!r} is not one of {', '.join(_ACTIONS)}")
-    added = {**_ADDED, **{name: content[name] for name in _ADDED if name in content}}
-    require_schema(file, added, {"text": str, "stamp_ns": COUNT}, f"line {known + 1}")
-    edit = Edit(**{name: content[name] for name in ("action", "object", "edit")}, ids=tuple(content["ids"]), **added)
+    require_schema("", content, _SCHEMA)
+    names = {name.removesuffix("?") for name in _SCHEMA} & content.keys()
+    edit = Edit(**{name: content[name] for name in names} | {"ids": tuple(content["ids"])})
+    if edit.action not in _ACTIONS:
+        raise DatasetError(f"action {edit.action!r} is not one of {', '.join(_ACTIONS)}")
     if edit.action in ("relabel", "object") or (edit.action == "undo" and edit.ids):
         check_name(edit.object, "object")
     if edit.action == "outcome" and edit.text not in get_args(Outcome):
         raise DatasetError(f"text: {edit.text!r} is not one of {', '.join(get_args(Outcome))}")
     if edit.action == "undo" and not 0 < edit.edit <= known:
         raise DatasetError(f"edit {edit.edit} is not one of the {known} before")
-    return edit, _digest(before, content)
+    return edit, digest
 
 
 def _digest(before: str, body: Mapping[str, Any]) -> str:

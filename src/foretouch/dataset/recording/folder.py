@@ -4,46 +4,26 @@
 Layout, schema version 2 (1 differs in the messages of its samples)::
 
     dataset/
-      manifest.json        format, schema version, hand, camera, version of foretouch, sessions and edits, and the sensor
-                           if it is no BioTac SP; with its own checksum; a manifest of foretouch 0.2.0 lacks sessions and edits
+      manifest.json        format, schema version, hand, camera, version of foretouch, and the sensor if it is no BioTac SP;
+                           with its own checksum
       session-0001.mcap    the first session; later ones add files, and never change a finished file
       .lock                locked by the one process that writes
-
-By the list of sessions in the manifest, a session that is missing or another one is noticed. A session is listed once its
-file exists and before its first message is written, under an id that the file holds too; at its end, with its number of
-samples and the SHA-256 of its index, which has the checksum of all its data. So a crash can leave a listed session
-unfinished, and a file that is not listed and has no message, but never a listed session without its file, a file with
-messages that is not listed, or another file under a listed name. `repair` enters what it finds, and reports what is lost.
-Datasets of foretouch 0.2.0 have no list; the next session or repair makes one.
 """
 
 import fcntl
-import hashlib
 import os
 import re
-import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.dataset.files import new_folder, read_manifest, sealed, sync_folder
+from foretouch.dataset.files import read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
-from foretouch.dataset.recording.records import (
-    Chunk,
-    Damage,
-    Declarations,
-    Record,
-    contents,
-    declared_samples,
-    summary_of,
-)
 from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
 from foretouch.errors import FileError
-from foretouch.files import FileBytes, open_own, open_regular, replace_files, require_schema, system_errors
+from foretouch.files import open_own, open_regular, replace_files, require_schema, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in, with_sensor
 
@@ -52,20 +32,6 @@ _MANIFEST: Final = "manifest.json"
 _SEAL: Final = "sha256"
 _LOCK: Final = ".lock"
 _PART: Final = f"{_MANIFEST}.part"
-ID: Final = "id"
-REPAIRED: Final = "repaired_by"
-_SESSIONS: Final = "sessions"
-_DATA_END: Final = 13  # bytes of the record before the index
-
-
-@dataclass(frozen=True)
-class Session:
-    """One session in the list."""
-
-    file: str  # name of its file
-    id: str  # drawn at random, and in the file too; "" if it was recorded by foretouch 0.2.0
-    samples: int = 0  # at its end
-    sha256: str = ""  # of its index; "" until its end
 
 
 def is_dataset(path: str | Path) -> bool:
@@ -99,8 +65,7 @@ def session_files(path: Path) -> list[Path]:
 
 def new_session_path(path: Path) -> Path:
     """The file of the next session; numbers are never used twice."""
-    listed = read_listed(path, _SESSIONS, [{"file": str}]) or []
-    names = [*(p.name for p in path.glob("session-*")), *(one["file"] for one in listed)]
+    names = (p.name for p in path.glob("session-*"))
     taken = [int(found[1]) for name in names if (found := re.match(r"session-(\d{4})\.mcap", name))]
     return path / f"session-{max(taken, default=0) + 1:04d}.mcap"
 
@@ -155,17 +120,6 @@ def opened_to_write(path: Path, identity: Identity, sensor: Sensor | None = None
         yield
 
 
-def read_listed(path: Path, name: str, schema: Any) -> Any:
-    """What the manifest lists under a name, checked by a schema; None where it lists none (raises as `read_manifest`)."""
-    content = _manifest(path)
-    return None if name not in content else require_schema(path / _MANIFEST, content[name], schema, name)
-
-
-def write_listed(path: Path, name: str, value: Any) -> None:
-    """Replace what the manifest lists under a name; the caller holds the lock."""
-    _write_manifest(path, {**_manifest(path), name: value})
-
-
 def _manifest(path: Path) -> dict[str, Any]:
     return read_manifest(path / _MANIFEST, _FORMAT, _SEAL, SCHEMA_VERSION, 1)
 
@@ -177,15 +131,8 @@ def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:
         "foretouch": __version__,
         "hand": dict(sorted(identity.hand.items())),
         "camera": dict(sorted(identity.camera.items())),
-        _SESSIONS: [],
-        "edits": {"count": 0, "sha256": ""},
     }
-    _write_manifest(path, with_sensor(content, sensor))
-
-
-def _write_manifest(path: Path, content: Mapping[str, Any]) -> None:
-    """Write the manifest, which appears complete or not at all."""
-    replace_files({path / _MANIFEST: sealed(content, _SEAL).encode()})
+    replace_files({path / _MANIFEST: sealed(with_sensor(content, sensor), _SEAL).encode()})
     with system_errors(path / _MANIFEST):
         sync_folder(path)
 
@@ -208,80 +155,3 @@ def _require_same(path: Path, identity: Identity, sensor: Sensor) -> None:
         differences.append(f"foretouch: {version} there, {__version__} here")
     if differences:
         raise FileError(path, f"is a dataset of another kind, record into a new one: {'; '.join(differences)}")
-
-
-def listed_sessions(path: Path) -> list[Session] | None:
-    """The list of a dataset, None where it has none (raises as `read_manifest`, or if it is no list of sessions)."""
-    schema = [{"file": str, "id": str, "samples": int, "sha256": str}]
-    found = read_listed(path, _SESSIONS, schema)
-    return None if found is None else [Session(**one) for one in found]
-
-
-def begin_session(path: Path, session: Session) -> None:
-    """List a session whose file exists, and those before it if there was no list; the caller holds the lock."""
-    known = listed_sessions(path)
-    if known is None:
-        known = [session_in(file) for file in session_files(path) if file.name != session.file]
-    _list_all(path, [*known, session])
-
-
-def end_session(path: Path, file: Path) -> None:
-    """List a session as it is now, at its end or after its repair; the caller holds the lock."""
-    _list_all(path, [session_in(file) if one.file == file.name else one for one in listed_sessions(path) or []])
-
-
-def list_sessions(path: Path) -> None:
-    """List the sessions as they are now; the caller holds the lock, and has reported what is lost."""
-    _list_all(path, [session_in(file) for file in session_files(path)])
-
-
-def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity, sensor: Sensor) -> Path:
-    """Copy a session whose file was removed into a new dataset in `folder`, which appears complete or not at all.
-
-    Returns:
-        The dataset: its name is that of `file`'s folder, or that name with a number.
-    """
-    with system_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    name = file.parent.absolute().name
-    names = (name if number == 1 else f"{name}-{number}" for number in count(1))
-    path = next(folder / one for one in names if not (folder / one).exists())
-    with new_folder(path) as part, opened_to_write(part, identity, sensor):
-        with (part / file.name).open("xb") as copy:
-            source.seek(0)
-            shutil.copyfileobj(source, copy)
-            copy.flush()
-            os.fsync(copy.fileno())
-        list_sessions(part)
-        sync_folder(part)
-    with system_errors(folder):
-        sync_folder(folder)
-    return path
-
-
-def session_in(file: Path) -> Session:
-    """The session in a file."""
-    data = FileBytes(file)
-    samples, index = declared_samples(data), summary_of(data)
-    session = Session(file.name, about_in(data).get(ID, ""))
-    if isinstance(index, Damage) or isinstance(samples, Damage):
-        return session
-    return replace(session, samples=samples, sha256=index_sha256(data, index[0]))
-
-
-def about_in(data: FileBytes) -> dict[str, str]:
-    """What the file says about itself before its first message."""
-    declared = Declarations()
-    for item in contents(data, declared):
-        if declared.about or not isinstance(item, Record) or isinstance(item.content, Chunk):
-            break
-    return declared.about
-
-
-def index_sha256(data: FileBytes, start: int) -> str:
-    """SHA-256 of the index of a file, which starts at an offset, with the record before it."""
-    return hashlib.sha256(data[max(0, start - _DATA_END) : len(data)]).hexdigest()
-
-
-def _list_all(path: Path, sessions: list[Session]) -> None:
-    write_listed(path, _SESSIONS, [asdict(session) for session in sessions])

@@ -7,17 +7,12 @@ off again. Chunks are not compressed: a reader finds a message by its offset, an
 
 import os
 import sys
-import zlib
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
-from mcap.data_stream import RecordBuilder
-from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Message
 from mcap.writer import CompressionType, Writer
 
 from foretouch import __version__
@@ -25,28 +20,6 @@ from foretouch.errors import DatasetError, FileError
 from foretouch.files import system_errors
 
 LIBRARY: Final = f"foretouch {__version__}"
-
-
-class _PackedIndex:
-    """The index of all chunks so far, as `finish` writes it, compressed: mcap keeps objects, 5 MB for an hour of recording."""
-
-    def __init__(self) -> None:
-        self._packer = zlib.compressobj(1)
-        self._content = bytearray()
-
-    def take(self, writer: Writer) -> None:
-        """Pack what the writer has added, and take its place."""
-        # It has no public name, in the version that is pinned.
-        indices: list[Any] = getattr(writer, "_Writer__chunk_indices", [])
-        for one in indices:
-            if one is not self:
-                one.write(builder := RecordBuilder())
-                self._content += self._packer.compress(builder.end())  # type: ignore[no-untyped-call]
-        indices[:] = [self] if indices else []
-
-    def write(self, stream: RecordBuilder) -> None:
-        """As of mcap's records."""
-        stream.write(zlib.decompress(self._content + self._packer.copy().flush()))
 
 
 class McapFile:
@@ -88,7 +61,7 @@ class McapFile:
     def write_chunk(self, messages: Sequence[Message]) -> None:
         """Append messages as one chunk: afterwards, either all of it is in the file or nothing."""
         for one in messages:
-            self._add(one)
+            self._writer.add_message(one.channel_id, one.log_time, one.data, one.publish_time, one.sequence)
         self._commit()
 
     def write_metadata(self, name: str, values: dict[str, str]) -> None:
@@ -116,26 +89,18 @@ class McapFile:
             space = os.fstatvfs(self._fd)
         return space.f_bavail * space.f_frsize
 
-    def reopen(self) -> BinaryIO:
-        """The open file at its start, for reading, even if it was removed; stays open after `finish`."""
-        with system_errors(self.path):
-            file = os.fdopen(os.dup(self._fd), "rb")
-        file.seek(0)
-        return file
-
     def sync(self) -> None:
         """Wait until everything written is on the disk; if this fails, the content of the disk is unknown."""
         with system_errors(self.path, "cannot be synchronised"):
             os.fdatasync(self._fd)
 
     def finish(self) -> None:
-        """Write index and summary and close the file in any case; if that fails, every chunk is there without them."""
+        """Write index and summary and close the file in any case; after a write that failed, it stays without them."""
         try:
-            if self._failed:
-                self._repeat()
-            self._writer.finish()
-            self._commit()
-            self.sync()
+            if not self._failed:  # else the writer knows of chunks that are not in the file
+                self._writer.finish()
+                self._commit()
+                self.sync()
         finally:
             self.abandon()
 
@@ -149,20 +114,15 @@ class McapFile:
         output: Any = SimpleNamespace(write=self._parts.append, tell=self._end, flush=lambda: None)
         writer = Writer(output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True)
         writer.start("ros2", LIBRARY)
-        self._index = _PackedIndex()
         return writer
 
     def _end(self) -> int:
         return self.size + sum(map(len, self._parts))
 
-    def _add(self, one: Message) -> None:
-        self._writer.add_message(one.channel_id, one.log_time, one.data, one.publish_time, one.sequence)
-
     def _commit(self) -> None:
         if self._fd < 0:
             raise FileError(self.path, "is closed")
         self._writer.flush()
-        self._index.take(self._writer)
         content = b"".join(self._parts)
         self._parts.clear()
         rest = memoryview(content)
@@ -178,22 +138,3 @@ class McapFile:
                 self.abandon()  # they stay: readers stop before them, and nothing may be written after them
             raise
         self.size += len(content)
-
-    def _repeat(self) -> None:
-        """Pass the file to a new writer, since the index of the old one holds what could not be written."""
-        with system_errors(self.path), self.reopen() as file, suppress(EndOfFile):
-            self.size = 0
-            self._writer = self._new_writer()
-            for record in StreamReader(file, emit_chunks=True).records:
-                if isinstance(record, Metadata):
-                    self._writer.add_metadata(record.name, record.metadata)
-                for one in breakup_chunk(record) if isinstance(record, Chunk) else ():
-                    if isinstance(one, Schema):
-                        self._writer.register_schema(one.name, one.encoding, one.data)
-                    elif isinstance(one, Channel):
-                        self._writer.register_channel(one.topic, one.message_encoding, one.schema_id, one.metadata)
-                    elif isinstance(one, Message):
-                        self._add(one)
-                self._writer.flush()
-                self.size = self._end()
-                self._parts.clear()  # they are in the file already

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Walks over the records of a recording without trusting any length in it.
+"""The records of a recording and its messages, found without trusting any length in it.
 
 Only requested bytes are read, and no length in the file can make the reader allocate more memory than the size of the
-file. Verification, repair and reading all use `walk`.
+file. Reading, verification and repair all use one `RecordingFile`.
 
 Of the message counts in a recording, received = written + dropped (by reason), for each topic. Messages that the
 middleware lost before they arrived were never received; they are counted separately.
@@ -11,7 +11,7 @@ middleware lost before they arrived were never received; they are counted separa
 import json
 import re
 import struct
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -21,39 +21,22 @@ from typing import Any, Final, NamedTuple, Self
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Schema, Statistics
+from mcap.records import Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPES
-from foretouch.errors import DatasetError, FileError
+from foretouch.errors import DatasetError, FileError, described
 from foretouch.files import COUNT, FileBytes, parse_json, require_schema
 
 MAGIC: Final[bytes] = MCAP0_MAGIC
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
-_MESSAGE = struct.Struct("<HIQQ")
-_INDEX = struct.Struct("<HI")  # channel, size of the entries
-_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of log and publication
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the index, of its offsets, checksum
 _CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}\x00{4})", re.DOTALL)
-_PARSED: Final = {
-    Opcode.HEADER: Header,
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
-    Opcode.DATA_END: DataEnd,
-    Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.STATISTICS: Statistics,
-}
-_DECLARATIONS: Final = {Opcode.SCHEMA, Opcode.CHANNEL}
-_IN_DATA: Final = _DECLARATIONS | {Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.DATA_END}
-IN_CHUNK: Final = _DECLARATIONS | {Opcode.MESSAGE}
-IN_SUMMARY: Final = _DECLARATIONS | {
-    Opcode.STATISTICS,
-    Opcode.CHUNK_INDEX,
-    Opcode.METADATA_INDEX,
-    Opcode.SUMMARY_OFFSET,
-}
+_DECLARED: Final[dict[Opcode, Any]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
+_ALLOWED: Final = {Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.DATA_END, *_DECLARED}
 
 
 class Damage(NamedTuple):
@@ -67,188 +50,168 @@ class Damage(NamedTuple):
         return FileError(path, self.rule, field=f"byte {self.offset}")
 
 
-class Chunk(NamedTuple):
-    """Start and end of the data of a chunk in the file, and their declared checksum."""
-
-    start: int
-    end: int
-    crc: int
-
-    def intact(self, data: FileBytes) -> bool:
-        """Whether the data match the checksum."""
-        return data.crc32(self.start, self.end) == self.crc
-
-
 class RecordedMessage(NamedTuple):
-    """A message in a chunk: `start` and `end` of its CDR in the file."""
+    """A message in a file; topic and type are "" if its channel is not declared."""
 
-    channel: int
+    topic: str
+    type: str
     sequence: int
     log_time_ns: int
     publish_time_ns: int
-    start: int
+    start: int  # of its CDR in the file [bytes]
     end: int
 
+    @property
+    def is_sample(self) -> bool:
+        """Whether it holds a sample."""
+        return self.type in SAMPLE_TYPES
 
-class Record(NamedTuple):
-    """One record of a file from `offset` to `end`; the content of a message index is its channel."""
 
+class _Record(NamedTuple):
     opcode: int
     offset: int
+    start: int  # of its content
     end: int
-    content: Any
 
 
-def magic_damage(data: FileBytes) -> Damage | None:
-    """The fault of the first bytes, if there is one."""
-    if len(data) == 0:
-        return Damage(0, "is empty")
-    return None if data[: len(MAGIC)] == MAGIC else Damage(0, "is not an MCAP file: it does not begin as one")
+class RecordingFile:
+    """One file of a recording; `messages` walks over it, and fills the attributes meanwhile.
 
-
-def walk(
-    data: FileBytes | bytes, start: int = len(MAGIC), end: int | None = None, allowed: set[Opcode] = _IN_DATA
-) -> Iterator[Record | Damage]:
-    """The records from offset `start` to `end`, by default the end of the file; a `Damage` for each that is invalid.
-
-    The walk ends at damage that leaves open where the next record begins.
+    Attributes:
+        about: Facts on hand, camera and versions.
+        counts: The last message counts; None if there are none.
+        channels, schemas: What is declared, by number; later declarations replace earlier ones.
+        finished: Whether it was closed, so that it has an index.
     """
-    end = len(data) if end is None else end
-    while start < end:
-        left = end - start - _HEAD.size
-        if left < 0:
-            yield Damage(start, f"cut off: {end - start} bytes are not a record")
-            return
-        opcode, length = _HEAD.unpack(data[start : start + _HEAD.size])
-        if length > left:
-            yield Damage(start, f"cut off or damaged: a record of {length} bytes, {left} are left")
-            return
-        following = start + _HEAD.size + length
-        content: Any = f"a record of number {opcode} is not allowed here"
-        if opcode in allowed:
-            content = _content(data, opcode, start + _HEAD.size, following)
-        if isinstance(content, str):
-            yield Damage(start, f"damaged: {content}")
-        else:
-            yield Record(opcode, start, following, content)
-        if opcode == 0:
-            return
-        start = following
 
+    def __init__(self, path: Path) -> None:
+        self.path, self.data = path, FileBytes(path)
+        self.about: dict[str, str] = {}
+        self.counts: MessageCounts | None = None
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.finished = len(self.data) > 2 * len(MAGIC) and self.data[-len(MAGIC) :] == MAGIC
 
-def contents(
-    data: FileBytes, declared: "Declarations", start: int = len(MAGIC)
-) -> Iterator[Record | RecordedMessage | Damage]:
-    """The records from offset `start` on, after each chunk the messages in it, and all damage.
+    def messages(self, *, samples_only: bool = False) -> Iterator[RecordedMessage | Damage]:
+        """The messages in order, and all damage, after which it continues at the next intact chunk.
 
-    After damage it continues at the next intact chunk, and it ends with the record that ends the data. What the records
-    declare is added to `declared`.
-    """
-    while start < len(data):
-        for item in walk(data, start):
-            if isinstance(item, Damage):
-                yield item
-                break
-            yield from _content_of(data, item, declared)
-            if item.opcode == Opcode.DATA_END:
+        With `samples_only`, no checksum is verified, and chunks that begin with another message are skipped: each sample has
+        a chunk of its own.
+        """
+        data, start, index = self.data, len(MAGIC), self._index()
+        if data[:start] != MAGIC:
+            yield Damage(0, "is not an MCAP file: it does not begin as one" if len(data) else "is empty")
+        if not samples_only and not isinstance(index, Damage):  # it repeats what damaged chunks may have declared
+            deque(self._records(*index), 0)
+        while start < len(data):
+            for one in self._records(start, len(data)):
+                if isinstance(one, Damage):
+                    yield one
+                    break
+                if one.opcode == Opcode.DATA_END:
+                    if not samples_only:
+                        yield from self._end_damage(one, index)
+                    return
+                if one.opcode == Opcode.CHUNK and not samples_only and not self._intact(one):
+                    yield Damage(one.offset, "damaged: a chunk that does not match its checksum")
+                elif one.opcode == Opcode.CHUNK:
+                    yield from self._in_chunk(one, samples_only)
+            else:
                 return
-        else:
-            return
-        start = next_chunk(data, item.offset + 1)
+            start = self.next_chunk(one.offset + 1)
 
+    def next_chunk(self, start: int) -> int:
+        """Offset of the first chunk with a valid checksum from `start` on; the size of the file if there is none."""
+        for at in self.data.find_all(_CHUNK_START, 64, start, len(self.data)):
+            found = next(self._records(at, len(self.data)))
+            if isinstance(found, _Record) and self._intact(found):
+                return at
+        return len(self.data)
 
-def _content_of(
-    data: FileBytes, record: Record, declared: "Declarations"
-) -> Iterator[Record | RecordedMessage | Damage]:
-    if damage := declared.add(record):
-        yield damage
-    chunk = record.content
-    if not isinstance(chunk, Chunk):
-        yield record
-    elif not chunk.intact(data):
-        yield Damage(record.offset, "damaged: a chunk that does not match its checksum")
-    else:
-        yield record
-        for inner in walk(data, chunk.start, chunk.end, IN_CHUNK):
-            if isinstance(inner, Record):
-                declared.add(inner)
-            if isinstance(inner, Damage) or isinstance(inner.content, RecordedMessage):
-                yield inner if isinstance(inner, Damage) else inner.content
+    def _intact(self, chunk: _Record) -> bool:
+        crc = _CHUNK.unpack(self.data[chunk.start : chunk.start + _CHUNK.size])[3]
+        return self.data.crc32(chunk.start + _CHUNK.size, chunk.end) == int(crc)
 
+    def _in_chunk(self, chunk: _Record, samples_only: bool) -> Iterator[RecordedMessage | Damage]:
+        for one in self._records(chunk.start + _CHUNK.size, chunk.end):
+            if isinstance(one, Damage):
+                yield one
+            elif one.opcode == Opcode.MESSAGE:
+                start = one.start + _MESSAGE.size
+                number, sequence, logged, published = _MESSAGE.unpack(self.data[one.start : start])
+                channel = self.channels.get(number)
+                schema = None if channel is None else self.schemas.get(channel.schema_id)
+                names = ("", "") if channel is None or schema is None else (channel.topic, schema.name)
+                found = RecordedMessage(*names, sequence, logged, published, start, one.end)
+                if samples_only and not found.is_sample:
+                    return
+                yield found
 
-def next_chunk(data: FileBytes, start: int) -> int:
-    """Offset of the first chunk with a valid checksum from `start` on; the size of the file if there is none."""
-    for at in data.find_all(_CHUNK_START, 64, start, len(data)):
-        found = next(walk(data, at))
-        if isinstance(found, Record) and found.content.intact(data):
-            return at
-    return len(data)
+    def _records(self, start: int, end: int) -> Iterator[_Record | Damage]:
+        """The records between two offsets, which are declared; it ends at damage that leaves open where the next one begins."""
+        while start < end:
+            left = end - start - _HEAD.size
+            opcode, length = _HEAD.unpack(self.data[start : start + _HEAD.size]) if left >= 0 else (0, 0)
+            if length > left:
+                yield Damage(start, f"cut off or damaged: a record of {length} bytes, {max(0, left)} are left")
+                return
+            if opcode not in _ALLOWED:
+                yield Damage(start, f"damaged: a record of number {opcode} is not allowed here")
+                return
+            record = _Record(opcode, start, start + _HEAD.size, start + _HEAD.size + length)
+            fault = self._declare(record)
+            yield fault or record
+            if fault:
+                return
+            start = record.end
 
-
-def is_finished(data: FileBytes) -> bool:
-    """Whether a recording was closed, so that it has an index."""
-    return len(data) > 2 * len(MAGIC) and data[-len(MAGIC) :] == MAGIC
-
-
-def summary_of(data: FileBytes) -> tuple[int, int] | Damage:
-    """Start and end of the summary of a finished file, verified by its checksum."""
-    at = len(data) - len(MAGIC) - _FOOTER.size
-    if at < len(MAGIC) or not is_finished(data):
-        return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
-    opcode, length, start, _, crc = _FOOTER.unpack(data[at : at + _FOOTER.size])
-    if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not len(MAGIC) <= start <= at:
-        return Damage(at, "damaged: the footer of a finished recording is not a footer")
-    if data.crc32(start, at + _FOOTER.size - 4) != crc:
-        return Damage(start, "damaged: the index at the end does not match its checksum")
-    return start, at
-
-
-def declared_samples(data: FileBytes) -> int | Damage:
-    """The number of samples by the summary of a finished file, which has a checksum."""
-    summary = summary_of(data)
-    if isinstance(summary, Damage):
-        return summary
-    declared, counts = Declarations(), {}
-    for record in walk(data, *summary, IN_SUMMARY):
-        if isinstance(record, Damage):
-            return record
-        declared.add(record)
-        if isinstance(record.content, Statistics):
-            counts = record.content.channel_message_counts
-    return sum(count for channel, count in counts.items() if declared.type_of(channel) in SAMPLE_TYPES)
-
-
-def _content(data: FileBytes | bytes, opcode: int, start: int, end: int) -> Any:
-    """The content of a record; a text says why it is damaged."""
-    if opcode == Opcode.CHUNK:
-        if end - start < _CHUNK.size:
-            return "a chunk too short for its head"
-        _, _, size, crc, compression, data_size = _CHUNK.unpack(data[start : start + _CHUNK.size])
-        if compression:
-            return "a compressed chunk, which foretouch does not support"
-        if not size == data_size == end - start - _CHUNK.size:
-            return "the sizes of a chunk do not add up"
-        return Chunk(start + _CHUNK.size, end, crc)
-    if opcode == Opcode.MESSAGE:
-        if end - start < _MESSAGE.size:
-            return "a message too short for its head"
-        channel, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack(data[start : start + _MESSAGE.size])
-        return RecordedMessage(channel, sequence, log_time_ns, publish_time_ns, start + _MESSAGE.size, end)
-    if opcode == Opcode.MESSAGE_INDEX:
-        size = end - start - _INDEX.size
-        if size < 0:
-            return "an index too short for its head"
-        channel, declared = _INDEX.unpack(data[start : start + _INDEX.size])
-        return "the sizes of an index do not add up" if size % 16 or size != declared else channel
-    kind: Any = _PARSED.get(Opcode(opcode))
-    if kind is None:
+    def _declare(self, record: _Record) -> Damage | None:
+        """Add what a record declares, if it is a declaration; the damage of one whose content is not what it must be."""
+        size, kind = record.end - record.start, _DECLARED.get(Opcode(record.opcode))
+        if record.opcode == Opcode.CHUNK:
+            head = self.data[record.start : record.start + _CHUNK.size].ljust(_CHUNK.size)
+            _, _, unpacked, _, compression, packed = _CHUNK.unpack(head)
+            if compression or not unpacked == packed == size - _CHUNK.size:
+                return Damage(record.offset, "damaged or compressed: the sizes of a chunk do not add up")
+        elif record.opcode == Opcode.MESSAGE and size < _MESSAGE.size:
+            return Damage(record.offset, "damaged: a message too short for its head")
+        if kind is None:
+            return None
+        stream = ReadDataStream(BytesIO(self.data[record.start : record.end]))
+        try:
+            content: Any = kind.read(stream)
+            if stream.count != size:
+                raise ValueError("extra bytes")
+            if isinstance(content, Metadata) and content.name == COUNTS:
+                self.counts = MessageCounts.from_mapping(content.metadata)
+        except (McapError, ValueError, struct.error, EOFError, OverflowError, DatasetError) as err:
+            return Damage(record.offset, f"damaged {kind.__name__.lower()}: {described(err)}")
+        if isinstance(content, Schema):
+            self.schemas[content.id] = content
+        elif isinstance(content, Channel):
+            self.channels[content.id] = content
+        elif content.name == ABOUT:
+            self.about = content.metadata
         return None
-    name, stream = kind.__name__.lower(), ReadDataStream(BytesIO(data[start:end]))
-    try:
-        content = kind.read(stream)
-    except (McapError, ValueError, struct.error, EOFError, OverflowError) as err:
-        return f"no {name}: {' '.join(str(err).split()) or type(err).__name__}"
-    return content if stream.count == end - start else f"extra bytes after a {name}"
+
+    def _index(self) -> tuple[int, int] | Damage:
+        """Start and end of the index of a finished file, verified by its checksum."""
+        data, at = self.data, len(self.data) - len(MAGIC) - _FOOTER.size
+        if at < len(MAGIC) or not self.finished:
+            return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
+        opcode, _, start, _, crc = _FOOTER.unpack(data[at : at + _FOOTER.size])
+        if opcode != Opcode.FOOTER or start > at or data.crc32(start, at + _FOOTER.size - 4) != crc:
+            return Damage(at, "damaged: the index at the end does not match its checksum")
+        return start, at
+
+    def _end_damage(self, record: _Record, index: tuple[int, int] | Damage) -> Iterator[Damage]:
+        """Compare the checksum in the record that ends the data, and what follows it."""
+        if self.data[record.start : record.end] != self.data.crc32(0, record.offset).to_bytes(4, "little"):
+            yield Damage(record.offset, "damaged: the bytes before do not match this checksum")
+        if isinstance(index, Damage):
+            yield index
+        elif index[0] != record.end:
+            yield Damage(record.end, "damaged: the index does not follow the data")
 
 
 _COUNTED: Final = ("received", "written", "lost")
@@ -318,37 +281,3 @@ class MessageCounts:
                 raise DatasetError(f"message counts: {name}: {text[:80]!r} holds no counts") from err
             result.topics[name] = TopicCounts(received, written, dropped, lost)
         return result
-
-
-class Declarations:
-    """What the records of a file declare; later ones replace earlier ones."""
-
-    def __init__(self) -> None:
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.about: dict[str, str] = {}
-        self.counts: MessageCounts | None = None
-        self.damage: Damage | None = None  # of the last counts that cannot be read
-
-    def add(self, record: Record) -> Damage | None:
-        """Add what a record declares, if it is a declaration; the damage of message counts that cannot be read."""
-        content = record.content
-        if isinstance(content, Schema):
-            self.schemas[content.id] = content
-        elif isinstance(content, Channel):
-            self.channels[content.id] = content
-        elif isinstance(content, Metadata) and content.name == ABOUT:
-            self.about = content.metadata
-        elif isinstance(content, Metadata) and content.name == COUNTS:
-            try:
-                self.counts = MessageCounts.from_mapping(content.metadata)
-            except DatasetError as err:
-                self.damage = Damage(record.offset, str(err))
-                return self.damage
-        return None
-
-    def type_of(self, channel: int) -> str:
-        """Type of the messages of a channel; "" if it is not declared."""
-        declared = self.channels.get(channel)
-        schema = None if declared is None else self.schemas.get(declared.schema_id)
-        return "" if schema is None else schema.name

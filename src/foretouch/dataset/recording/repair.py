@@ -14,15 +14,15 @@ from typing import Final
 from mcap.records import Message
 
 from foretouch.dataset.files import sync_folder
-from foretouch.dataset.recording.edits import EDITS, forget_edits
-from foretouch.dataset.recording.folder import REPAIRED, list_sessions, listed_sessions, lock, recorded_files
+from foretouch.dataset.recording.edits import EDITS, read_edits
+from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
-from foretouch.dataset.recording.reader import readable, salvaged
-from foretouch.dataset.recording.records import MAGIC, Damage, Declarations, MessageCounts, TopicCounts, next_chunk
+from foretouch.dataset.recording.reader import readable
+from foretouch.dataset.recording.records import MAGIC, Damage, MessageCounts, RecordingFile, TopicCounts
 from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, sample_types
-from foretouch.dataset.recording.verify import chain_faults, verify_file
+from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import FileError, VersionError
-from foretouch.files import FileBytes, free_name, system_errors
+from foretouch.files import free_name, system_errors
 
 _CHUNK_BYTES: Final = 4_000_000
 
@@ -40,7 +40,7 @@ class RepairReport:
 
 
 def repair_dataset(path: str | Path) -> list[RepairReport]:
-    """Repair every recording of a dataset that needs it, or a single file.
+    """Repair every recording of a dataset that needs it, or a single file; a log of edits that is damaged is renamed.
 
     Raises:
         FileError: If another process records into it, it is not a recording or of another version, or the disk is full.
@@ -50,36 +50,21 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     if not path.is_dir():
         return [_repair_file(path)]
     with lock(path):
-        replaced = _replaced_sessions(path)
-        added = [file for file, _ in chain_faults(path) if file.exists()]
-        reports = [*replaced, *(_repair_file(file) for file in recorded_files(path))]
-        for report in reports:
-            report.changed |= report.path in added
-        if lost := forget_edits(path):
-            reports.append(RepairReport(path / EDITS, changed=True, lost=[Damage(0, lost)]))
-        list_sessions(path)
+        reports = [_repair_file(file) for file in recorded_files(path)]
+        try:
+            read_edits(path)
+        except FileError as err:
+            kept = free_name(path / EDITS, "before-repair")
+            with system_errors(path / EDITS):
+                (path / EDITS).rename(kept)
+            reports.append(RepairReport(path / EDITS, changed=True, original=kept, lost=[Damage(0, err.rule)]))
         return reports
-
-
-def _replaced_sessions(path: Path) -> list[RepairReport]:
-    """A report for each listed session that is missing, or whose file is that of another, which is renamed."""
-    listed = {path / one.file for one in listed_sessions(path) or []}
-    reports = []
-    for file, rule in chain_faults(path):
-        report = RepairReport(file, changed=True, lost=[Damage(0, rule)])
-        if file.exists():
-            if file not in listed or not verify_file(file).clean:
-                continue  # it was added, or is damaged and what remains is saved
-            report.original = free_name(file, "before-repair")
-            with system_errors(file, "cannot be renamed"):
-                file.rename(report.original)
-        reports.append(report)
-    return reports
 
 
 def _repair_file(path: Path) -> RepairReport:
     """Repair one recording; a clean one is not changed."""
-    found = verify_file(path)
+    file = RecordingFile(path)
+    found = verify_file(file)
     report = RepairReport(path, samples=len(found.ids), messages=found.messages.total())
     if found.clean:
         return report
@@ -87,10 +72,9 @@ def _repair_file(path: Path) -> RepairReport:
     part = path.with_name(f"{path.name}.repairing")
     part.unlink(missing_ok=True)
     try:
-        data = FileBytes(path)
-        if not MAGIC.startswith(data[: len(MAGIC)]) and next_chunk(data, 0) == len(data):
+        if not MAGIC.startswith(file.data[: len(MAGIC)]) and file.next_chunk(0) == len(file.data):
             raise FileError(path, "is not an MCAP file, and holds no part of one")
-        _copy_intact(data, found.declared, McapFile(part), report)
+        _copy_intact(file, McapFile(part), report)
         report.original = _replace(path, part)
     except VersionError as err:
         raise FileError(path, str(err)) from err
@@ -112,47 +96,43 @@ def _replace(path: Path, repaired: Path) -> Path:
     return kept
 
 
-def _copy_intact(data: FileBytes, declared: Declarations, file: McapFile, report: RepairReport) -> None:
-    """Copy the intact parts of a file that declares this into a new one, and add to the report what is lost."""
-    topics: dict[int, str] = {}  # by the channel of the original
+def _copy_intact(file: RecordingFile, out: McapFile, report: RepairReport) -> None:
+    """Copy the intact parts of a file that was verified into a new one, and add to the report what is lost."""
     pending: list[Message] = []
     written: Counter[str] = Counter()
 
     def flush() -> None:
-        file.write_chunk(pending)
+        out.write_chunk(pending)
         pending.clear()
 
     try:
-        file.write_metadata(ABOUT, {**declared.about, REPAIRED: LIBRARY})
-        file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))  # the file's own may be damaged
-        for number, channel in sorted(declared.channels.items()):
-            schema = declared.schemas.get(channel.schema_id)
-            if schema is not None and (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg"):
-                topics[number] = channel.topic
-                if channel.topic not in file.types:
-                    file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
-        for one in salvaged(data):
+        out.write_metadata(ABOUT, {**file.about, "repaired_by": LIBRARY})
+        out.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))  # the file's own may be damaged
+        for channel in file.channels.values():
+            schema = file.schemas.get(channel.schema_id)
+            if schema is not None and channel.topic not in out.types:
+                out.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
+        for one in file.messages():
             if isinstance(one, Damage):
                 report.lost.append(one)
                 continue
-            topic = topics.get(one.channel, SAMPLE_TOPIC)
-            is_sample = topic == SAMPLE_TOPIC
-            if is_sample and readable(data, one) is None:
+            is_sample = one.topic not in out.types or one.topic == SAMPLE_TOPIC
+            if is_sample and readable(file, one) is None:
                 report.lost.append(Damage(one.start, "a message whose declaration or content is damaged"))
                 continue
             if is_sample or sum(len(message.data) for message in pending) > _CHUNK_BYTES:
                 flush()
-            cdr = data[one.start : one.end]
-            pending.append(file.message(topic, cdr, one.log_time_ns, one.publish_time_ns, one.sequence))
+            topic, cdr = SAMPLE_TOPIC if is_sample else one.topic, file.data[one.start : one.end]
+            pending.append(out.message(topic, cdr, one.log_time_ns, one.publish_time_ns, one.sequence))
             written[topic] += 1
             if is_sample:  # which gets a chunk of its own
                 flush()
         flush()
         report.messages, report.samples = written.total(), written[SAMPLE_TOPIC]
-        file.write_metadata(COUNTS, _corrected(declared.counts or MessageCounts(), written).to_mapping())
-        file.finish()
+        out.write_metadata(COUNTS, _corrected(file.counts or MessageCounts(), written).to_mapping())
+        out.finish()
     finally:
-        file.abandon()
+        out.abandon()
 
 
 def _corrected(counts: MessageCounts, written: Counter[str]) -> MessageCounts:

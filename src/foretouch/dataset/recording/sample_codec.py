@@ -53,8 +53,6 @@ ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camer
 COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
 SCHEMA_VERSION: Final = 2
 OLD_VERSION: Final = "schema_version: 1 is of foretouch 0.2: convert it with `foretouch dataset import OLD -o NEW`"
-HEAD_SIZE: Final = 65536
-"""Bytes at the beginning of a serialised sample that hold its frame and its id."""
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
@@ -159,7 +157,7 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None, *, con
     if not body or hashlib.sha256(body).digest() != digest:
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
-        version, _ = _version_in(bytes(data[:HEAD_SIZE]))
+        version = _version_in(data)
         if version == 1 and not convert:
             raise VersionError(OLD_VERSION)
         if version != 1:
@@ -179,27 +177,11 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None, *, con
     return stored
 
 
-def id_in(head: bytes) -> str:
-    """The id in the first `HEAD_SIZE` bytes of a serialised sample; a `ValueError` if it is none."""
-    cdr = head[4:]  # it aligns from its fifth byte
-    try:
-        _, offset = _version_in(head)
-        offset += -offset % 4
-        (length,) = struct.unpack_from("<I", cdr, offset)
-    except struct.error as err:
-        raise ValueError(str(err)) from err
-    if offset + 4 + length > len(cdr):
-        raise ValueError("an id longer than its message")
-    return cdr[offset + 4 : offset + 4 + length].rstrip(b"\0").decode()
-
-
-def _version_in(head: bytes) -> tuple[int, int]:
-    """The schema version of a serialised sample, and where it ends in its CDR; a `struct.error` if the bytes end before."""
-    (frame,) = struct.unpack_from("<I", head, 12)  # after the stamp
+def _version_in(data: bytes | memoryview) -> int:
+    """The schema version of a serialised sample; a `struct.error` if the bytes end before."""
+    (frame,) = struct.unpack_from("<I", data, 12)  # length of the frame, after the stamp
     offset = 12 + frame
-    offset += -offset % 2
-    (version,) = struct.unpack_from("<H", head, 4 + offset)
-    return version, offset + 2
+    return int(struct.unpack_from("<H", data, 4 + offset + offset % 2)[0])
 
 
 def _old_message(data: bytes | memoryview) -> Any:

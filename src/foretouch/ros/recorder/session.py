@@ -128,7 +128,7 @@ class RecordingSession:
             while not self._queue.closed and not self.writer.output.removed:
                 self._process(*self._queue.take(0.1))
             self._queue.close()
-            if self.writer.output.removed:  # it is still open: what waits is written too, and `close` then copies it
+            if self.writer.output.removed:  # it is still open: `close` counts its content as dropped
                 self._error = f"{self.writer.file}: was removed during the recording"
                 self._update_status()
             self._process(*self._queue.take(0.0), ending=True)
