@@ -218,9 +218,9 @@ def test_a_shard_that_is_changed_truncated_or_taken_away_after_it_was_opened_is_
 
     flipped = good.replace(np.ascontiguousarray(sample(390).cloud.xyz).tobytes()[:16], bytes(16))
     cases = (
-        ("truncated", lambda: shard.write_bytes(good[: len(good) // 2]), "byte .*: was changed after it was opened"),
-        ("emptied", lambda: shard.write_bytes(b""), "byte .*: was changed after it was opened"),
-        ("changed", lambda: shard.write_bytes(flipped), "byte .*: was changed after it was opened"),
+        ("truncated", lambda: shard.write_bytes(good[: len(good) // 2]), "was changed after it was opened"),
+        ("emptied", lambda: shard.write_bytes(b""), "was changed after it was opened"),
+        ("changed", lambda: shard.write_bytes(flipped), "was changed after it was opened"),
         ("removed", shard.unlink, "No such file"),
     )
     every_case(cases, check)

@@ -10,15 +10,14 @@ Layout, schema version 1::
 One row is one sample; see `schema_of`. A store appears complete or not at all. Its content hash covers the samples in
 order, not the files: it does not depend on how they are split into shards or on the version of Arrow.
 
-A shard is hashed as a whole when a store is opened, and each of its batches again whenever it is read: what is used is
-what was verified, and a file that is changed or truncated meanwhile is refused.
+A shard is hashed as a whole and checked when a store is opened, and refused if it has changed when a batch is read.
 """
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple, Self
 
@@ -29,7 +28,7 @@ from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
-from foretouch.files import COUNT, FileBytes, Version, file_sha256, open_regular, parse_json, require_schema, version_of
+from foretouch.files import COUNT, Version, file_sha256, open_regular, parse_json, require_schema, version_of
 from foretouch.tactile.description import sensor_in
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 from foretouch.types.channels import Channels
@@ -56,13 +55,11 @@ _COLUMNS: Final = [
 ]
 
 _KEPT_BATCHES: Final = 4
-_ARROW: Final = b"ARROW1\0\0"
 _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
 
 _verified: dict[tuple[Path, Version | None, int], tuple[str, list["_Part"]]] = {}  # hash and parts of each shard
 
 _POINTS: Final = ("xyz", "rgb")
-_VECTORS: Final = ("g1", "g2", "rotation", "touch", "tare")
 _NULLABLE: Final = ("rgb", "touch", "tare")
 _MANIFEST_SCHEMA: Final = {
     "samples": COUNT,
@@ -87,23 +84,12 @@ def is_store(path: str | Path) -> bool:
 
 
 class _Part(NamedTuple):
-    """One record batch in the verified shard `path`: its bytes, their SHA-256, its number of samples and its columns."""
+    """One record batch in a verified shard: its number there, and its number of samples."""
 
     path: Path
-    start: int
-    end: int
-    sha256: bytes
+    stat: tuple[int, ...]  # of the shard when it was verified
+    number: int
     samples: int
-    schema: pa.Schema
-
-
-class _Batch(NamedTuple):
-    """The columns of one record batch by name; points are views of its bytes where they have no nulls."""
-
-    plain: dict[str, Sequence[Any]]  # texts and numbers
-    offsets: dict[str, Any]  # of the points
-    values: dict[str, Any]  # of the points, and of vectors one after the other
-    valid: dict[str, Any]  # whether there is a value
 
 
 class Store(Sequence[GraspSample]):
@@ -122,7 +108,7 @@ class Store(Sequence[GraspSample]):
         self.sensor = sensor_in(self.manifest, self.path / MANIFEST)
         self._parts = self._verified_parts()
         self._starts = np.cumsum([0, *(part.samples for part in self._parts)])
-        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(lambda number: _columns(_read_batch(self._parts[number])))
+        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(lambda number: _read_batch(self._parts[number]))
         if len(self) != self.manifest["samples"]:
             raise FileError(self.path, f"holds {len(self)} samples, not {self.manifest['samples']}", field="samples")
 
@@ -222,41 +208,34 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
 
 
 def _check_shard(path: Path, file: BinaryIO, schema: pa.Schema) -> list[_Part]:
-    """The parts of a shard, an Arrow IPC file, whose messages follow its eight opening bytes one after the other."""
-    parts: list[_Part] = []
-    data = FileBytes(path)
-    file.seek(len(_ARROW))
+    """The parts of a shard, an Arrow IPC file."""
+    found, parts = _stat(file), list[_Part]()
     try:
-        with pa.PythonFile(file, "r") as source:
-            messages = pa.ipc.MessageReader.open_stream(source)
-            if not pa.ipc.read_schema(messages.read_next_message()).equals(schema):
-                raise FileError(path, "has other columns than the schema", field="schema")
-            for number in count():
-                start = file.tell()
-                try:
-                    message = messages.read_next_message()
-                except StopIteration:
-                    return parts
-                field, content = f"batch {number}", data[start : file.tell()]
-                if message.type != "record batch":
-                    raise FileError(path, "is not a batch of samples", field=field)
-                part = _Part(path, start, file.tell(), hashlib.sha256(content).digest(), 0, schema)
-                batch = _read_batch(part)
-                if batch.get_total_buffer_size() > message.body.size:
-                    raise FileError(path, "is compressed", field=field)
-                _check_batch(path, batch, field)
-                parts.append(part._replace(samples=batch.num_rows))
-    except (OSError, StopIteration, *_ARROW_ERRORS) as err:
+        reader = pa.ipc.open_file(pa.PythonFile(file, "r"))
+        if not reader.schema.equals(schema):
+            raise FileError(path, "has other columns than the schema", field="schema")
+        for number in range(reader.num_record_batches):
+            batch, field = reader.get_batch(number), f"batch {number}"
+            if batch.get_total_buffer_size() > found[1]:
+                raise FileError(path, "is compressed", field=field)
+            _check_batch(path, batch, field)
+            parts.append(_Part(path, found, number, batch.num_rows))
+    except (OSError, *_ARROW_ERRORS) as err:
         raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
     return parts
 
 
+def _stat(file: BinaryIO) -> tuple[int, ...]:
+    info = os.fstat(file.fileno())
+    return info.st_ino, info.st_size, info.st_mtime_ns
+
+
 def _read_batch(part: _Part) -> Any:
-    """The record batch of a part, whose bytes must be those that were verified."""
-    content = FileBytes(part.path)[part.start : part.end]
-    if hashlib.sha256(content).digest() != part.sha256:
-        raise FileError(part.path, "was changed after it was opened", field=f"byte {part.start}")
-    return pa.ipc.read_record_batch(pa.py_buffer(content), part.schema)
+    """The record batch of a part, whose shard must be the one that was verified."""
+    with open_regular(part.path) as file:
+        if _stat(file) != part.stat:
+            raise FileError(part.path, "was changed after it was opened")
+        return pa.ipc.open_file(pa.PythonFile(file, "r")).get_batch(part.number)
 
 
 def _check_batch(path: Path, batch: Any, field: str) -> None:
@@ -267,50 +246,34 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
         raise FileError(path, " ".join(str(err).split()), field=field) from err
     for name in batch.schema.names:
         column = batch.column(name)
-        inner = column.flatten() if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type) else None
+        inner = column.flatten() if pa.types.is_nested(column.type) else None
         if (name not in _NULLABLE and column.null_count) or (inner is not None and inner.null_count):
             raise FileError(path, "is null in some rows", field=f"{field}: {name}")
-    for name in _POINTS:
-        sizes = np.diff(batch.column(name).offsets.to_numpy())
-        if (sizes[batch.column(name).is_valid().to_numpy(zero_copy_only=False)] % 3).any():
+        if name in _POINTS and any((len(one.values or ()) % 3) for one in column):
             raise FileError(path, "a cloud is not a whole number of points", field=field)
 
 
-def _columns(batch: Any) -> _Batch:
-    column = {name: batch.column(name) for name in batch.schema.names}
-    values = {name: column[name].values.to_numpy(zero_copy_only=False) for name in (*_POINTS, *_VECTORS)}
-    for name in _VECTORS:  # copied, so that a sample without its cloud does not keep the bytes of the batch
-        values[name] = values[name].copy()
-        values[name].setflags(write=False)
-    return _Batch(
-        plain={name: column[name].to_pylist() for name in ("id", "object", "frame_id", "extra", "stamp_ns", "score")},
-        offsets={name: column[name].offsets.to_numpy() for name in _POINTS},
-        values=values,
-        valid={name: column[name].is_valid().to_numpy(zero_copy_only=False) for name in _NULLABLE},
-    )
+def _sample(batch: Any, row: int, channels: Channels) -> GraspSample:
+    """A row of a batch; its cloud is a view, and the rest copied, so that it does not keep the bytes of the batch."""
 
+    def vector(name: str) -> Any:
+        values = batch.column(name)[row].values
+        return None if values is None else values.to_numpy(zero_copy_only=False)
 
-def _sample(batch: _Batch, row: int, channels: Channels) -> GraspSample:
-    def _points(name: str) -> Any:
-        start, end = batch.offsets[name][row : row + 2]
-        return batch.values[name][start:end].reshape(-1, 3)
+    def touch(name: str) -> Touch | None:
+        return None if (values := vector(name)) is None else Touch(values.copy(), channels)
 
-    def _vector(name: str, size: int) -> Any:
-        return batch.values[name][row * size : (row + 1) * size]
-
-    def _touch(name: str) -> Touch | None:
-        return Touch(_vector(name, channels.size), channels) if batch.valid[name][row] else None
-
-    plain = {name: values[row] for name, values in batch.plain.items()}
-    rgb = _points("rgb") if batch.valid["rgb"][row] else None
-    rotation = _vector("rotation", 9).reshape(3, 3)
+    names = ("id", "object", "frame_id", "extra", "stamp_ns", "score")
+    plain = {name: batch.column(name)[row].as_py() for name in names}
+    rgb = None if (values := vector("rgb")) is None else values.reshape(-1, 3)
+    g1, g2, rotation = (vector(name).copy() for name in ("g1", "g2", "rotation"))
     return GraspSample(
         id=plain["id"],
         object=plain["object"],
-        cloud=Cloud(_points("xyz"), rgb, plain["frame_id"], plain["stamp_ns"]),
-        grasp=Grasp(_vector("g1", 3), _vector("g2", 3), rotation, plain["score"], object_id=plain["object"]),
-        touch=_touch("touch"),
-        tare=_touch("tare"),
+        cloud=Cloud(vector("xyz").reshape(-1, 3), rgb, plain["frame_id"], plain["stamp_ns"]),
+        grasp=Grasp(g1, g2, rotation.reshape(3, 3), plain["score"], object_id=plain["object"]),
+        touch=touch("touch"),
+        tare=touch("tare"),
         stamp_ns=plain["stamp_ns"],
         extra=_numbers(plain["extra"]),
     )
