@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from corpus.files import KINDS
 from every_case import every_case, every_refusal
 from recording_builders import write_dataset
 
@@ -124,15 +123,6 @@ def test_tables_of_experiments_are_read_as_they_were_written_or_refused(tmp_path
         read_results(path)
 
 
-def test_a_fifo_in_the_place_of_a_table_of_an_export_does_not_wait(tmp_path: Path) -> None:
-    export = KINDS["lerobot"].make(tmp_path)
-    (table,) = export.glob("data/chunk-*/file-*.parquet")
-    table.unlink()
-    os.mkfifo(table)
-    with pytest.raises(FileError, match=r"file-000\.parquet: is a FIFO"):
-        KINDS["lerobot"].read(export)
-
-
 def test_a_file_of_the_kernel_that_waits_and_one_that_grows_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="more than 10 bytes"):
         read_bytes("/proc/self/status", 10)
@@ -145,10 +135,10 @@ def test_a_file_of_the_kernel_that_waits_and_one_that_grows_are_refused(tmp_path
         data[20_000:90_000]
 
 
-def test_a_text_of_one_line_takes_a_few_times_its_size_and_long_words_are_refused(tmp_path: Path) -> None:
-    path, points = tmp_path / "line.pcd", 400_000
+def test_a_text_takes_a_few_times_its_size_and_long_lines_are_refused(tmp_path: Path) -> None:
+    path, points = tmp_path / "text.pcd", 400_000
     head = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {points}\nHEIGHT 1\nDATA ascii\n".encode()
-    path.write_bytes(head + b"1 2 3 " * points)
+    path.write_bytes(head + b"1 2 3\n" * points)
     read_cloud(path)
     tracemalloc.start()
     cloud = read_cloud(path)
@@ -156,7 +146,7 @@ def test_a_text_of_one_line_takes_a_few_times_its_size_and_long_words_are_refuse
     tracemalloc.stop()
     assert (cloud.xyz == [1, 2, 3]).all()
     assert peak < 12 * path.stat().st_size
-    for body, rule in ((b"1 2 3 " * points + b"4", "1200001 numbers"), (b"1" * 200_000, "a word of more than")):
+    for body, rule in ((b"1 2 3\n" * (points + 1), "400001 lines"), (b"1 2 3 " * points, "a line of more than")):
         path.write_bytes(head + body)
         with pytest.raises(FileError, match=rule):
             read_cloud(path)

@@ -28,8 +28,7 @@ import pyarrow.parquet as pq
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import ExportResult, SampleSet, has_points, open_samples
-from foretouch.errors import ConfigError, FileError, shown
-from foretouch.files import open_regular, read_json, require_schema
+from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64
@@ -402,47 +401,10 @@ def recognise(path: Path) -> bool:
 
 
 def open_set(path: Path, unfinished: bool) -> SampleSet:
-    """The samples of an export (raises a `FileError` for other LeRobot datasets, and for metadata that lie)."""
+    """The samples of an export from the recorded dataset in it (raises a `FileError` for other LeRobot datasets)."""
     if not (path / _SAMPLES).is_dir():
         raise FileError(path, f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has")
-    samples = open_samples(path / _SAMPLES, unfinished=unfinished)
-    _require_consistent(path)
-    return replace(samples, path=path, kind="lerobot")
-
-
-def _require_consistent(path: Path) -> None:
-    """Refuse a dataset whose metadata state other counts, shapes or files than there are, by a `FileError`."""
-    schema = {"codebase_version": str, "total_episodes": int, "total_frames": int, "data_path": str, "features": dict}
-    info = require_schema(path / _INFO, read_json(path / _INFO), schema)
-    if info["data_path"] != f"data/{_PATH}":
-        raise FileError(path / _INFO, f"is {shown(info['data_path'])}, not data/{_PATH}", field="data_path")
-    for folder, field in (("data", "total_frames"), ("meta/episodes", "total_episodes")):
-        files = sorted((path / folder).glob("chunk-*/file-*.parquet"))
-        if outside := next((one for one in files if not one.resolve().is_relative_to(path.resolve())), None):
-            raise FileError(outside, "is a link out of the dataset")
-        try:
-            tables = {file: pq.ParquetFile(open_regular(file)) for file in files}
-            firsts = {file: next(table.iter_batches(1)) for file, table in tables.items() if folder == "data"}
-        except (OSError, StopIteration, pa.ArrowException) as err:
-            raise FileError(path / folder, f"holds a file that is not Parquet, or empty: {err}") from err
-        if (count := sum(one.metadata.num_rows for one in tables.values())) != info[field]:
-            raise FileError(path / _INFO, f"is {info[field]}, and {folder} holds {count}", field=field)
-        for file, first in firsts.items():
-            _require_features(path / _INFO, info["features"], file, first)
-
-
-def _require_features(path: Path, features: Mapping[str, Any], file: Path, first: Any) -> None:
-    """Refuse features that are not the columns of a file, by its first row; those of images are not opened."""
-    for name, feature in features.items():
-        stated = require_schema(path, feature, {"dtype": str, "shape": [int]}, f"features.{name}")
-        if name not in first.schema.names:
-            raise FileError(file, "is a feature, and no column", field=name)
-        if stated["dtype"] != "image":
-            value = np.asarray(first[name][0].as_py())
-            kind = f"{'int64' if value.dtype.kind == 'i' else 'float32'} {list(value.shape or [1])}"
-            if f"{stated['dtype']} {stated['shape']}" != kind:
-                rule = f"is {stated['dtype']} {stated['shape']}, and {file.name} holds {kind}"
-                raise FileError(path, rule, field=f"features.{name}")
+    return replace(open_samples(path / _SAMPLES, unfinished=unfinished), path=path, kind="lerobot")
 
 
 def _finger_key(finger: str) -> str:

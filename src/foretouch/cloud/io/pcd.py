@@ -18,17 +18,16 @@ from foretouch.cloud.io.records import (
     ascii_records,
     binary_records,
     check_unpacked,
+    point_dtype,
     to_cloud,
-    unique_names,
     whole_number,
 )
 from foretouch.errors import FileError
-from foretouch.files import open_regular, read_bytes
+from foretouch.files import read_bytes
 from foretouch.types import Cloud, UInt8
 
 _SIZES = {"F": "48", "I": "1248", "U": "1248"}
 _POINT_LIMIT = 20_000_000  # of a cloud: ten images of 1920x1080
-_COUNT_LIMIT = 65536  # numbers of one field; the largest descriptors of the Point Cloud Library have about 2000
 
 
 def read_pcd(path: Path) -> Cloud:
@@ -38,14 +37,12 @@ def read_pcd(path: Path) -> Cloud:
         FileError: If the header is incomplete, contradicts itself or the data, or there is no x, y, z.
         OSError: If the file cannot be read.
     """
-    with open_regular(path) as file:
-        entries, _ = _header(path, file.read(HEADER_LIMIT) or b"")
-    width, height = (whole_number(path, " ".join(entries[name]), name) for name in ("WIDTH", "HEIGHT"))
-    points = width * height
-    if points > _POINT_LIMIT:  # before the file is read: a sparse one has that size, but takes no room on disk
-        raise FileError(path, f"WIDTH {width} x HEIGHT {height} exceeds {_POINT_LIMIT} points", field="WIDTH")
     content = read_bytes(path, SIZE_LIMIT)
     entries, start = _header(path, content)
+    width, height = (whole_number(path, " ".join(entries[name]), name) for name in ("WIDTH", "HEIGHT"))
+    points = width * height
+    if points > _POINT_LIMIT:
+        raise FileError(path, f"WIDTH {width} x HEIGHT {height} exceeds {_POINT_LIMIT} points", field="WIDTH")
     if "POINTS" in entries and whole_number(path, " ".join(entries["POINTS"]), "POINTS") != points:
         raise FileError(path, f"{entries['POINTS'][0]} is not WIDTH {width} x HEIGHT {height}", field="POINTS")
     dtype, body = _dtype(path, entries), content[start:]
@@ -99,21 +96,16 @@ def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
     for name, values in zip(("TYPE", "SIZE", "COUNT"), columns[1:], strict=True):
         if len(values) != len(fields):
             raise FileError(path, f"{len(values)} entries for {len(fields)} FIELDS", field=name)
-    unique_names(path, [name for name in fields if name != "_"], "FIELDS")
     parts: list[tuple[str, str, tuple[int, ...]]] = []
     for i, (field, kind, size, count) in enumerate(zip(*columns, strict=True)):
         if len(size) != 1 or size not in _SIZES.get(kind, ""):
             raise FileError(path, f"TYPE {kind} of SIZE {size} is not a number", field=field)
         number = whole_number(path, count, f"COUNT of {field}")
-        if not 0 < number <= _COUNT_LIMIT:
-            raise FileError(path, f"COUNT {count} is not 1 to {_COUNT_LIMIT}", field=field)
-        if field in ("x", "y", "z") and (kind, number) != ("F", 1):
-            raise FileError(path, "is not one floating number", field=field)
         if field in ("rgb", "rgba") and (size, number) != ("4", 1):
             raise FileError(path, "is not one number of 4 bytes", field=field)
         name = f"_ {i}" if field == "_" else field
-        parts.append((name, f"<{kind.lower()}{size}", (number,) if number > 1 else ()))
-    return np.dtype(parts)
+        parts.append((name, f"<{kind.lower()}{size}", () if number == 1 else (number,)))
+    return point_dtype(path, parts, "FIELDS")
 
 
 def _unpacked(path: Path, body: bytes, dtype: np.dtype[Any], points: int) -> Records:

@@ -13,8 +13,8 @@ from foretouch.cloud.io.records import (
     SIZE_LIMIT,
     ascii_records,
     binary_records,
+    point_dtype,
     to_cloud,
-    unique_names,
     whole_number,
 )
 from foretouch.errors import FileError
@@ -58,12 +58,11 @@ def read_ply(path: Path) -> Cloud:
         raise FileError(path, f"{encoding or 'nothing'} is not one of {', '.join(_ORDERS)}", field="format")
     if "element vertex" not in numbers:
         raise FileError(path, "element vertex is missing", field="header")
-    unique_names(path, [name for name, _ in properties], "property")
     points = numbers["element vertex"]
     columns, rows = numbers.get("num_cols", points), numbers.get("num_rows", 1)
     if columns * rows != points:
         raise FileError(path, f"{columns} x {rows} is not the number of vertices, {points}", field="obj_info")
-    dtype = np.dtype([(name, _ORDERS[encoding] + kind) for name, kind in properties])
+    dtype = point_dtype(path, [(name, _ORDERS[encoding] + kind) for name, kind in properties], "property")
     body = content[newline + 1 :]
     if encoding == "ascii":
         records = ascii_records(path, body, dtype, points, "vertex", alone=False)

@@ -5,20 +5,22 @@ Both are decoded here. The libraries for them take the memory that a header asks
 return fewer points of a truncated file (pypcd4), or fill up with zeros and warn (Open3D).
 """
 
+import io
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
 
 from foretouch.errors import FileError, shown
 from foretouch.types import AnyArray, Cloud, UInt8
 
 Records = AnyArray  # (N,) of a structured dtype
 
-SIZE_LIMIT: Final = 2_000_000_000  # of a file with a cloud [bytes]
-_TEXT_BLOCK: Final = 65536  # characters that are parsed at once
-_SPACE: Final = re.compile(rb"\s")
+SIZE_LIMIT: Final = 1_000_000_000  # of a file with a cloud [bytes]
+_LONG_LINE: Final = re.compile(rb"[^\n]{65535}")
 HEADER_LIMIT: Final = 65536  # bytes within which a header must end
 
 
@@ -39,13 +41,18 @@ def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)
 
 
-def unique_names(path: Path, names: list[str], field: str) -> None:
-    """Refuse a name that occurs twice, and a point without x, y or z."""
-    if len(set(names)) != len(names):
-        raise FileError(path, f"{' '.join(names)}: a name occurs twice", field=field)
+def point_dtype(path: Path, parts: Sequence[tuple[Any, ...]], field: str) -> np.dtype[Any]:
+    """The type of a point from name, kind and perhaps shape of its parts; a `FileError` if there is none, or no x, y, z."""
+    try:
+        dtype = np.dtype(list(parts))
+    except (ValueError, TypeError) as err:
+        raise FileError(path, f"is not a list of numbers: {err}", field=field) from err
     for axis in "xyz":
-        if axis not in names:
-            raise FileError(path, f"{axis} is missing; there are: {' '.join(names)}", field=field)
+        if axis not in (dtype.names or ()):
+            raise FileError(path, f"{axis} is missing; there are: {' '.join(dtype.names or ())}", field=field)
+        if dtype[axis].kind != "f" or dtype[axis].shape:
+            raise FileError(path, "is not one floating number", field=axis)
+    return dtype
 
 
 def binary_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str) -> Records:
@@ -58,33 +65,24 @@ def binary_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, f
 
 
 def ascii_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str, *, alone: bool) -> Records:
-    """Records of numbers in text, and nothing else if `alone`; a `FileError` if they are fewer, or none are numbers."""
-    kinds = {name: dtype[name] for name in dtype.names or ()}
-    widths = [int(np.prod(kind.shape)) for kind in kinds.values()]
-    size = points * sum(widths)
-    table = np.empty(min(size, len(body) // 2 + 1))
-    filled, at = 0, 0
-    while at < len(body) and (filled < size or alone):
-        found = _SPACE.search(body, at + _TEXT_BLOCK, at + 2 * _TEXT_BLOCK)
-        end = found.end() if found else min(at + 2 * _TEXT_BLOCK, len(body))
-        if not found and end < len(body):
-            raise FileError(path, f"not a number: a word of more than {_TEXT_BLOCK} characters", field=field)
-        words = body[at:end].split()
-        part = table[filled : filled + len(words)]
-        filled, at = filled + len(words), end
-        try:
-            part[:] = np.array(words[: len(part)], np.float64)
-        except ValueError as err:
-            raise FileError(path, f"not a number: {shown(str(err))}", field=field) from err
-    if filled < size or (alone and filled > size):
-        raise FileError(path, f"{filled} numbers are not {points} points of {sum(widths)} = {size}", field=field)
-    records = np.zeros(points, dtype)
+    """Records of numbers in text, a line each, and nothing else if `alone`; a `FileError` if they are fewer, or not numbers."""
+    width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
+    if 2 * points * width > len(body) + 1:
+        raise FileError(path, f"{len(body)} bytes are fewer than {points} lines of {width} numbers", field=field)
+    if points and not body.strip():
+        raise FileError(path, "holds no numbers", field=field)
+    if _LONG_LINE.search(body):
+        raise FileError(path, "holds a line of more than 65535 characters", field=field)
+    if not points:
+        return np.zeros(0, dtype)
+    try:
+        table = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=points + alone, comments=None)
+    except ValueError as err:
+        raise FileError(path, f"not a table of numbers: {shown(str(err))}", field=field) from err
+    if table.shape != (points, width):
+        raise FileError(path, f"{len(table)} lines of numbers are not {points} points of {width}", field=field)
     with np.errstate(invalid="ignore", over="ignore"):
-        for name, columns in zip(
-            kinds, np.split(table[:size].reshape(points, sum(widths)), np.cumsum(widths)[:-1], axis=1), strict=True
-        ):
-            records[name] = columns.reshape(records[name].shape)
-    return records
+        return unstructured_to_structured(table, dtype, casting="unsafe")
 
 
 def to_cloud(records: Records, rgb: UInt8 | None, height: int, width: int) -> Cloud:
