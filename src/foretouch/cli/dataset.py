@@ -166,7 +166,6 @@ def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
     yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
     yield from ((topic, _message_counts(counts)) for topic, counts in found.accounts.items())
     yield from (("edit", text) for text in found.edits)
-    yield "last check", found.check
 
 
 def _message_counts(counts: Mapping[str, Any]) -> str:

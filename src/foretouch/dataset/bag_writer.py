@@ -5,7 +5,6 @@ The samples of a dataset are exported with their clouds as messages of a second 
 """
 
 import shutil
-import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, Self
@@ -14,7 +13,6 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
-from rosbags.rosbag2.storage_mcap import McapWriter
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.recording.sample_codec import (
@@ -43,7 +41,7 @@ class BagWriter:
         self.definitions = Definitions()  # register the message types that are not installed
         self._connections: dict[str, Connection] = {}
         try:
-            self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+            self._writer = Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             with system_errors(self.path):
                 self._writer.open()
@@ -90,23 +88,6 @@ def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOP
             writer.write_cloud(cloud, topic)
             count += 1
     return count
-
-
-class _ChecksummedMcap(McapWriter):
-    """Writes the checksum of each chunk, which `rosbags` leaves at 0 = unknown, so that readers detect damage."""
-
-    def close_chunk(self) -> None:
-        checksum = zlib.crc32(self.chunk.bio.getbuffer())
-        start = self.bio.tell()
-        super().close_chunk()
-        end = self.bio.tell()
-        self.bio.seek(start + 9 + 24)  # opcode and length of the record, then start time, end time and size
-        self.bio.write(checksum.to_bytes(4, "little"))
-        self.bio.seek(end)
-
-
-class _Writer(Writer):
-    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _ChecksummedMcap}  # noqa: RUF012  # read only
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:

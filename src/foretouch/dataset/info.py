@@ -11,7 +11,6 @@ import numpy as np
 
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.samples import open_samples
-from foretouch.dataset.session_check import last_check
 from foretouch.types import Float64
 
 #: Bin edges of the histogram of pairing errors [ms].
@@ -45,7 +44,6 @@ class SampleSetInfo:
     unfinished: list[str] = field(default_factory=list)  # recordings that were cut off and not repaired
     accounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # message counts by topic
     edits: list[str] = field(default_factory=list)  # descriptions of later changes
-    check: str = ""  # what the last `record --check` has found
 
 
 def describe(path: str | Path) -> SampleSetInfo:
@@ -69,7 +67,6 @@ def describe(path: str | Path) -> SampleSetInfo:
         unfinished=[file.name for file in samples.unfinished],
         accounts=samples.message_counts(),
         edits=list(samples.edits),
-        check=last_check(Path(path)),
     )
     for record in samples.records(discarded=True):
         sample = record.sample

@@ -9,7 +9,6 @@ import math
 import os
 from collections import defaultdict, deque
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,8 +16,7 @@ import numpy as np
 
 from foretouch import __version__
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, SensorHealth
-from foretouch.errors import FileError
-from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes, system_errors
+from foretouch.files import open_own, system_errors
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.contact_detector import ContactDetector, contact_scores
 from foretouch.tactile.messages.table import TactileReader, TactileReading
@@ -214,17 +212,3 @@ def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> 
         log.write((json.dumps(report, ensure_ascii=False) + "\n").encode())
         log.flush()
         os.fsync(log.fileno())
-
-
-def last_check(path: Path) -> str:
-    """The last report of a dataset in words; "" without one."""
-    if not (path / CHECKS).exists():
-        return ""
-    try:
-        report = parse_json(read_bytes(path / CHECKS, TEXT_LIMIT).splitlines()[-1])
-        faults = [str(one["name"]) for one in report["findings"] if one["fault"]]
-        when = datetime.fromtimestamp(report["stamp_ns"] * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-        found = f"faults: {', '.join(faults)}" if faults else "no fault"
-        return f"{when}: {len(report['findings'])} checks, {found}"
-    except (FileError, ValueError, KeyError, TypeError, IndexError, OverflowError, OSError):
-        return "the last report cannot be read"

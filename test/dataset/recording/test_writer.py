@@ -97,7 +97,7 @@ def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(tmp_p
             verify_dataset(tmp_path / "ds")
     manifest.write_text(good)
     monkeypatch.setattr("foretouch.dataset.recording.folder.__version__", "99.7.0")
-    with pytest.raises(FileError, match=r"foretouch: [\d.]+ there, 99\.7\.0 here"):
+    with pytest.raises(FileError, match=r"foretouch: [\d.]+ there, 99\.7 here"):
         RecordingWriter(tmp_path / "ds", IDENTITY)
 
 

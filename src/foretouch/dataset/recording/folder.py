@@ -139,19 +139,18 @@ def _create_manifest(path: Path, identity: Identity, sensor: Sensor) -> None:
 
 def _require_same(path: Path, identity: Identity, sensor: Sensor) -> None:
     """Refuse to continue with another hand, camera, sensor or minor version of foretouch; names all differences."""
-    known, version = _read_identity(path)
-    recorded = recorded_sensor(path)
+    old, new = _facts(*_read_identity(path), recorded_sensor(path)), _facts(identity, __version__, sensor)
     differences = [
-        f"{name}.{fact}: {old.get(fact, 'absent')} there, {new.get(fact, 'absent')} here"
-        for name, old, new in (("hand", known.hand, identity.hand), ("camera", known.camera, identity.camera))
-        for fact in sorted(old.keys() | new.keys())
-        if old.get(fact) != new.get(fact)
+        f"{name}: {old.get(name, 'absent')} there, {new.get(name, 'absent')} here"
+        for name in sorted(old.keys() | new.keys())
+        if old.get(name) != new.get(name)
     ]
-    if recorded.sha256 != sensor.sha256:
-        pair = [f"{one.config.name} ({one.sha256[:8]})" for one in (recorded, sensor)]
-        changed = ", the description has changed" * (recorded.config.name == sensor.config.name)
-        differences.append(f"sensor: {pair[0]} there, {pair[1]} here{changed}")
-    if version.split(".")[:2] != __version__.split(".")[:2]:
-        differences.append(f"foretouch: {version} there, {__version__} here")
     if differences:
         raise FileError(path, f"is a dataset of another kind, record into a new one: {'; '.join(differences)}")
+
+
+def _facts(identity: Identity, version: str, sensor: Sensor) -> dict[str, str]:
+    facts = {"foretouch": ".".join(version.split(".")[:2]), "sensor": f"{sensor.config.name} ({sensor.sha256[:8]})"}
+    for group, values in (("hand", identity.hand), ("camera", identity.camera)):
+        facts |= {f"{group}.{name}": value for name, value in values.items()}
+    return facts
