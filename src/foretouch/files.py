@@ -13,7 +13,6 @@ import math
 import os
 import re
 import stat
-import time
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping
@@ -22,7 +21,7 @@ from dataclasses import dataclass
 from io import BufferedReader
 from itertools import count
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from foretouch.errors import FileError, quoted, shown
 
@@ -35,9 +34,6 @@ _DEPTH: Final = 64  # levels of lists and objects; no file of the package has mo
 _KINDS: Final = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "FIFO"), (stat.S_ISSOCK, "socket"))
 _AHEAD: Final = 16_384  # bytes that are read at once where less is asked for
 _BLOCK: Final = 1 << 20
-_SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
-
-Version: TypeAlias = tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -133,7 +129,6 @@ class FileBytes:
         self._file = open_regular(path)
         weakref.finalize(self, self._file.close)
         self._size = os.fstat(self._file.fileno()).st_size
-        self.version = version_of(self._file)
         self._near: tuple[int, bytes] = (0, b"")  # the last bytes that were read ahead, and their offset
 
     def __len__(self) -> int:
@@ -389,11 +384,3 @@ def file_sha256(path: str | Path) -> str:
     """SHA-256 of a regular file, hexadecimal; a `FileError` as `open_regular`, or if reading fails."""
     with open_regular(path) as file, _named(path):
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def version_of(file: BufferedReader) -> Version | None:
-    """What differs after every change of an open file; None if it was changed just now, and may be so again unseen."""
-    info = os.fstat(file.fileno())
-    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) <= _SETTLED_NS:
-        return None
-    return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns

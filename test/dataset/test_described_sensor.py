@@ -20,7 +20,6 @@ from foretouch.dataset.files import sealed
 from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import SampleRecord, readings
-from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
@@ -78,11 +77,6 @@ def test_its_touch_has_all_values_by_channel_and_finger_and_the_recording_names_
         assert [topic.type for topic in bag.topics if topic.name == "/foretouch/samples"] == [SAMPLE_TYPE]
 
 
-def test_fingers_are_chosen_by_their_names(tmp_path: Path) -> None:
-    one = labelled(imported(tmp_path, thumb="FF", middle="TH")[1])
-    np.testing.assert_array_equal(one.sample.touch["Z_TH"], xela_counts(100)[1, :, 2])
-
-
 def test_it_is_built_and_exported_and_read_back(tmp_path: Path) -> None:
     _, samples = imported(tmp_path)
     build_store([tmp_path / "ds"], tmp_path / "store")
@@ -129,10 +123,7 @@ def test_what_is_not_of_the_sensor_is_refused_or_counted_by_name(tmp_path: Path)
     changed = described(tmp_path, values=[*values[:2], {**values[2], "range": [0, 50_000]}])
     refused = r"sensor: xela_uskin_4x4 \(\w+\) there, "
     cases = {
-        "another description": (
-            load_sensor(changed),
-            rf"{refused}xela_uskin_4x4 \(\w+\) here, the description has changed",
-        ),
+        "another description": (load_sensor(changed), rf"{refused}xela_uskin_4x4 \(\w+\) here$"),
         "another sensor": (packaged_sensor("biotac_sp"), rf"{refused}biotac_sp \(\w+\) here$"),
     }
 
@@ -187,15 +178,3 @@ def test_samples_of_another_sensor_than_the_manifest_states_are_refused(tmp_path
         ([1], r"manifest\.json: sensor: is not a description"),
     )
     every_case(cases, refused)
-
-
-def test_a_recording_that_was_cut_off_is_repaired(tmp_path: Path) -> None:
-    imported(tmp_path)
-    (file,) = (tmp_path / "ds").glob("*.mcap")
-    whole = labelled(open_samples(tmp_path / "ds"))
-    file.write_bytes(file.read_bytes()[:-2000])
-    (report,) = repair_dataset(tmp_path / "ds")
-    assert (report.samples, report.lost[0].rule[:7] if report.lost else "") in ((2, ""), (2, "cut off"))
-    samples = open_samples(tmp_path / "ds")
-    assert samples.sensor.sha256 == packaged_sensor(NAME).sha256
-    assert encode_sample(labelled(samples), IDENTITY, samples.sensor) == encode_sample(whole, IDENTITY, samples.sensor)

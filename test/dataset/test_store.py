@@ -14,7 +14,6 @@ import pytest
 from every_case import every_case, every_refusal
 from recording_builders import assert_same_sample, record
 
-from foretouch import files as checked_files
 from foretouch.dataset import store as store_module
 from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
@@ -188,21 +187,6 @@ def test_a_manifest_or_an_offset_that_breaks_a_rule_is_refused_though_the_hashes
         reseal(tmp_path / "shards")
         with pytest.raises(FileError, match=r"shard-00000.arrow: batch 0: "):
             Store(tmp_path / "shards")
-
-
-def test_a_shard_is_hashed_once_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write(tmp_path / "ds", [sample(k) for k in range(3)])
-    shard = tmp_path / "ds" / "shard-00000.arrow"
-    monkeypatch.setattr(checked_files, "_SETTLED_NS", 0)
-    Store(tmp_path / "ds")
-    hashed: list[object] = []
-    check = store_module._check_shard
-    monkeypatch.setattr(store_module, "_check_shard", lambda path, *more: (hashed.append(path), check(path, *more))[1])
-    Store(tmp_path / "ds")
-    assert hashed == []
-    shard.touch()
-    Store(tmp_path / "ds")
-    assert len(hashed) == 1
 
 
 def test_a_shard_that_is_changed_truncated_or_taken_away_after_it_was_opened_is_named(tmp_path: Path) -> None:

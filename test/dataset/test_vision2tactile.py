@@ -64,12 +64,11 @@ def test_bad_files_and_folders_are_named(folder: Path) -> None:
     rest = ",".join(map(str, MF[1:] + TH))
     cases = [
         ("tactile.tac", ",1,2,3", r"tactile.tac: holds 3 numbers, not 58"),
-        ("tactile.tac", f"x,{rest}", "tactile.tac: number 1: 'x' is not a number"),
-        ("tactile.tac", f"1_0,{rest}", "tactile.tac: number 1: '1_0' is not a number"),
-        ("tactile.tac", f"nan,{rest}", r"tactile.tac: MF\[0\]: nan is not finite"),
+        ("tactile.tac", f"1_0,{rest}", "tactile.tac: is not a list of numbers: .*'1.0'"),
+        ("tactile.tac", f"nan,{rest}", "tactile.tac: number 1: nan is not finite"),
         ("tactile.tac", "\u00e9", "tactile.tac: cannot be read as text"),
         ("best-grasp.txt", "1,2,3", "best-grasp.txt: holds 3 numbers, not 6"),
-        ("best-grasp.txt", "1,2,3,inf,5,6", r"best-grasp.txt: g2: \[inf, 5.0, 6.0\] is not finite"),
+        ("best-grasp.txt", "1,2,3,inf,5,6", "best-grasp.txt: number 4: inf is not finite"),
         ("best-grasp.txt", "1,2,3,1,2,3", "best-grasp.txt: g1 - g2"),
         ("best-grasp.txt", None, "best-grasp.txt: is missing"),
         ("cloud-object.pcd", None, "cloud-object.pcd"),

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.files import CLOUD_ARRAYS, archived_cloud, read_arrays
+from foretouch.cloud.io.files import archived_cloud, read_arrays
 from foretouch.dataset.record import Identity, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.sample_codec import (
     OUTCOMES,
@@ -23,25 +23,10 @@ from foretouch.tactile.description import Sensor, with_sensor
 from foretouch.types import AnyArray, Grasp, GraspSample, Touch
 
 _REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
-_GRASP: Final = ("g1", "g2", "rotation", "score")
 _TEXTS: Final = ("outcome", "note", "detector")
 _NUMBERS: Final = ("contact_ns", "pairing_error_ns")
 _SERIES: Final = ("series_stamps_ns", "series", "series_phases")
-_OTHERS: Final = (
-    "touch",
-    "tare",
-    "extra_names",
-    "extra_values",
-    "flags",
-    "hand",
-    "camera",
-    "sensor",
-    "series_names",
-    "series_others",
-)
-_GRASP_ARRAYS: Final = (*_GRASP, "grasp_id", "object_id")
-_CANDIDATES: Final = tuple(f"candidates_{name}" for name in _GRASP_ARRAYS)
-_OPTIONAL: Final = (*CLOUD_ARRAYS, *_GRASP_ARRAYS, *_CANDIDATES, *_TEXTS, *_NUMBERS, *_SERIES, *_OTHERS)
+_GRASP_ARRAYS: Final = ("g1", "g2", "rotation", "score", "grasp_id", "object_id")
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
@@ -102,7 +87,7 @@ def _grasps(grasps: Any) -> dict[str, AnyArray]:
 
 def _read(path: Path) -> tuple[SampleRecord, Identity, Sensor]:
     """The sample in an archive, and hand, camera and sensor; a `FileError` if it is none."""
-    arrays = read_arrays(path, _REQUIRED, _OPTIONAL)
+    arrays = read_arrays(path, _REQUIRED)
     try:
         hand, camera = (parse_properties(str(arrays.get(name, "{}"))) for name in ("hand", "camera"))
         sensor = parse_sensor(str(arrays["sensor"])) if "sensor" in arrays else BIOTAC_SP
@@ -138,7 +123,7 @@ def _record(path: Path, arrays: Mapping[str, AnyArray], sensor: Sensor) -> Sampl
         extra=dict(zip(texts("extra_names"), arrays.get("extra_values", np.empty(0)).tolist(), strict=True)),
     )
     contact_ns, error_ns = (int(arrays[name]) if name in arrays else None for name in _NUMBERS)
-    candidates = {name: arrays[key] for name, key in zip(_GRASP_ARRAYS, _CANDIDATES, strict=True) if key in arrays}
+    candidates = {name: arrays[f"candidates_{name}"] for name in _GRASP_ARRAYS if f"candidates_{name}" in arrays}
     count = len(candidates.get("score", ()))
     return SampleRecord(
         sample=sample,

@@ -28,7 +28,7 @@ from foretouch.dataset.files import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
-from foretouch.files import COUNT, Version, file_sha256, open_regular, parse_json, require_schema, version_of
+from foretouch.files import COUNT, file_sha256, open_regular, parse_json, require_schema
 from foretouch.tactile.description import sensor_in
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 from foretouch.types.channels import Channels
@@ -57,7 +57,6 @@ _COLUMNS: Final = [
 _KEPT_BATCHES: Final = 4
 _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
 
-_verified: dict[tuple[Path, Version | None, int], tuple[str, list["_Part"]]] = {}  # hash and parts of each shard
 
 _POINTS: Final = ("xyz", "rgb")
 _NULLABLE: Final = ("rgb", "touch", "tare")
@@ -95,8 +94,8 @@ class _Part(NamedTuple):
 class Store(Sequence[GraspSample]):
     """A training store on disk; `store[k]` reads one sample, whose cloud is a read-only view of its batch.
 
-    Opening compares manifest, shards and attached files with their hashes before anything in them is decoded; a process
-    hashes each file once while it does not change. The latest batches are kept in memory.
+    Opening compares manifest, shards and attached files with their hashes before anything in them is decoded. The latest
+    batches are kept in memory.
 
     Raises:
         FileError: If there is none, it is of another version, or files and manifest disagree.
@@ -195,13 +194,8 @@ def _require_hash(path: Path, found: str, wanted: str) -> None:
 def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
     """The record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
     with open_regular(path) as file:
-        version = version_of(file)
-        key = (path.absolute(), version, channels.size)
-        if version is None or key not in _verified:
-            _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
-            _verified[key] = sha256, _check_shard(path, file, schema_of(channels))
-    found, parts = _verified[key]
-    _require_hash(path, found, sha256)
+        _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
+        parts = _check_shard(path, file, schema_of(channels))
     if (rows := sum(part.samples for part in parts)) != samples:
         raise FileError(path, f"holds {rows} samples, the manifest declares {samples}")
     return parts

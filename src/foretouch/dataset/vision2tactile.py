@@ -22,7 +22,7 @@ import numpy as np
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import ExportResult, SampleSet, only_finite
-from foretouch.errors import CloudError, FileError, GraspError, shown
+from foretouch.errors import CloudError, FileError, GraspError
 from foretouch.files import read_bytes
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
@@ -86,9 +86,6 @@ def _stamp_ns(name: str) -> int:
 
 def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
     numbers = _read_numbers(path, 6)
-    for name, contact in (("g1", numbers[:3]), ("g2", numbers[3:])):
-        if not np.isfinite(contact).all():
-            raise FileError(path, f"{contact.tolist()} is not finite", field=name)
     try:
         axis, _ = object_axis(cloud, ASSUMED_TABLE, GeoGraspConfig(method="original"))
         rotation = hand_rotation(numbers[:3], numbers[3:], axis)
@@ -105,8 +102,6 @@ def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
     fingers = {"MF": numbers[:_FINGER_SIZE], "TH": numbers[_FINGER_SIZE:]}
     extra: dict[str, float] = {}
     for finger, values in fingers.items():
-        for i in np.flatnonzero(~np.isfinite(values))[:1]:
-            raise FileError(path, f"{values[i]} is not finite", field=f"{finger}[{i}]")
         others = np.delete(values[ELECTRODES:], _PDC - ELECTRODES)
         extra |= {f"{name}_{finger}": float(value) for name, value in zip(_EXTRA, others, strict=True)}
     both = fingers["TH"], fingers["MF"]
@@ -126,12 +121,12 @@ def _read_numbers(path: Path, count: int) -> Float64:
     fields = text.removeprefix(",").split(",")
     if len(fields) != count:
         raise FileError(path, f"holds {len(fields)} numbers, not {count}")
-    numbers = np.empty(count)
-    for i, field in enumerate(fields):
-        try:
-            numbers[i] = float(field.replace("_", "?"))  # Python reads 1_0 as 10
-        except ValueError:
-            raise FileError(path, f"{shown(field)!r} is not a number", field=f"number {i + 1}") from None
+    try:
+        numbers = np.array([float(field.replace("_", "?")) for field in fields])  # Python reads 1_0 as 10
+    except ValueError as err:
+        raise FileError(path, f"is not a list of numbers: {err}") from None
+    for i in np.flatnonzero(~np.isfinite(numbers))[:1]:
+        raise FileError(path, f"{numbers[i]} is not finite", field=f"number {i + 1}")
     return numbers
 
 

@@ -24,7 +24,7 @@ from foretouch.errors import CloudError, FileError, described
 from foretouch.files import read_bytes, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
 
-CLOUD_ARRAYS: Final = ("rgb", "frame_id", "stamp_ns")
+_OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 _NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
 _MAX_AXES: Final = 8
@@ -76,8 +76,8 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
         writer(path, cloud)
 
 
-def read_arrays(path: Path, required: Collection[str], optional: Collection[str]) -> dict[str, AnyArray]:
-    """The arrays of an `.npz` archive by name; a `FileError` if it is damaged or a required one is missing."""
+def read_arrays(path: Path, required: Collection[str], optional: Collection[str] | None = None) -> dict[str, AnyArray]:
+    """Some arrays of an `.npz` archive by name, or all; a `FileError` if it is damaged or a required one is missing."""
     content = read_bytes(path, SIZE_LIMIT)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -88,18 +88,18 @@ def read_arrays(path: Path, required: Collection[str], optional: Collection[str]
             return {
                 name: _array(path, _unpacked(path, archive, member, len(content)), name)
                 for name, member in members.items()
-                if name in required or name in optional
+                if optional is None or name in required or name in optional
             }
     except _DAMAGE as err:
         raise FileError(path, f"is damaged or no .npz archive: {' '.join(str(err).split())}") from err
 
 
 def _read_npz(path: Path) -> Cloud:
-    return archived_cloud(path, read_arrays(path, ["xyz"], CLOUD_ARRAYS))
+    return archived_cloud(path, read_arrays(path, ["xyz"], _OPTIONAL))
 
 
 def archived_cloud(path: Path, arrays: Mapping[str, AnyArray]) -> Cloud:
-    """The cloud in the arrays xyz and `CLOUD_ARRAYS` of an archive; a `FileError` if one is not such an array."""
+    """The cloud in the arrays xyz, rgb, frame_id and stamp_ns of an archive; a `FileError` if one is not such an array."""
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U" or frame_id.dtype.itemsize > 4 * _FRAME_LIMIT:
         raise FileError(path, f"is not one text of at most {_FRAME_LIMIT} characters", field="frame_id")
