@@ -18,7 +18,7 @@ from every_case import every_case
 from other_sensor import USKIN, write_readings
 from other_tools import run_rerun
 from PIL import Image
-from recording_builders import IDENTITY, QUICK, record, write_dataset
+from recording_builders import IDENTITY, QUICK, record
 
 from foretouch.dataset.lerobot import recognise
 from foretouch.dataset.record import DISCARDED
@@ -151,21 +151,6 @@ def test_grasps_without_a_series_are_episodes_of_one_frame(tmp_path: Path) -> No
     assert frames[1]["observation.tactile.thumb"] == [touch["PDC_TH"][0], *touch["E_TH"], 2100.5]
     cloud = np.reshape(frames[0]["observation.pointcloud"], (1024, 3))
     assert len(np.unique(cloud, axis=0)) == 5
-
-
-def test_frames_go_on_in_the_next_file_and_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foretouch.dataset.lerobot._FILE_MB", 0)
-    monkeypatch.setattr("foretouch.dataset.lerobot._FILES_A_CHUNK", 2)
-    write_dataset(tmp_path / "ds", 3)
-    export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
-    names = ["chunk-000/file-000.parquet", "chunk-000/file-001.parquet", "chunk-001/file-000.parquet"]
-    for folder in (tmp_path / "out/data", tmp_path / "out/meta/episodes"):
-        assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*.parquet")) == names
-    for number, name in enumerate(names):
-        (episode,) = pq.read_table(tmp_path / "out/meta/episodes" / name).to_pylist()
-        assert (episode["data/chunk_index"], episode["data/file_index"]) == divmod(number, 2)
-        assert (episode["meta/episodes/chunk_index"], episode["meta/episodes/file_index"]) == divmod(number, 2)
-        assert set(pq.read_table(tmp_path / "out/data" / name)["episode_index"].to_pylist()) == {number}
 
 
 def test_each_channel_states_where_its_taxels_are_and_what_they_mean(exported: Path, tmp_path: Path) -> None:

@@ -99,37 +99,6 @@ def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
     return sorted(set().union(*others)), rate, shapes
 
 
-class _Rows:
-    """Writes the rows of a table to numbered files of about 100 MB."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._number = 0  # of the current file
-        self._path = folder
-        self._writer: pq.ParquetWriter | None = None
-
-    def place(self) -> tuple[int, int]:
-        """Numbers of the chunk and the file that the next rows are written to."""
-        if self._writer is not None and self._path.stat().st_size >= _FILE_MB * 1_000_000:
-            self.close()
-            self._writer, self._number = None, self._number + 1
-        return divmod(self._number, _FILES_A_CHUNK)
-
-    def write(self, rows: Any) -> None:
-        """Append a table, as one group of rows."""
-        chunk, file = self.place()
-        if self._writer is None:
-            self._path = self._folder / _PATH.format(chunk_index=chunk, file_index=file)
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = pq.ParquetWriter(self._path, rows.schema, compression="zstd")
-        self._writer.write_table(rows)
-
-    def close(self) -> None:
-        """End the current file."""
-        if self._writer is not None:
-            self._writer.close()
-
-
 class _Tables:
     """The tables of a dataset: adds episodes, and writes what describes them at the end.
 
@@ -169,7 +138,7 @@ class _Tables:
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far
-        self._data, self._meta = _Rows(root / "data"), _Rows(root / "meta/episodes")
+        self._writers: dict[str, pq.ParquetWriter] = {}  # of the one file of frames, and that of episodes
 
     def add(self, record: SampleRecord) -> None:
         """Write the frames of a grasp."""
@@ -211,32 +180,38 @@ class _Tables:
             self._features[_DEPTH]["info"]["intrinsics"] = known
             frames[_DEPTH] = np.full(count, _tiff(image), object)
             stats[_DEPTH] = _statistics(image.reshape(-1, 1), [1, 1, 1])
-        chunk, file = self._data.place()
-        self._data.write(pa.table({name: _arrow(frames[name], one) for name, one in self._features.items()}))
+        self._write("data", pa.table({name: _arrow(frames[name], one) for name, one in self._features.items()}))
         self._stats = {name: _combined([self._stats[name], one]) if self._stats else one for name, one in stats.items()}
-        meta_chunk, meta_file = self._meta.place()
         episode = {
             "episode_index": self._episodes,
             "tasks": [task],
             "length": count,
-            "data/chunk_index": chunk,
-            "data/file_index": file,
+            "data/chunk_index": 0,
+            "data/file_index": 0,
             "dataset_from_index": self._frames,
             "dataset_to_index": self._frames + count,
             "sample_id": sample.id,
             "outcome": record.outcome,
-            "meta/episodes/chunk_index": meta_chunk,
-            "meta/episodes/file_index": meta_file,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
             **{f"stats/{name}/{what}": value.tolist() for name, one in stats.items() for what, value in one.items()},
         }
-        self._meta.write(pa.Table.from_pylist([episode]))
+        self._write("meta/episodes", pa.Table.from_pylist([episode]))
         self._frames += count
         self._episodes += 1
 
     def close(self) -> None:
         """End the files of frames and episodes."""
-        self._data.close()
-        self._meta.close()
+        for writer in self._writers.values():
+            writer.close()
+
+    def _write(self, folder: str, rows: Any) -> None:
+        """Append a table to the file of a folder, as one group of rows."""
+        if folder not in self._writers:
+            path = self._root / folder / _PATH.format(chunk_index=0, file_index=0)
+            path.parent.mkdir(parents=True)
+            self._writers[folder] = pq.ParquetWriter(path, rows.schema, compression="zstd")
+        self._writers[folder].write_table(rows)
 
     def finish(self, robot_type: str) -> None:
         """Write the descriptions of features and tasks."""

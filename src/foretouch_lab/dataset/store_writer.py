@@ -177,10 +177,10 @@ def build_store(
     result = BuildResult()
     origins: list[dict[str, Any]] = []
     about: dict[str, Any] = {"made_by": f"foretouch {__version__} dataset build", "sources": origins}
-    ids = _UniqueIds()
+    ids = _UniqueIds(sources)
     with StoreWriter(out, about) as writer:
-        for source in sources:
-            renumbered = ids.begin(str(source))
+        for number, source in enumerate(sources):
+            renumbered: dict[str, str] = {}
             samples = open_samples(source)
             if not origins:
                 writer.sensor = samples.sensor
@@ -192,7 +192,7 @@ def build_store(
                 if DISCARDED in record.flags:
                     result.left_out[DISCARDED] += 1
                     continue
-                sample = ids.with_own_id(only_finite(record.sample))
+                sample = ids.with_own_id(number, only_finite(record.sample), renumbered)
                 writer.write(sample)
                 result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
             if renumbered:
@@ -211,34 +211,27 @@ def build_store(
 class _UniqueIds:
     """The ids of a store that is built from several sources."""
 
-    def __init__(self) -> None:
-        self._taken: set[str] = set()  # by the sources before, and by samples that were renumbered
-        self._holders: dict[bytes, str] = {}  # source before of each sample, by a hash of all but its id
+    def __init__(self, sources: Sequence[str | Path]) -> None:
+        self._sources = sources
+        self._ids: dict[
+            str, int
+        ] = {}  # number of the source of each id, and of each sample by a hash of all but its id
+        self._contents: dict[bytes, int] = {}
         self._last = 0
-        self._source = ""
-        self._own: list[tuple[bytes, str]] = []  # hash and id of the samples of the current source
-        self._renumbered: dict[str, str] = {}
 
-    def begin(self, source: str) -> Mapping[str, str]:
-        """Begin the next source; gives its new ids by the old ones, which are added later."""
-        self._taken.update(sample_id for _, sample_id in self._own)
-        self._holders |= {content: self._source for content, _ in self._own}
-        self._own, self._renumbered, self._source = [], {}, source
-        return self._renumbered
+    def with_own_id(self, number: int, sample: GraspSample, renumbered: dict[str, str]) -> GraspSample:
+        """A sample of a source with an id of its own, which is added to `renumbered` if it is new.
 
-    def with_own_id(self, sample: GraspSample) -> GraspSample:
-        """The sample with an id of its own; a `DatasetError` if a source before holds it, whatever the ids."""
-        content = sample_digest(replace(sample, id=""))
-        if content in self._holders:
-            raise DatasetError(
-                f"{self._source}: {sample.id}: is in {self._holders[content]} too; build from one of both"
-            )
-        if sample.id in self._taken and sample.id not in self._renumbered:
-            new = numbered_id(sample.object, self._last + 1)
-            self._renumbered[sample.id] = new
-            self._taken.add(new)
+        Raises a `DatasetError` if a source before holds the sample, whatever the ids.
+        """
+        holder = self._contents.setdefault(sample_digest(replace(sample, id="")), number)
+        if holder != number:
+            both = f"{self._sources[number]}: {sample.id}: is in {self._sources[holder]} too"
+            raise DatasetError(f"{both}; build from one of both")
+        if self._ids.setdefault(sample.id, number) != number and sample.id not in renumbered:
+            new = renumbered[sample.id] = numbered_id(sample.object, self._last + 1)
+            self._ids[new] = -1  # taken for all sources
             sample = replace(sample, id=new)
-        self._own.append((content, sample.id))
         self._last = max(self._last, id_number(sample.id))
         return sample
 
