@@ -3,7 +3,7 @@
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.cloud.io.files import read_cloud, write_cloud
-from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
+from foretouch.cloud.io.pointcloud2 import decode, encode
 from foretouch.cloud.segmentation.clusters import CropConfig
 from foretouch.cloud.segmentation.objects import ObjectSegment, TargetConfig, select_targets
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
@@ -13,8 +13,6 @@ __all__ = [
     "CropConfig",
     "ObjectSegment",
     "PlaneConfig",
-    "PointCloud2Layout",
-    "PointField",
     "Segmentation",
     "SegmentationConfig",
     "TargetConfig",

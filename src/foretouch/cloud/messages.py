@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
+from foretouch.cloud.io.pointcloud2 import DATATYPES, decode, encode
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Int64
@@ -63,9 +63,8 @@ def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
 
 def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
     """The fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
-    layout, data = encode(cloud)
     header = header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name)
-    return SimpleNamespace(header=header, data=data, **vars(layout))
+    return SimpleNamespace(header=header, **vars(encode(cloud)))
 
 
 class ObjectCloud(NamedTuple):
@@ -82,15 +81,7 @@ def decode_cloud(message: Any) -> Cloud:
 
     Raises a `CloudError` if the sizes do not add up, or x, y or z is missing or of another type.
     """
-    layout = PointCloud2Layout(
-        height=message.height,
-        width=message.width,
-        fields=tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields),
-        is_bigendian=bool(message.is_bigendian),
-        point_step=message.point_step,
-        row_step=message.row_step,
-    )
-    xyz, rgb = decode(layout, message.data)
+    xyz, rgb = decode(message)
     return Cloud(xyz, rgb, message.header.frame_id, stamp_ns(message.header.stamp))
 
 

@@ -60,7 +60,7 @@ def read_pcd(path: Path) -> Cloud:
 
 def write_pcd(path: Path, cloud: Cloud) -> None:
     """Write a binary PCD file: x, y, z as float32, and rgb packed into a fourth."""
-    layout, data = encode(cloud)
+    layout = encode(cloud)
     count = len(layout.fields)
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
@@ -68,7 +68,7 @@ def write_pcd(path: Path, cloud: Cloud) -> None:
         f"SIZE{' 4' * count}\nTYPE{' F' * count}\nCOUNT{' 1' * count}\nWIDTH {layout.width}\nHEIGHT {layout.height}\n"
         f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {cloud.size}\nDATA binary\n"
     )
-    path.write_bytes(header.encode("ascii") + data.tobytes())
+    path.write_bytes(header.encode("ascii") + layout.data.tobytes())
 
 
 def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:

@@ -28,10 +28,9 @@ from foretouch_msgs.msg import Object
 
 def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
     """Convert a cloud to a message of 12 bytes per point, 16 with colour, and further columns (see `encode`)."""
-    layout, data = encode(cloud, **columns)
-    fields = [PointField(**vars(field)) for field in layout.fields]
-    header = header_to_msg(cloud.frame_id, cloud.stamp_ns)
-    message = PointCloud2(header=header, **{**vars(layout), "fields": fields})
+    content = vars(encode(cloud, **columns))
+    data, fields = content.pop("data"), [PointField(**vars(field)) for field in content.pop("fields")]
+    message = PointCloud2(header=header_to_msg(cloud.frame_id, cloud.stamp_ns), fields=fields, **content)
     message._data = data  # noqa: SLF001  its setter copies, byte by byte
     return message
 
