@@ -219,19 +219,3 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path, rng):
 
     every_case(cases, check)
     assert not any(is_recording(tmp_path / name) for name in ("absent", "notes.txt", "folder"))
-
-
-def test_storage_that_is_cut_off_is_refused_in_one_line(tmp_path, rng):
-    messages = [foreign_message(KILTED, rng.normal(size=(30, 40, 3)).astype(np.float32), stamp_ns=n) for n in range(4)]
-
-    def check(plugin: StoragePlugin, part: float) -> None:
-        path = tmp_path / f"{plugin.name}{part}"
-        write_foreign(path, messages, plugin)
-        (storage,) = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]
-        content = storage.read_bytes()
-        storage.write_bytes(content[: int(part * len(content))])
-        with pytest.raises(FileError, match=f"{path.name}: ") as caught:
-            list(read_bag(path))
-        assert "\n" not in str(caught.value)
-
-    every_case([(plugin, part) for plugin in StoragePlugin for part in (0.0, 0.3, 0.97)], check)

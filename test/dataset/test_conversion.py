@@ -11,16 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from every_case import every_case
-from mcap.reader import make_reader
 from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder, record, write_dataset
-from rosbags.highlevel import AnyReader
 
-from foretouch.dataset.bag import Recording
 from foretouch.dataset.formats import FORMATS
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import DISCARDED, SampleRecord
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
+from foretouch.dataset.recording.sample_codec import encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
@@ -233,19 +230,3 @@ def test_real_grasps_are_imported_quickly_and_exported_equal(real_data: Path, tm
     for back, made in zip(read_folder(tmp_path / "out"), read_folder(source), strict=True):
         assert back.id == made.id
         assert_same_sample(back, made)
-
-
-def test_an_exported_bag_is_named_after_its_folder_and_read_by_others(dataset: Path, tmp_path: Path) -> None:
-    assert export_samples(dataset, tmp_path / "grasps", "rosbag2").written == 4
-    assert {path.name for path in (tmp_path / "grasps").iterdir()} == {"grasps.mcap", "metadata.yaml"}
-    assert ".part" not in (tmp_path / "grasps" / "metadata.yaml").read_text()
-    with Recording(tmp_path / "grasps") as recording:
-        assert recording.cloud_topic() == "/foretouch/object_cloud"
-        topics = {topic.name: (topic.type, topic.count) for topic in recording.topics}
-    cloud_type = "sensor_msgs/msg/PointCloud2"
-    assert topics == {"/foretouch/samples": (SAMPLE_TYPE, 4), "/foretouch/object_cloud": (cloud_type, 4)}
-    with AnyReader([tmp_path / "grasps"]) as bag:
-        types = [type(bag.deserialize(data, connection.msgtype)).__name__ for connection, _, data in bag.messages()]
-    assert sorted(set(types)) == ["foretouch_msgs__msg__GraspSample", "sensor_msgs__msg__PointCloud2"]
-    with (tmp_path / "grasps" / "grasps.mcap").open("rb") as file:
-        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == len(types) == 8

@@ -5,7 +5,6 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from foretouch.cloud.io.files import write_cloud
-from foretouch.cloud.messages import read_header
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
@@ -23,19 +22,6 @@ def cloud_of(number: float, stamp_ns: int = 0, shape: tuple[int, ...] = (5,)) ->
 
 def said(text: str) -> bytes:
     return bytes(STORE.serialize_cdr(STORE.types[STRING](text), STRING))
-
-
-def test_files_become_stamped_messages_and_an_unreadable_one_a_refusal(tmp_path):
-    for number in (1, 2, 3):
-        write_cloud(tmp_path / f"{number}.npy", cloud_of(number))
-    (tmp_path / "2.npy").write_bytes(b"no archive")
-    source = open_source(tmp_path, frame_id="lens")
-    first, second, third = entries(source)
-    assert [bool(one.refusal) for one in (first, second, third)] == [False, True, False]
-    assert read_header(first.data) == (STAMP_STEP_NS, "lens")
-    content = STORE.deserialize_cdr(third.data, POINT_CLOUD_TYPE)
-    np.testing.assert_array_equal(content.data.view("<f4"), np.full(15, 3.0))
-    assert other_topics(source) == ()
 
 
 def test_a_recording_is_played_byte_for_byte(tmp_path):

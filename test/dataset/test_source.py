@@ -8,7 +8,6 @@ from recording_builders import readable, write_sample
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag_writer import write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
-from foretouch.dataset.vision2tactile import GRASP_FILE
 from foretouch.errors import FileError
 from foretouch.types import Cloud
 
@@ -39,20 +38,6 @@ def test_samples_bring_their_grasp_and_a_stamp_of_their_own(tmp_path, rng):
     assert [s.cloud.stamp_ns for s in samples] == [STAMP_STEP_NS * k for k in (1, 2, 3)]
     assert samples[0].stamp_ns == 1562239090 * 10**9
     np.testing.assert_array_equal(samples[0].grasp.g2, [-0.03, 0.0, 1.2])
-
-
-def test_a_bad_sample_costs_one_item(tmp_path, rng):
-    for name in ("can/1562239078", "can/1562239100"):
-        write_sample(tmp_path / "samples" / name, rng)
-        (item,) = open_source(tmp_path / "samples" / name)
-        assert item.sample.id == name
-    (tmp_path / "samples" / "can/1562239078" / GRASP_FILE).write_text("0,0,0\n")
-    for folder in ("samples", "samples/can"):
-        refused = []
-        read = list(readable(open_source(tmp_path / folder), lambda _, err, refused=refused: refused.append(str(err))))
-        assert len(read) == 1
-        (reason,) = refused
-        assert "1562239078/best-grasp.txt: holds 3 numbers, not 6" in reason
 
 
 def test_a_recording_keeps_frames_and_stamps_and_one_that_breaks_off_is_reported(tmp_path):

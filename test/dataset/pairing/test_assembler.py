@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 from pair_builders import SECOND, interval, level, stream
 
 from foretouch.cloud.messages import cloud_fields
@@ -15,8 +14,6 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.sample_codec import Definitions
-from foretouch.errors import GraspError
-from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.types import Cloud
 
@@ -173,17 +170,6 @@ def test_readings_whose_stamps_jitter_are_waited_for() -> None:
         windows.append(one.cut.window)
     np.testing.assert_array_equal(windows[0].stamps_ns, windows[1].stamps_ns)
     np.testing.assert_array_equal(windows[0].counts, windows[1].counts)
-
-
-def test_a_grasp_counts_by_its_quaternion_where_the_matrix_is_nine_zeros() -> None:
-    turned = SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=1.0, w=0.0))
-    zeros = grasp("g", rotation=np.zeros(9), pose=turned)
-    np.testing.assert_array_equal(decode_grasp(zeros).rotation, np.diag([-1.0, -1.0, 1.0]))
-    with pytest.raises(GraspError, match=r"is not that of pose\.orientation"):
-        decode_grasp(grasp("g", pose=turned))
-    unset = SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0))
-    with pytest.raises(GraspError, match="pose: no orientation"):
-        decode_grasp(grasp("g", rotation=np.zeros(9), pose=unset))
 
 
 def test_a_stamp_in_the_far_future_hides_no_contact() -> None:

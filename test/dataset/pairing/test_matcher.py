@@ -162,19 +162,6 @@ def test_a_label_waits_for_the_report_of_its_grasp_unless_it_has_times_itself() 
     assert one.executed.flags == ("labelled_interval",)
 
 
-def test_contacts_belong_to_the_last_best_grasp_only_where_that_is_asked_for() -> None:
-    for assume, expected in ((False, []), (True, ["g-0", "g-1"])):
-        world = Session(2, assume=assume)
-        for number in (0, 1):
-            world.plan(number)
-        world.feel()
-        linked = [one for one in world.matcher.poll(2.0) if isinstance(one, MatchedGrasp)]
-        assert [one.executed.grasp_id for one in linked] == expected
-        for number, one in enumerate(linked):
-            assert one.executed.flags == ("detected_interval", "assumed_grasp")
-            np.testing.assert_allclose(one.cut.touch.values, level(number), atol=5.0)
-
-
 def test_at_the_end_everything_has_an_outcome() -> None:
     world = Session(2)
     world.plan(0)

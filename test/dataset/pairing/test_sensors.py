@@ -4,7 +4,7 @@
 import numpy as np
 from pair_builders import REST
 
-from foretouch.dataset.pairing.sensors import ContactEpisodes, SensorHealth
+from foretouch.dataset.pairing.sensors import SensorHealth
 from foretouch.tactile.description import packaged_sensor
 
 MIDDLE = np.r_[1, 26:50]
@@ -60,17 +60,3 @@ def test_forces_may_be_zero_for_any_time_but_a_finger_that_is_not_read_is_named(
     counts[channels.finger_columns["left"]] = np.nan
     health.update(counts)
     assert health.states["left"] == "normal_left: was not read"
-
-
-def test_contacts_of_any_sensor_begin_and_end(rng: np.random.Generator) -> None:
-    channels = packaged_sensor("xela_uskin_4x4").channels
-    episodes = ContactEpisodes(channels)
-    pressed = np.zeros(channels.size)
-    pressed[channels.columns(("Z_TH", "Z_FF"))] = 60.0
-    found = []
-    for k in range(400):
-        share = 1.0 if 150 <= k < 300 else 0.0
-        values = np.round(30_000 + rng.normal(0.0, 5.0, channels.size) + share * pressed).astype(np.float32)
-        found.append(episodes.update(k * 10_000_000, values))
-    (episode,) = filter(None, found)
-    assert (episode.start, episode.contact, episode.release) == (1_500_000_000, 1_500_000_000, 3_000_000_000)
