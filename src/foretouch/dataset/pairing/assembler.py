@@ -177,13 +177,11 @@ class SampleAssembler:
         results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled()]
         for one in self.matcher.poll(now_s, ending=ending):
             result: AssembledSample | RejectedGrasp
-            if isinstance(one, RejectedGrasp):
-                result = one
-            else:
-                try:
-                    result = AssembledSample(self._labelled(one), one.cut)
-                except PairingError as err:
-                    result = RejectedGrasp(grasp_id=one.executed.grasp_id, reason=err.reason, message=str(err))
+            try:
+                result = one if isinstance(one, RejectedGrasp) else AssembledSample(self._labelled(one), one.cut)
+            except PairingError as err:
+                name = one.executed.grasp_id if isinstance(one, MatchedGrasp) else one.grasp_id
+                result = RejectedGrasp(grasp_id=name, reason=err.reason, message=str(err))
             self.results["recorded" if isinstance(result, AssembledSample) else result.reason] += 1
             results.append(result)
         if ending:
@@ -253,14 +251,11 @@ class SampleAssembler:
 
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:
         """Temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
-        both = (("", cut.others), ("tare_", cut.tare_others))
-        named = [
-            (f"{prefix}{name}", value)
-            for prefix, row in both
-            for name, value in zip(self._reader.others, row, strict=True)
-        ]
-        known = self._reader.temperatures
-        return {name: float(value) for name, value in named if name.removeprefix("tare_") in known}
+        found: dict[str, float] = {}
+        for prefix, row in (("", cut.others), ("tare_", cut.tare_others)):
+            named = zip(self._reader.others, row, strict=True)
+            found |= {f"{prefix}{name}": float(value) for name, value in named if name in self._reader.temperatures}
+        return found
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)

@@ -79,13 +79,6 @@ class RejectedGrasp:
     message: str
 
 
-@dataclass(eq=False)
-class _Pending:
-    executed: ExecutedGrasp
-    since_s: float
-    label: Label | None = None
-
-
 class GraspTouchMatcher:
     """Collects plans, executed grasps, labels and contacts until a grasp is complete. Not thread-safe.
 
@@ -109,8 +102,8 @@ class GraspTouchMatcher:
         self._successes_only = successes_only
         self.plans: OrderedDict[int, PlannedGrasps] = OrderedDict()  # by the stamp of their cloud [ns], until forgotten
         self._stamp_of: dict[str, int | None] = {}  # None: the id was planned on two clouds
-        self.pending: list[_Pending] = []  # executed grasps that are not complete yet
-        self._labels: dict[str, Label] = {}  # of grasps that have not been executed yet
+        self.pending: list[tuple[ExecutedGrasp, float]] = []  # executed, not complete yet, and since when [s]
+        self._labels: dict[str, Label] = {}  # of grasps that are not complete yet, or have not been executed
         self._finished_ids: OrderedDict[str, None] = OrderedDict()
         self._finished: deque[ExecutedGrasp] = deque(maxlen=256)  # to reject intervals that overlap with theirs
         self._unclaimed: list[tuple[Interval, float]] = []  # contacts, and when they ended [s]
@@ -139,14 +132,13 @@ class GraspTouchMatcher:
 
     def add_executed(self, executed: ExecutedGrasp, now_s: float) -> None:
         """Add a grasp that was executed."""
-        label = self._labels.pop(executed.grasp_id, None)
         if (interval := executed.interval) is not None:
             self._unclaimed = [pair for pair in self._unclaimed if not interval.overlaps(pair[0])]
-        self.pending.append(_Pending(executed, now_s, label))
+        self.pending.append((executed, now_s))
 
     def add_episode(self, episode: Interval, now_s: float) -> None:
         """Add a contact that has ended; the robot has `wait_s` to report it."""
-        known = [one.interval for one in (*self._finished, *(one.executed for one in self.pending)) if one.interval]
+        known = [one.interval for one in (*self._finished, *(one for one, _ in self.pending)) if one.interval]
         if not any(one.overlaps(episode) for one in known):
             self._unclaimed.append((episode, now_s))
 
@@ -156,9 +148,8 @@ class GraspTouchMatcher:
         Raises a `PairingError` if the grasp is not known, or its sample is complete.
         """
         name = label.grasp_id or self._latest()
-        pending = next((one for one in reversed(self.pending) if one.executed.grasp_id == name), None)
-        if pending is not None:
-            pending.label = label
+        if self._is_pending(name):
+            self._labels[name] = label
             return name, "its touch is being recorded"
         if label.interval is None and name in self._finished_ids:
             raise PairingError("too_late", f"grasp {name}: is recorded already; `edit_grasp` changes it")
@@ -179,18 +170,21 @@ class GraspTouchMatcher:
     def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp | RejectedGrasp]:
         """The grasps that are complete by now; at the end, all."""
         self._claim_late_episodes(now_s, ending=ending)
-        ready = [one for one in self.pending if ending or self._is_ready(one, now_s)]
+        ready = [one for one in self.pending if ending or self._is_ready(*one, now_s)]
         self.pending = [one for one in self.pending if one not in ready]
-        results = [self._finish(one) for one in ready]
+        results = [self._finish(executed) for executed, _ in ready]
         if ending:
             message = "labelled, but never executed"
             results += [RejectedGrasp(grasp_id=name, reason="no_contact", message=message) for name in self._labels]
             self._labels.clear()
         return results
 
+    def _is_pending(self, name: str) -> bool:
+        return any(one.grasp_id == name for one, _ in self.pending)
+
     def _latest(self) -> str:
         if self.pending:
-            return self.pending[-1].executed.grasp_id
+            return self.pending[-1][0].grasp_id
         if not self.plans:
             raise PairingError("grasp_unknown", "there is no grasp to label: none was planned while recording")
         return str(self.plans[next(reversed(self.plans))].grasps[0].id)
@@ -200,9 +194,9 @@ class GraspTouchMatcher:
         late = [pair for pair in self._unclaimed if ending or now_s - pair[1] > self.config.wait_s]
         self._unclaimed = [pair for pair in self._unclaimed if pair not in late]
         for episode, since_s in late:
-            labelled = (name for name in self._labels if (self._stamp_of.get(name) or episode.start) < episode.start)
+            waiting = (one for one in self._labels if not self._is_pending(one))
+            name = next((one for one in waiting if (self._stamp_of.get(one) or episode.start) < episode.start), None)
             flags: tuple[str, ...] = ("detected_interval",)
-            name = next(labelled, None)
             if name is None and self._assume:
                 before = [plan for stamp, plan in self.plans.items() if stamp < episode.start]
                 name = max(before, key=lambda plan: plan.stamp_ns).grasps[0].id if before else None
@@ -214,22 +208,21 @@ class GraspTouchMatcher:
             elif now_s - since_s < self.config.kept_s:
                 self._unclaimed.append((episode, since_s))  # a label may still come
 
-    def _is_ready(self, one: _Pending, now_s: float) -> bool:
-        waited = now_s - one.since_s
-        interval = one.executed.interval
-        if waited >= self.config.wait_s or interval is None:
+    def _is_ready(self, executed: ExecutedGrasp, since_s: float, now_s: float) -> bool:
+        interval = executed.interval
+        if now_s - since_s >= self.config.wait_s or interval is None:
             return True
         # The guard lets readings come whose stamps jitter, so that the window does not depend on when it is cut.
         complete_ns = interval.release + round(self.config.guard_s * SECOND_NS)
         if self._buffer.newest_ns is None or self._buffer.newest_ns < complete_ns:
             return False
-        stamp = self._stamp_of.get(one.executed.grasp_id)
+        stamp = self._stamp_of.get(executed.grasp_id)
         return stamp is not None and self._clouds.get(stamp) is not None
 
-    def _finish(self, one: _Pending) -> MatchedGrasp | RejectedGrasp:
-        executed = one.executed
+    def _finish(self, executed: ExecutedGrasp) -> MatchedGrasp | RejectedGrasp:
+        label = self._labels.pop(executed.grasp_id, None)
         try:
-            return self._match(one)
+            return self._match(executed, label)
         except PairingError as err:
             return RejectedGrasp(grasp_id=executed.grasp_id, reason=err.reason, message=str(err))
         finally:
@@ -238,8 +231,8 @@ class GraspTouchMatcher:
             if len(self._finished_ids) > _MAX_PLANS:
                 self._finished_ids.popitem(last=False)
 
-    def _match(self, one: _Pending) -> MatchedGrasp:
-        executed, interval = one.executed, one.executed.interval
+    def _match(self, executed: ExecutedGrasp, label: Label | None) -> MatchedGrasp:
+        interval = executed.interval
         if interval is None:
             raise PairingError("grasp_failed", "the hand touched nothing")
         if self._successes_only and executed.success is False:
@@ -264,4 +257,4 @@ class GraspTouchMatcher:
                 raise PairingError("told_twice" if other == name else "overlap", text)
         ends = [before.release for _, before in intervals if before.release <= interval.start]
         cut = cut_touch(self._buffer, interval, self.config, max(ends, default=None))
-        return MatchedGrasp(plan, cloud, cut, executed, one.label)
+        return MatchedGrasp(plan, cloud, cut, executed, label)
