@@ -321,8 +321,9 @@ class RecordingWriter:
         with self._release:
             if self.output.removed:
                 self._removal = self._count_removed()
-            self._write_counts()
-            self.output.finish()
+            else:
+                self._write_counts()
+                self.output.finish()
 
     def _count_removed(self) -> str:
         """Count the content of a file that was removed as dropped; says what is lost."""
