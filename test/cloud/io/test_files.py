@@ -134,11 +134,11 @@ def test_a_broken_pcd_is_named(tmp_path: Path) -> None:
     )
     compressed = header.replace("binary", "binary_compressed").encode()
     for body, rule in (
-        (b"1234567", "truncated before the sizes"),
-        (np.array([4, 23], "<u4").tobytes() + b"1234", "unpacks to 23 bytes, not to 2 points = 24"),
-        (np.array([4, 24], "<u4").tobytes() + b"1234", "LZF|does not unpack"),
+        (b"1234567", "unpack to"),
+        (np.array([4, 23], "<u4").tobytes() + b"1234", "unpack to 23 bytes, not to 2 points = 24"),
+        (np.array([4, 24], "<u4").tobytes() + b"1234", "is not LZF data"),
     ):
-        _assert_refused(tmp_path / "a.pcd", compressed + body, f"DATA: .*({rule})")
+        _assert_refused(tmp_path / "a.pcd", compressed + body, f"DATA: .*{rule}")
 
 
 def test_a_broken_ply_is_named(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ Compressed data are LZF, and hold all values of one field before those of the ne
 their own frame.
 """
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -112,23 +113,20 @@ def _unpacked(path: Path, body: bytes, dtype: np.dtype[Any], points: int) -> Rec
     """Records of compressed data, which start with their sizes before and after compression."""
     if points == 0:
         return np.zeros(0, dtype)
-    if len(body) < 8:
-        raise FileError(path, "is truncated before the sizes of the compressed data", field="DATA")
-    packed, unpacked = (int(n) for n in np.frombuffer(body[:8], "<u4"))
-    if len(body) - 8 < packed:
-        raise FileError(path, f"{len(body) - 8} bytes are fewer than the {packed} of compressed data", field="DATA")
+    packed, unpacked = struct.unpack_from("<II", body.ljust(8, b"\0"))
     expected = points * dtype.itemsize
     check_unpacked(path, expected, len(body), "DATA")
-    if unpacked != expected:
-        raise FileError(path, f"unpacks to {unpacked} bytes, not to {points} points = {expected}", field="DATA")
+    if len(body) - 8 < packed or unpacked != expected:
+        rule = f"{len(body) - 8} bytes of {packed} unpack to {unpacked} bytes, not to {points} points = {expected}"
+        raise FileError(path, rule, field="DATA")
     import lzf
 
     try:
         content = lzf.decompress(body[8 : 8 + packed], unpacked)
-    except ValueError as err:
-        raise FileError(path, f"is not LZF data: {err}", field="DATA") from err
+    except ValueError:
+        content = None
     if content is None or len(content) != unpacked:
-        raise FileError(path, f"does not unpack to the {unpacked} bytes that it names", field="DATA")
+        raise FileError(path, f"is not LZF data of {unpacked} bytes", field="DATA")
     records, start = np.zeros(points, dtype), 0
     for name in dtype.names or ():
         kind = dtype[name]

@@ -38,7 +38,12 @@ class McapFile:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._failed = False
-        self._writer = self._new_writer()
+        end = lambda: self.size + sum(map(len, self._parts))  # noqa: E731
+        output: Any = SimpleNamespace(write=self._parts.append, tell=end, flush=lambda: None)
+        self._writer: Any = Writer(
+            output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True
+        )
+        self._writer.start("ros2", LIBRARY)
         self._commit()
 
     def declare(self, topic: str, type_name: str, definition: str) -> None:
@@ -109,15 +114,6 @@ class McapFile:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-    def _new_writer(self) -> Any:
-        output: Any = SimpleNamespace(write=self._parts.append, tell=self._end, flush=lambda: None)
-        writer = Writer(output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True)
-        writer.start("ros2", LIBRARY)
-        return writer
-
-    def _end(self) -> int:
-        return self.size + sum(map(len, self._parts))
 
     def _commit(self) -> None:
         if self._fd < 0:
