@@ -17,9 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.cloud.io.pcd import read_pcd, write_pcd
-from foretouch.cloud.io.ply import read_ply, write_ply
-from foretouch.cloud.io.records import SIZE_LIMIT, check_unpacked
+from foretouch.cloud.io.point_files import SIZE_LIMIT, check_unpacked, read_pcd, read_ply, write_pcd, write_ply
 from foretouch.errors import CloudError, FileError, described
 from foretouch.files import read_bytes, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
