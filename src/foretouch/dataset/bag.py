@@ -98,21 +98,12 @@ class Recording:
 
         Raises a `FileError` if the topic is absent, holds other messages or none, or if several qualify.
         """
-        clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE and not t.name.startswith(_TAXELS)]
-        if topic is not None:
-            clouds = [t for t in self.topics if t.name == topic]
-            if not clouds:
-                raise FileError(self.path, f"no such topic; known: {_listed(self.topics)}", field=topic)
-            if (found := clouds[0].type) != POINT_CLOUD_TYPE:
-                raise FileError(self.path, f"holds {found or 'mixed types'}, not {POINT_CLOUD_TYPE}", field=topic)
-        if not clouds:
-            raise FileError(self.path, f"no topic of {POINT_CLOUD_TYPE}; known: {_listed(self.topics)}")
-        filled = [t for t in clouds if t.count]
-        if not filled:
-            raise FileError(self.path, "holds no messages", field=clouds[0].name)
-        if len(filled) > 1:
-            raise FileError(self.path, f"several topics of clouds, name one with --topic: {_listed(filled)}")
-        return filled[0].name
+        named = [t for t in self.topics if (t.name == topic if topic else not t.name.startswith(_TAXELS))]
+        clouds = [t for t in named if t.type == POINT_CLOUD_TYPE and t.count]
+        if len(clouds) != 1:
+            rule = "several topics of clouds, name one with --topic" if clouds else f"no messages of {POINT_CLOUD_TYPE}"
+            raise FileError(self.path, f"{rule}: {_listed(clouds or self.topics)}", field=topic)
+        return clouds[0].name
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of some topics, or of all, in order of their bag time.

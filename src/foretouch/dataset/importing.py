@@ -168,11 +168,9 @@ def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
     config = topics.tactile_config
     if topics.tactile in types:
         name = types[topics.tactile].replace("/msg/", "/")
-        if config.sensor and name != config.message_type:
-            rule = f"holds {name or 'mixed types'}; {config.described.config.name} is read from {config.message_type}"
-            raise FileError(bag.path, rule, field=topics.tactile)
-        if not config.sensor and name not in TACTILE_TYPES:
-            rule = f"holds {name or 'mixed types'}; supported: {', '.join(TACTILE_TYPES)}"
+        supported = [config.message_type] if config.sensor else [*TACTILE_TYPES]
+        if name not in supported:
+            rule = f"holds {name or 'mixed types'}; supported: {', '.join(supported)}"
             raise FileError(bag.path, rule, field=topics.tactile)
         config = config if config.sensor else config.replace(type=name)
     return make_reader(config)
