@@ -283,7 +283,7 @@ def test_columns_that_are_missing_or_occur_twice_and_an_empty_file_are_refused(t
 
 def test_other_units_are_refused_by_the_map_or_by_the_range(tmp_path: Path, source: Path) -> None:
     values = [{**MAP["values"][0], "unit": "N"}, MAP["values"][1]]
-    with pytest.raises(ConfigError, match=r"map.yaml: values: P_A: columns in N, but pads in counts"):
+    with pytest.raises(ConfigError, match=r"map.yaml: values: P_A: 3 columns in N, and pads has 3 values in counts"):
         imported(tmp_path, source, values=values)
     write_csv(source / "red_can_7.csv", [[row[0], *(1000.0 * one for one in row[1:7]), *row[7:]] for row in rows()])
     with pytest.raises(
@@ -320,7 +320,7 @@ def test_a_map_that_does_not_fit_the_sensor_is_refused(tmp_path: Path, source: P
     for changes, rule in (
         ({"values": [first]}, "values: no columns of P_B"),
         ({"values": [first, second, second]}, "values: P_B occurs twice"),
-        ({"values": [{**first, "columns": ["a0"]}, second]}, "values: P_A: 1 columns, not 3 of pads"),
+        ({"values": [{**first, "columns": ["a0"]}, second]}, "values: P_A: 1 columns in counts, and pads has 3 values in counts"),
         ({"values": [{**first, "finger": "C"}, second]}, "values: 'P_C' is not one of P_A, P_B"),
         ({"stamps": {}}, "stamps: a series needs a column or a rate"),
         ({"grasp": "grasp", "beside": [{"file": "x.csv"}]}, "beside: needs `grasp: file`"),

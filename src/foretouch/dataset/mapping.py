@@ -114,20 +114,20 @@ class MappedSource:
 
     def _of_values(self) -> list[str]:
         """(D,) column of each value of a touch."""
-        channels, found = self.sensor.channels, dict[str, list[str]]()
+        channels, found, where = self.sensor.channels, dict[str, list[str]](), f"{self._where}: values"
         for part in self.config.values:
-            name, columns, where = f"{part.channel}_{part.finger}", expanded(part.columns), f"{self._where}: values"
+            name, columns = f"{part.channel}_{part.finger}", expanded(part.columns)
             if name not in channels.modalities or name in found:
                 rule = f"{name} occurs twice" if name in found else none_of(name, channels.modalities)
                 raise ConfigError(f"{where}: {rule}")
             channel = channels.channel_of[name]
-            if len(columns) != channel.size:
-                raise ConfigError(f"{where}: {name}: {len(columns)} columns, not {channel.size} of {channels.sensor}")
-            if part.unit not in ("", channel.unit):
-                raise ConfigError(f"{where}: {name}: columns in {part.unit}, but {channels.sensor} in {channel.unit}")
+            if len(columns) != channel.size or part.unit not in ("", channel.unit):
+                stated = f"{len(columns)} columns" + f" in {part.unit}" * bool(part.unit)
+                rule = f"{stated}, and {channels.sensor} has {channel.size} values in {channel.unit}"
+                raise ConfigError(f"{where}: {name}: {rule}")
             found[name] = columns
         if missing := [name for name in channels.modalities if name not in found]:
-            raise ConfigError(f"{self._where}: values: no columns of {', '.join(missing)}")
+            raise ConfigError(f"{where}: no columns of {', '.join(missing)}")
         return [column for name in channels.modalities for column in found[name]]
 
     def records(self, left_out: Counter[str]) -> Iterator[SampleRecord]:

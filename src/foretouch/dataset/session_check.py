@@ -8,7 +8,7 @@ import json
 import math
 import os
 from collections import defaultdict, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -155,8 +155,7 @@ class SessionCheck:
             elif state == ALIVE and restless[k]:
                 state, fix = "is touched: no tare", "keep the fingers open and still"
             found.append(CheckFinding(finger_label(finger), state, fix * (state != ALIVE)))
-        has_tdc = any(one.name == "TDC" for one in self._reader.sensor.config.scalars)
-        return [*found, *(self._temperature(finger) for finger in channels.fingers if has_tdc)]
+        return [*found, *self._temperatures()]
 
     def _still(self, counts: Float64, columns: Index) -> Index:
         """Indices of the taxels of which no value has changed; forces at rest may be zero for any time."""
@@ -164,19 +163,21 @@ class SessionCheck:
         values, size = sum(one.predicted for one in self._reader.sensor.config.values), self._reader.sensor.size
         return np.flatnonzero(~moved[len(moved) - values * size :].reshape(values, size).any(axis=0))
 
-    def _temperature(self, finger: str) -> CheckFinding:
-        name, others = f"{finger_label(finger)} temperature", self._reader.others
-        if (channel := f"TDC_{finger}") not in others:
-            return CheckFinding(name, "this type of message has none")
-        if not self._readings:
-            return CheckFinding(name, "no readings")
-        tdc = float(np.median([one.others[others.index(channel)] for one in self._readings]))
-        if not is_tdc(np.array([tdc]))[0]:
-            return CheckFinding(name, f"TDC is {tdc:g}: the driver sends none")
-        celsius = to_celsius(tdc)
-        odd = not CELSIUS[0] <= celsius <= CELSIUS[1]
-        fix = f"{CELSIUS[0]:g} to {CELSIUS[1]:g} are plausible: let it warm up or cool down, or check the finger" * odd
-        return CheckFinding(name, f"{celsius:.1f} °C", fix)
+    def _temperatures(self) -> Iterator[CheckFinding]:
+        """Of the fingers of which it is read."""
+        others = self._reader.others
+        for finger in self._channels.fingers if self._readings else ():
+            if (channel := f"TDC_{finger}") not in others:
+                continue
+            tdc = float(np.median([one.others[others.index(channel)] for one in self._readings]))
+            celsius = to_celsius(tdc) if is_tdc(np.array([tdc]))[0] else None
+            found = f"TDC is {tdc:g}: the driver sends none" if celsius is None else f"{celsius:.1f} °C"
+            odd = celsius is not None and not CELSIUS[0] <= celsius <= CELSIUS[1]
+            fix = (
+                f"{CELSIUS[0]:g} to {CELSIUS[1]:g} are plausible: let it warm up or cool down, or check the finger"
+                * odd
+            )
+            yield CheckFinding(f"{finger_label(finger)} temperature", found, fix)
 
     def _view(self) -> CheckFinding:
         """Whether the hand, or another thing, stands where the object is."""
