@@ -320,7 +320,10 @@ def test_a_map_that_does_not_fit_the_sensor_is_refused(tmp_path: Path, source: P
     for changes, rule in (
         ({"values": [first]}, "values: no columns of P_B"),
         ({"values": [first, second, second]}, "values: P_B occurs twice"),
-        ({"values": [{**first, "columns": ["a0"]}, second]}, "values: P_A: 1 columns in counts, and pads has 3 values in counts"),
+        (
+            {"values": [{**first, "columns": ["a0"]}, second]},
+            "values: P_A: 1 columns in counts, and pads has 3 values in counts",
+        ),
         ({"values": [{**first, "finger": "C"}, second]}, "values: 'P_C' is not one of P_A, P_B"),
         ({"stamps": {}}, "stamps: a series needs a column or a rate"),
         ({"grasp": "grasp", "beside": [{"file": "x.csv"}]}, "beside: needs `grasp: file`"),

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, Self
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TYPES
@@ -33,10 +33,16 @@ MAGIC: Final[bytes] = MCAP0_MAGIC
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of log and publication
+_INDEX = struct.Struct("<HI")  # channel, size of the entries
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the index, of its offsets, checksum
 _CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}\x00{4})", re.DOTALL)
-_DECLARED: Final[dict[Opcode, Any]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
-_ALLOWED: Final = {Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.DATA_END, *_DECLARED}
+_DECLARED: Final[dict[Opcode, Any]] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+}
+_ALLOWED: Final = {Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.DATA_END, *_DECLARED}
 
 
 class Damage(NamedTuple):
@@ -168,13 +174,20 @@ class RecordingFile:
     def _declare(self, record: _Record) -> Damage | None:
         """Add what a record declares, if it is a declaration; the damage of one whose content is not what it must be."""
         size, kind = record.end - record.start, _DECLARED.get(Opcode(record.opcode))
+        head = self.data[record.start : record.start + _CHUNK.size].ljust(_CHUNK.size)
         if record.opcode == Opcode.CHUNK:
-            head = self.data[record.start : record.start + _CHUNK.size].ljust(_CHUNK.size)
             _, _, unpacked, _, compression, packed = _CHUNK.unpack(head)
-            if compression or not unpacked == packed == size - _CHUNK.size:
-                return Damage(record.offset, "damaged or compressed: the sizes of a chunk do not add up")
-        elif record.opcode == Opcode.MESSAGE and size < _MESSAGE.size:
-            return Damage(record.offset, "damaged: a message too short for its head")
+            fits = unpacked == packed == size - _CHUNK.size and not compression
+        elif record.opcode == Opcode.MESSAGE_INDEX:
+            fits = _INDEX.unpack(head[: _INDEX.size])[1] == size - _INDEX.size
+        else:
+            fits = (
+                size == 4
+                if record.opcode == Opcode.DATA_END
+                else record.opcode != Opcode.MESSAGE or size >= _MESSAGE.size
+            )
+        if not fits:
+            return Damage(record.offset, "damaged or compressed: the content of a record is not as long as it states")
         if kind is None:
             return None
         stream = ReadDataStream(BytesIO(self.data[record.start : record.end]))
@@ -190,7 +203,7 @@ class RecordingFile:
             self.schemas[content.id] = content
         elif isinstance(content, Channel):
             self.channels[content.id] = content
-        elif content.name == ABOUT:
+        elif isinstance(content, Metadata) and content.name == ABOUT:
             self.about = content.metadata
         return None
 
