@@ -27,7 +27,7 @@ IDENTITY = Identity(
     hand={"name": "shadow-rh", "serial": "1234", "thumb": "TH", "middle": "MF"},
     camera={"name": "D415", "serial": "777"},
 )
-QUICK = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
+QUICK = RecordingConfig(fsync_samples=0, min_free_mb=0.0)
 TACTILE = "/rh/tactile"
 TACTILE_TYPE = "foretouch_msgs/msg/BiotacAll"
 MESSAGE = b"\0\1\0\0" + bytes(200)

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.recording import writer as writer_module
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
@@ -65,7 +66,8 @@ def record_forever(folder: Path, fsync_samples: int) -> None:
     """Record until killed; runs in the child process."""
     rng = np.random.default_rng()
     message = b"\0\1\0\0" + bytes(300)
-    config = RecordingConfig(fsync_samples=fsync_samples, chunk_s=0.01, accounts_s=0.1)
+    writer_module.CHUNK_S, writer_module.COUNTS_S = 0.01, 0.1
+    config = RecordingConfig(fsync_samples=fsync_samples)
     number = max(contents(folder).values(), default=0)
     os.write(1, b"ready\n")
     while True:

@@ -101,7 +101,7 @@ def import_samples(
         else:
             raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
         folder = out if out.exists() else stack.enter_context(new_folder(out))
-        config = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
+        config = RecordingConfig(fsync_samples=0)  # synchronised once, at the end
         with system_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
             for record in records:
                 writer.append(record)

@@ -58,7 +58,7 @@ def export(
     """See `foretouch.dataset.formats`; with `fps`, frames hold windows of readings."""
     out.mkdir(parents=True)
     tables = _Tables(out, samples, fps)
-    config = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
+    config = RecordingConfig(fsync_samples=0, min_free_mb=0.0)
     with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
         for record in samples.records(discarded=True):
             progress()

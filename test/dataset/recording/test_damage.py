@@ -271,8 +271,8 @@ def test_an_id_in_two_sessions_and_any_changed_byte_of_the_manifest_are_found(fi
 
 
 def test_what_a_crash_left_unwritten_is_counted_as_lost(tmp_path: Path) -> None:
-    writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK.replace(accounts_s=0.1))
-    writer._counted_s -= 1.0
+    writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
+    writer._counted_s -= 10.0
     writer.receive("/cloud", 5)  # in a queue when the process is killed
     writer.append(record(0))
     writer.output.abandon()

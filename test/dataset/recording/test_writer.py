@@ -28,6 +28,7 @@ from recording_builders import (
 
 from foretouch.dataset.files import sealed
 from foretouch.dataset.record import Identity
+from foretouch.dataset.recording import writer as recorder
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.recording.repair import repair_dataset
@@ -171,8 +172,9 @@ def test_the_owner_of_a_session_counts_what_it_still_holds_however_the_session_e
         assert counts.dropped == ({"session ended": 4, "disk full": 1} if name == "full" else {"session ended": 4})
 
 
-def test_topics_must_be_declared_and_messages_wait_no_longer_than_they_should(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "ds", IDENTITY, replace(QUICK, chunk_s=0.05)) as writer:
+def test_topics_must_be_declared_and_messages_wait_no_longer_than_they_should(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(recorder, "CHUNK_S", 0.05)
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
         with pytest.raises(DatasetError, match="/a was not declared"):
             writer.write("/a", MESSAGE, 0)
         writer.add_topic("/a", "std_msgs/msg/String")
@@ -194,8 +196,9 @@ def test_topics_must_be_declared_and_messages_wait_no_longer_than_they_should(tm
     assert_clean(tmp_path / "ds")
 
 
-def test_writes_of_several_threads_are_serialised(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "ds", IDENTITY, replace(QUICK, chunk_s=0.0)) as writer:
+def test_writes_of_several_threads_are_serialised(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(recorder, "CHUNK_S", 0.0)
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
         writer.add_topic(TACTILE, TACTILE_TYPE)
 
         def messages() -> None:

@@ -90,7 +90,7 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_line(graph, tmp_path)
 def test_kill_9_of_the_process_loses_nothing_that_was_reported(lone_graph, tmp_path):
     graph = lone_graph
     statuses = graph.listen(RecorderStatus, "recorder_status")
-    arguments = {"record": tmp_path / "set", "object": "can", **QUICK, "writing.accounts_s": 0.5}
+    arguments = {"record": tmp_path / "set", "object": "can", **QUICK}
     words = [word for name, value in arguments.items() for word in ("-p", f"{name.replace('__', '.')}:={value}")]
     process, robot = graph.start("recorder", *words), Robot(graph)
     for number in range(4):

@@ -15,7 +15,7 @@ Guarantees:
 
 - `append` returns when the sample was passed to the system, as one chunk in one call: a kill -9 at any later
   instant loses nothing of it. By default it is also on the disk (`fsync_samples`), safe from a power cut.
-- Messages of `write` are collected for at most `chunk_s` or 4 MB; `flush` writes them immediately.
+- Messages of `write` are collected for at most 0.5 s or 4 MB; `flush` writes them immediately.
 - received = written + dropped, by topic; the counts are stored in the file.
 - When the disk is almost full, or fails, the session ends with an error that says so, and the file holds everything
   that was acknowledged.
@@ -57,6 +57,9 @@ from foretouch.tactile.description import Sensor
 
 _MB: Final = 1_000_000
 _CHUNK_BYTES: Final = 4_000_000  # largest amount of messages that is collected before it is written
+_FSYNC_S: Final = 5.0  # longest time between two waits for the disk while messages arrive
+CHUNK_S = 0.5  # longest time that messages are collected before they are written
+COUNTS_S = 5.0  # time between message counts in the file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,17 +67,10 @@ class RecordingConfig(Settings):
     """How often a recording is written to the disk, and when it ends for lack of space."""
 
     fsync_samples: int = setting(
-        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a "
-        "minute", bounds=(0, 1_000_000),
+        1, "Samples between two waits for the disk, which end after 5 s too; 0 leaves it to the system: a power cut then "
+        "costs up to half a minute", bounds=(0, 1_000_000),
     )  # fmt: skip
-    fsync_s: float = setting(
-        5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", bounds=(0.0, 3600.0)
-    )
-    chunk_s: float = setting(
-        0.5, "Longest time that messages are collected before they are written", bounds=(0.0, 3600.0)
-    )
     min_free_mb: float = setting(500.0, "Free disk space at which the recording ends", bounds=(0.0, 1e9))
-    accounts_s: float = setting(5.0, "Time between message counts in the file", bounds=(0.1, 3600.0))
 
 
 class RecordingWriter:
@@ -195,7 +191,7 @@ class RecordingWriter:
             sent = log_time_ns if publish_time_ns is None else publish_time_ns
             self._pending.append((topic, self.output.message(topic, data, log_time_ns, sent, sequence)))
             self._pending_bytes += len(data)
-            if self._pending_bytes >= _CHUNK_BYTES or time.monotonic() - self._flushed_s >= self.config.chunk_s:
+            if self._pending_bytes >= _CHUNK_BYTES or time.monotonic() - self._flushed_s >= CHUNK_S:
                 self.flush()
 
     def append(self, record: SampleRecord) -> str:
@@ -282,11 +278,11 @@ class RecordingWriter:
     def _after_write(self) -> None:
         """Write the message counts and wait for the disk, if either is due."""
         now = time.monotonic()
-        if now - self._counted_s >= self.config.accounts_s:
+        if now - self._counted_s >= COUNTS_S:
             self._counted_s = now
             self._guarded(self._write_counts)
-        config = self.config
-        if 0 < config.fsync_samples <= self._unsynced_samples or 0 < config.fsync_s <= now - self._synced_s:
+        every = self.config.fsync_samples
+        if every and (self._unsynced_samples >= every or now - self._synced_s >= _FSYNC_S):
             self._guarded(self._sync)
 
     def _write_counts(self) -> None:
