@@ -72,10 +72,7 @@ def new_session_path(path: Path) -> Path:
 
 def _read_identity(path: Path) -> tuple[Identity, str]:
     """Hand and camera of a dataset, and the version of foretouch that made it (raises as `read_manifest`)."""
-    content = _manifest(path)
-    for name in ("hand", "camera"):
-        properties = require_schema(path / _MANIFEST, content, {name: dict})[name]
-        require_schema(path / _MANIFEST, properties, dict.fromkeys(properties, str), name)
+    content = require_schema(path / _MANIFEST, _manifest(path), {"hand": {"*": str}, "camera": {"*": str}})
     return Identity(hand=content["hand"], camera=content["camera"]), str(content.get("foretouch"))
 
 
