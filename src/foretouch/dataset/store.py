@@ -57,7 +57,6 @@ _COLUMNS: Final = [
 _KEPT_BATCHES: Final = 4
 _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
 
-
 _POINTS: Final = ("xyz", "rgb")
 _NULLABLE: Final = ("rgb", "touch", "tare")
 _MANIFEST_SCHEMA: Final = {
@@ -107,7 +106,7 @@ class Store(Sequence[GraspSample]):
         self.sensor = sensor_in(self.manifest, self.path / MANIFEST)
         self._parts = self._verified_parts()
         self._starts = np.cumsum([0, *(part.samples for part in self._parts)])
-        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(lambda number: _read_batch(self._parts[number]))
+        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(_read_batch)
         if len(self) != self.manifest["samples"]:
             raise FileError(self.path, f"holds {len(self)} samples, not {self.manifest['samples']}", field="samples")
 
@@ -131,7 +130,7 @@ class Store(Sequence[GraspSample]):
             raise IndexError(f"{self.path}: sample {index} of {len(self)}")
         b = int(np.searchsorted(self._starts, k, side="right")) - 1
         try:
-            return _sample(self._batch(b), k - int(self._starts[b]), self.sensor.channels)
+            return _sample(self._batch(self._parts[b]), k - int(self._starts[b]), self.sensor.channels)
         except FileError:
             raise
         except (ForetouchError, ValueError) as err:
@@ -193,29 +192,24 @@ def _require_hash(path: Path, found: str, wanted: str) -> None:
 
 def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
     """The record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
+    parts = list[_Part]()
     with open_regular(path) as file:
         _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
-        parts = _check_shard(path, file, schema_of(channels))
+        found = _stat(file)
+        try:
+            reader = pa.ipc.open_file(pa.PythonFile(file, "r"))
+            if not reader.schema.equals(schema_of(channels)):
+                raise FileError(path, "has other columns than the schema", field="schema")
+            for number in range(reader.num_record_batches):
+                batch, field = reader.get_batch(number), f"batch {number}"
+                if batch.get_total_buffer_size() > found[1]:
+                    raise FileError(path, "is compressed", field=field)
+                _check_batch(path, batch, field)
+                parts.append(_Part(path, found, number, batch.num_rows))
+        except (OSError, *_ARROW_ERRORS) as err:
+            raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
     if (rows := sum(part.samples for part in parts)) != samples:
         raise FileError(path, f"holds {rows} samples, the manifest declares {samples}")
-    return parts
-
-
-def _check_shard(path: Path, file: BinaryIO, schema: pa.Schema) -> list[_Part]:
-    """The parts of a shard, an Arrow IPC file."""
-    found, parts = _stat(file), list[_Part]()
-    try:
-        reader = pa.ipc.open_file(pa.PythonFile(file, "r"))
-        if not reader.schema.equals(schema):
-            raise FileError(path, "has other columns than the schema", field="schema")
-        for number in range(reader.num_record_batches):
-            batch, field = reader.get_batch(number), f"batch {number}"
-            if batch.get_total_buffer_size() > found[1]:
-                raise FileError(path, "is compressed", field=field)
-            _check_batch(path, batch, field)
-            parts.append(_Part(path, found, number, batch.num_rows))
-    except (OSError, *_ARROW_ERRORS) as err:
-        raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
     return parts
 
 

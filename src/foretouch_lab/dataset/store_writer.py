@@ -213,10 +213,8 @@ class _UniqueIds:
 
     def __init__(self, sources: Sequence[str | Path]) -> None:
         self._sources = sources
-        self._ids: dict[
-            str, int
-        ] = {}  # number of the source of each id, and of each sample by a hash of all but its id
-        self._contents: dict[bytes, int] = {}
+        self._ids: dict[str, int] = {}  # number of the source of each id
+        self._contents: dict[bytes, int] = {}  # and of each sample, by a hash of all but its id
         self._last = 0
 
     def with_own_id(self, number: int, sample: GraspSample, renumbered: dict[str, str]) -> GraspSample:
