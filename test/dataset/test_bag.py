@@ -122,23 +122,6 @@ def test_bags_of_others_with_an_odd_layout_any_compression_or_of_ros1(tmp_path, 
     assert content.header.frame_id == "lidar"
 
 
-def test_messages_are_passed_on_as_recorded(tmp_path, rng):
-    text = KILTED.types["std_msgs/msg/String"]
-    said = [bytes(KILTED.serialize_cdr(text(f"say {n}"), "std_msgs/msg/String")) for n in range(3)]
-    (cloud,) = make_clouds(rng, count=1)
-    with BagWriter(tmp_path / "bag") as writer:
-        for number, data in enumerate(said):
-            writer.write("/said", "std_msgs/msg/String", 100 * number, data)
-        writer.write_cloud(cloud, bag_time_ns=150)
-    with Recording(tmp_path / "bag") as recording:
-        messages = list(recording.messages())
-        assert [t.stamped for t in recording.topics] == [True, False]
-    assert [(m.topic, m.index, m.bag_time_ns) for m in messages] == [
-        ("/said", 0, 0), ("/said", 1, 100), (TOPIC, 0, 150), ("/said", 2, 200),
-    ]  # fmt: skip
-    assert [m.data for m in messages if m.topic == "/said"] == said
-
-
 def test_topics_are_listed_and_one_that_is_absent_empty_ambiguous_or_of_another_type_is_named(tmp_path, rng):
     first, second = make_clouds(rng, count=2)
     with BagWriter(tmp_path / "bag") as writer:

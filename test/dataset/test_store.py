@@ -78,20 +78,6 @@ def test_more_than_one_shard_none_and_a_hash_of_the_content(tmp_path: Path) -> N
     assert first.sha256 == again.sha256 != other.sha256
 
 
-def test_an_existing_path_is_refused_and_an_error_leaves_nothing_behind(tmp_path: Path) -> None:
-    def write_and_fail(path: Path) -> None:
-        with StoreWriter(path) as writer:
-            writer.write(sample(0))
-            raise RuntimeError("stop")
-
-    with pytest.raises(RuntimeError, match="stop"):
-        write_and_fail(tmp_path / "ds")
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "ds").mkdir()
-    with pytest.raises(FileError, match=r"ds: exists already"):
-        write_and_fail(tmp_path / "ds")
-
-
 _UNSET = biotac_touch(np.full(TOUCH_SIZE, np.nan))
 
 

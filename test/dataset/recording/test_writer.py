@@ -62,19 +62,6 @@ def test_what_is_appended_is_read_back_and_a_resumed_dataset_continues_its_ids(t
     assert ids(tmp_path / "ds") == [*known, f"ball/{len(known) + 1:06d}"]
 
 
-def test_ids_of_a_source_are_kept_and_given_once(tmp_path: Path) -> None:
-    made = record(0)
-    named = replace(made, sample=replace(made.sample, id="ball/1562239078"))
-    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
-        assert writer.append(named) == "ball/1562239078"
-        with pytest.raises(DatasetError, match="id ball/1562239078 is taken"):
-            writer.append(named)
-        assert writer.append(record(1)) == "ball/000001"
-    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer, pytest.raises(DatasetError, match="is taken"):
-        writer.append(named)
-    assert_clean(tmp_path / "ds")
-
-
 def test_another_hand_camera_or_version_and_a_changed_manifest_are_refused(tmp_path: Path, monkeypatch) -> None:
     write_dataset(tmp_path / "ds", 1)
     other = Identity(hand={**IDENTITY.hand, "serial": "9"}, camera={"name": "D435"})
