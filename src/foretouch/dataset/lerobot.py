@@ -46,7 +46,6 @@ _AXES: Final = ("X", "Y", "Z")  # channels that are the axes of one feature
 _SIDES: Final = ["height", "width", "channels"]
 _SAME_PIXELS: Final = 0.5  # between intrinsics of one camera, as its clouds have them
 _FASTEST: Final = 10  # frames per reading
-_OWN: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns")
 _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "xyz"] + [
     f"rotation_{row}{column}" for row in range(3) for column in range(3)
 ]
@@ -115,21 +114,15 @@ class _Tables:
         self._fingers = {finger: _finger_key(finger) for finger in sensor.channels.fingers}
         self._parts = _described(sensor, self._fingers)
         names = [*_value_names(sensor), *(name.lower() for name in self._others)]
-        vectors = {f"observation.tactile.{finger}": names for finger in self._fingers.values()}
-        if self.seen:
-            points = [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]
-            vectors |= {"action": _ACTION, "observation.pointcloud": points}
-        self._features: dict[str, dict[str, Any]] = {
-            name: {"dtype": "float32", "shape": [len(one)], "names": one} for name, one in vectors.items()
-        } | {
-            name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None} for name in _OWN
+        outer = ["readings"] if window else []
+        # Names of the values of features, and further facts; the rest follows from the first episode.
+        self._stated = {
+            name: {"names": [*outer, "taxels", "axes"], "info": one[1]} for name, one in self._parts.items()
         }
-        steps, outer = ([window], ["readings"]) if window else ([], [])
-        for name, (columns, info) in self._parts.items():
-            shape, names = [*steps, *columns.shape], [*outer, "taxels", "axes"]
-            self._features[name] = {"dtype": "float32", "shape": shape, "names": names, "info": info}
-        if window:
-            self._features[_STAMPS] = {"dtype": "int64", "shape": steps, "names": outer}
+        self._stated |= {f"observation.tactile.{finger}": {"names": names} for finger in self._fingers.values()}
+        self._stated |= {_STAMPS: {"names": outer}, "action": {"names": _ACTION}}
+        self._stated["observation.pointcloud"] = {"names": [f"{xyz}{k}" for k in range(_POINTS) for xyz in "xyz"]}
+        self._features: dict[str, dict[str, Any]] = {}
         image = next(iter(shapes)) if len(shapes) == 1 else ()
         if len(image) == 2:
             info = {"is_depth_map": True, "depth_unit": "mm", "intrinsics": None}
@@ -156,7 +149,7 @@ class _Tables:
             "task_index": np.full(count, self._tasks.setdefault(task, len(self._tasks))),
             "stamp_ns": series.stamps_ns[newest],
         }
-        if "action" in self._features:
+        if self.seen:
             action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()])
             frames["action"] = np.tile(action.astype(np.float32), (count, 1))
             frames["observation.pointcloud"] = np.tile(_points(sample.cloud), (count, 1))
@@ -168,10 +161,11 @@ class _Tables:
             own = series.counts[:, self._columns[finger]]
             others = [series.others[f"{channel}_{finger}"] for channel in self._others]
             frames[f"observation.tactile.{name}"] = np.column_stack([own, *others]).astype(np.float32)[newest]
-        stats = {
-            name: _statistics(values.reshape(count, -1), self._features[name]["shape"])
-            for name, values in frames.items()
-        }
+        stats = {}
+        for name, values in frames.items():
+            feature = {"dtype": values.dtype.name, "shape": [*values.shape[1:]] or [1], "names": None}
+            shape = self._features.setdefault(name, feature | self._stated.get(name, {}))["shape"]
+            stats[name] = _statistics(values.reshape(count, -1), shape)
         if _DEPTH in self._features:
             image, intrinsics = _depth(sample.cloud)
             known = self._features[_DEPTH]["info"]["intrinsics"] or intrinsics
