@@ -51,12 +51,12 @@ def record_panel(
 ) -> Panel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance.
 
-    With `session`, also objects with their outcomes, the last grasp and what is worth doing next; with `inputs`, the age and the
+    With `session`, also objects with their outcomes and the last grasp; with `inputs`, the age and the
     clock offset of each topic. `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
     """
     parts: list[RenderableType] = [_samples(status), *[Text(status.reason, "red")] * bool(status.reason), *keys]
     if session is not None:
-        parts += [_objects(session.operator), Text("next: " + "; ".join(session.operator.suggestions), "cyan")]
+        parts.append(_objects(session.operator))
     if session is not None and session.last is not None:
         parts.append(executed_table(*session.last, sensor))
     dropped = ", ".join(f"{n} {why}" for why, n in zip(status.drop_reasons, status.drop_counts, strict=True))

@@ -77,13 +77,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
-    parser.add_argument(
-        "--allow-origin",
-        action="append",
-        default=[],
-        metavar="ORIGIN",
-        help="let web pages of this origin read what is served, such as https://app.foxglove.dev (repeatable)",
-    )
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
@@ -103,7 +96,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> 
         help="wait until this topic has a subscriber besides the nodes of the graph, such as a planner of `touch`"
         " (repeatable)",
     )
-    limit = "longest wait for --wait-for, and until subscribers that are seen are matched (default: 10)"
+    limit = "longest wait for --wait-for, and until no node comes or goes any more (default: 10)"
     parser.add_argument("--wait-limit", type=partial(positive_value, or_zero=True), metavar="S", help=limit)
 
 
@@ -158,8 +151,6 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-        if arguments.allow_origin:
-            nodes["bridge"]["allow_origin"] = arguments.allow_origin
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     if not (scene or arguments.source == "camera"):
         return nodes | {"replay": _replay_parameters(arguments)}

@@ -21,16 +21,14 @@ import fcntl
 import hashlib
 import os
 import re
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.dataset.files import new_folder, read_manifest, sealed, sync_folder
+from foretouch.dataset.files import read_manifest, sealed, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.records import (
     Chunk,
@@ -233,30 +231,6 @@ def end_session(path: Path, file: Path) -> None:
 def list_sessions(path: Path) -> None:
     """List the sessions as they are now; the caller holds the lock, and has reported what is lost."""
     _list_all(path, [session_in(file) for file in session_files(path)])
-
-
-def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity, sensor: Sensor) -> Path:
-    """Copy a session whose file was removed into a new dataset in `folder`, which appears complete or not at all.
-
-    Returns:
-        The dataset: its name is that of `file`'s folder, or that name with a number.
-    """
-    with system_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    name = file.parent.absolute().name
-    names = (name if number == 1 else f"{name}-{number}" for number in count(1))
-    path = next(folder / one for one in names if not (folder / one).exists())
-    with new_folder(path) as part, opened_to_write(part, identity, sensor):
-        with (part / file.name).open("xb") as copy:
-            source.seek(0)
-            shutil.copyfileobj(source, copy)
-            copy.flush()
-            os.fsync(copy.fileno())
-        list_sessions(part)
-        sync_folder(part)
-    with system_errors(folder):
-        sync_folder(folder)
-    return path
 
 
 def session_in(file: Path) -> Session:

@@ -19,18 +19,18 @@ Guarantees:
 - received = written + dropped, by topic; the counts are stored in the file.
 - When the disk is almost full, or fails, the session ends with an error that says so, and the file holds everything
   that was acknowledged.
-- When the file is removed while it is written, `output.removed` is true at once, and `close` copies the whole session
-  into a new dataset in `fallback_folder`; without such a folder, its messages and samples are counted as dropped.
+- When the file is removed while it is written, `output.removed` is true at once, and `close` counts its messages and
+  samples as dropped.
 """
 
 import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO, Final, Self
+from typing import Final, Self
 from uuid import uuid4
 
 from mcap.records import Message
@@ -44,7 +44,6 @@ from foretouch.dataset.recording.folder import (
     ID,
     Session,
     begin_session,
-    copy_session,
     end_session,
     new_session_path,
     opened_to_write,
@@ -95,7 +94,6 @@ class RecordingWriter:
         identity: Hand and camera; must equal those of the dataset.
         config: Settings.
         sensor: Which is read, by default the BioTac SP; must be that of the dataset.
-        fallback_folder: Folder of a new dataset for a session whose file is removed meanwhile; None for none.
 
     Raises:
         FileError: If another process records into the dataset, or it is of another hand, camera, sensor, version or format,
@@ -109,9 +107,8 @@ class RecordingWriter:
         config: RecordingConfig | None = None,
         *,
         sensor: Sensor | None = None,
-        fallback_folder: str | Path | None = None,
     ) -> None:
-        self.path = Path(path)  # that in `fallback_folder` after the session was copied there
+        self.path = Path(path)
         self.identity = identity
         self.sensor = sensor or BIOTAC_SP
         self.config = config or RecordingConfig()
@@ -120,7 +117,6 @@ class RecordingWriter:
         self.labelled = 0  # appended with a touch
         # Called once before the last counts, however the session ends: the owner counts what it still keeps in queues.
         self.before_end: Callable[[], None] = lambda: None
-        self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
         self.closed = False  # whether the session has ended, by `close` or because the disk is full or failed
         self._unsynced_samples = 0
@@ -259,7 +255,7 @@ class RecordingWriter:
         """Write the collected messages, the counts and the index, and end the session; may be called more than once.
 
         Raises a `FileError` if the disk is full or fails: everything that was acknowledged is in the file. If the file
-        was removed, the message names where the session was copied, or what is lost.
+        was removed, the message says what is lost.
         """
         with self._guard:
             if self.closed:
@@ -335,11 +331,8 @@ class RecordingWriter:
         with ExitStack() as stack:
             stack.enter_context(self._release)
             if self.output.removed:
-                remains = stack.enter_context(self.output.reopen())
-                with suppress(FileError):  # without its index it is worth a copy too
-                    self._finish()
-                self._removal = self._save(remains)
-            else:
+                self._removal = self._account_for_removal()
+            with suppress(FileError) if self._removal else nullcontext():
                 self._finish()
 
     def _finish(self) -> None:
@@ -348,25 +341,20 @@ class RecordingWriter:
         with suppress(FileError):  # the session is listed, as one whose end is not
             end_session(self.path, self.file)
 
-    def _save(self, remains: BinaryIO) -> str:
-        """Copy a file that was removed into the fallback folder, or count its content as lost; says which."""
-        if os.fstat(remains.fileno()).st_nlink:
+    def _account_for_removal(self) -> str:
+        """Count the content of a file that was removed as dropped; says what became of it."""
+        with self.output.reopen() as file:
+            links = os.fstat(file.fileno()).st_nlink
+        if links:
             return (
                 f"was moved or unmounted during the recording, with its {self.samples} samples: the session has ended"
             )
-        removed, lost = "was removed during the recording:", "no fallback_folder is set"
-        if self._fallback_folder is not None:
-            try:
-                self.path = copy_session(remains, self.file, self._fallback_folder, self.identity, self.sensor)
-                return f"{removed} the session was written to {self.path}, {self.samples} samples"
-            except FileError as err:
-                lost = str(err)
         samples, self.samples, self.labelled = self.samples, 0, 0
         messages = sum(counts.written for counts in self.counts.topics.values()) - samples
         for counts in self.counts.topics.values():
             counts.drop("file removed", counts.written)
             counts.written = 0
-        return f"{removed} {samples} samples and {messages} messages are lost: {lost}"
+        return f"was removed during the recording: {samples} samples and {messages} messages are lost"
 
 
 def _about(session: str, identity: Identity) -> dict[str, str]:

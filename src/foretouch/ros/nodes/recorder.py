@@ -63,10 +63,6 @@ class RecorderConfig(NodeConfig, TactileInput):
     """Settings of the recorder."""
 
     folder: str = setting(".", "Folder of datasets with a relative path, or without a path", read_only=True)
-    fallback_folder: str = setting(
-        "", "Folder for a copy of the session if its dataset is removed meanwhile; if empty, the session is then lost",
-        read_only=True,
-    )  # fmt: skip
     record: str = setting("", "Dataset to record from the start; empty waits for start_recording", read_only=True)
     object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
     objects: tuple[str, ...] = setting(
@@ -135,7 +131,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         others, missing = robot_topics(depth=1000)
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
-        self.input_topics = RecorderSubscriptions(self, [*topics, *others], self._mismatch)
+        self.input_topics = RecorderSubscriptions(self, [*topics, *others])
         self._closing.callback(self.input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
         self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
@@ -236,13 +232,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         for name in filter(None, (label, *config.objects)):
             check_name(name, "object")
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
-        writer = RecordingWriter(
-            target,
-            _dataset_identity(config),
-            config.writing,
-            sensor=self.reader.sensor,
-            fallback_folder=config.fallback_folder or None,
-        )
+        writer = RecordingWriter(target, _dataset_identity(config), config.writing, sensor=self.reader.sensor)
         for name, one in topics.inputs.items():
             writer.add_topic(name, one.topic.type_name)
         assembling = AssemblerConfig(
@@ -293,7 +283,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if session is not None:
             session.close()
             self._last_status, self.reason, self._session = session.status, session.status.error, None
-            self.path = str(session.writer.path)
             self._duration_s = time.monotonic() - session.began_s
         return self._last_status
 

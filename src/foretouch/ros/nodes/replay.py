@@ -11,16 +11,17 @@ is set at the end.
 """
 
 import importlib
+import math
 import re
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from ament_index_python import has_resource
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
@@ -34,14 +35,14 @@ from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.diagnostics import made_status
-from foretouch.ros.runtime.discovery import Matching, matched_ends
+from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
-_POLL_S = 0.02
+_POLL_S = 0.05
 _ANSWER_S = 5.0  # longest wait for an answer in lockstep
 
 
@@ -113,17 +114,15 @@ class ReplayConfig(NodeConfig):
     subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", bounds=(0, 100))
     discovery_s: float = setting(
         3.5,
-        "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
-        " announce themselves every 3 s; 0 does not wait",
+        "Time for which no publisher or subscriber must have come or gone before the first cloud, so that all know each other:"
+        " other programs announce themselves every 3 s; 0 does not wait",
         bounds=(0.0, 60.0),
     )
     wait_for: tuple[str, ...] = setting(
         (), "Topics that must have a subscriber, besides the nodes of the graph, before the first cloud", read_only=True
     )
     wait_limit_s: float = setting(
-        10.0,
-        "Longest wait for `wait_for`, and until subscribers that are seen are matched; then it plays without them",
-        bounds=(0.0, 3600.0),
+        10.0, "Longest wait for `wait_for` and `discovery_s`; then it plays without them", bounds=(0.0, 3600.0)
     )
     frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
 
@@ -188,11 +187,10 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._advertise_others(self._source)
         if config.lockstep:
             self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
-        self._matching = Matching(self, config.discovery_s, config.wait_for)
-        self._closing.callback(
-            self.destroy_subscription,
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH),
-        )
+        try:
+            self._wait_for = [self.resolve_topic_name(name) for name in config.wait_for]
+        except RuntimeError as err:  # of rcl
+            raise ConfigError(f"wait_for: {list(config.wait_for)}: not valid topic names") from err
 
     def _start(self) -> None:
         self._stopping.clear()
@@ -233,11 +231,6 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             **{f"left_out.{topic}": reason for topic, reason in self._left_out.items()},
         }
 
-    def matched_ends(self) -> dict[str, int]:
-        """Those of the other topics of a recording too."""
-        others = (one for topic, one in self._topic_publishers.items() if topic != CLOUDS)
-        return super().matched_ends() | matched_ends(others, ())
-
     # The thread.
 
     def _run(self) -> None:
@@ -257,46 +250,52 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self.ended.set()
 
     def _wait_for_subscribers(self) -> bool:
-        """Wait for those of the clouds, and then for all that discovery shows; False if the replay must stop."""
+        """Wait for those of the clouds, and then, with a limit, until all know each other; False if the replay must stop."""
         config, clouds = self.config, self._topic_publishers[CLOUDS]
+        if not self._wait(lambda: self._missing_ends(clouds), math.inf):
+            return False
+        return not (config.subscribers or config.wait_for) or self._wait(self._unsettled(), config.wait_limit_s)
+
+    def _wait(self, missing: Callable[[], str], limit_s: float) -> bool:
+        """Wait until nothing is missing, or for so long, and say once what is; False if the replay must stop."""
         began, logged = time.monotonic(), False
-        while self.state_name != "active" or (missing := self._missing_ends(clouds)):
+        while self.state_name != "active" or (text := missing()):
+            waited_s = time.monotonic() - began
+            if self.state_name == "active" and waited_s >= limit_s:
+                self.get_logger().warning(f"plays after {limit_s:g} s, still without {text}")
+                return True
+            if self.state_name == "active" and waited_s >= 1.0 and not logged:
+                logged = True
+                self.get_logger().info(f"waits for {text}")
             if self._stopping.wait(_POLL_S):
                 return False
-            if self.state_name == "active" and time.monotonic() - began >= 0.5 and not logged:
-                logged = True
-                self.get_logger().info(
-                    f"waits for {missing}; is the graph running? --no-wait (subscribers: 0) waits for none"
-                )
-        if not config.subscribers and not config.wait_for:
-            return True
-        # The subscribers must have discovered this node too.
-        return not self._stopping.wait(0.3) and self._wait_for_matches()
+        return True
 
     def _missing_ends(self, clouds: Any) -> str:
         """Which subscribers and publishers the first cloud waits for; "" if none."""
         found, wanted = clouds.get_subscription_count(), self.config.subscribers
-        missing = [f"subscribers of {clouds.topic_name}, {found} of {wanted}"] if found < wanted else []
+        missing = [
+            f"subscribers of {clouds.topic_name}, {found} of {wanted} (is the graph running? --no-wait waits for none)"
+        ]
+        missing = missing if found < wanted else []
         if self.config.lockstep and not self.count_publishers("touch"):
             missing.append("a publisher of touch")
         return " and ".join(missing)
 
-    def _wait_for_matches(self) -> bool:
-        """Wait until what discovery shows is matched, with a limit; False if the replay must stop."""
-        began, limit_s, logged = time.monotonic(), self.config.wait_limit_s, False
-        while True:
-            self._matching.report(self.get_fully_qualified_name(), self.uptime_s(), self.matched_ends())
-            missing = self._matching.missing()
-            waited_s = time.monotonic() - began
-            if self._matching.is_discovered() and (not missing or waited_s >= limit_s):
-                if missing:
-                    self.get_logger().warning(f"plays after {limit_s:g} s, still without {'; '.join(missing)}")
-                return True
-            if missing and waited_s >= 1.0 and not logged:
-                logged = True
-                self.get_logger().info(f"waits at most {limit_s:g} s for {'; '.join(missing)}")
-            if self._stopping.wait(_POLL_S):
-                return False
+    def _unsettled(self) -> Callable[[], str]:
+        """What says which topics to wait for have no subscriber, and whether the graph has changed lately; "" if neither."""
+        seen, since_s = ends_of_topics(self), time.monotonic()
+
+        def missing() -> str:
+            nonlocal seen, since_s
+            if (now := ends_of_topics(self)) != seen:
+                seen, since_s = now, time.monotonic()
+            found = [f"a subscriber of {topic}" for topic in self._wait_for if not is_heard_outside(self, topic)]
+            if time.monotonic() - since_s < self.config.discovery_s:
+                found.append(f"{self.config.discovery_s:g} s in which no node comes or goes")
+            return " and ".join(found)
+
+        return missing
 
     def _play(self) -> None:
         assert self._source is not None  # noqa: S101  setup made it

@@ -30,6 +30,7 @@ from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
+from foretouch.ros.runtime.discovery import find_mismatches
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
@@ -84,8 +85,7 @@ class SerializedMessage:
 class SerializedInput:
     """The subscription of a node to one topic, which begins as `reliable` as asked before it has adapted.
 
-    `receive` is called with every message, in a thread of the executor, and must return at once; `mismatch` with topic,
-    `publisher` and event where a publisher offers less than a parameter demands.
+    `receive` is called with every message, in a thread of the executor, and must return at once.
 
     Attributes:
         name: Full name of the topic.
@@ -94,20 +94,14 @@ class SerializedInput:
     """
 
     def __init__(
-        self,
-        node: Node,
-        topic: InputTopic,
-        receive: Callable[[SerializedMessage], None],
-        mismatch: Callable[[str, str, Any], None],
-        *,
-        reliable: bool = True,
+        self, node: Node, topic: InputTopic, receive: Callable[[SerializedMessage], None], *, reliable: bool = True
     ) -> None:
         self.topic = topic
         self.name: str = node.resolve_topic_name(topic.name)
         self.reliable = reliable
         self.losses = Losses()
         self._node = node
-        self._forward, self._mismatch = receive, mismatch
+        self._forward = receive
         override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
         self._overridden = override in getattr(node, "_parameter_overrides", {})
         self._subscription = self._subscribe()
@@ -125,10 +119,16 @@ class SerializedInput:
         self._node.destroy_subscription(old)
         return True
 
-    def other_types(self) -> list[str]:
-        """Types of publishers on the topic whose messages cannot be received, such as those of another sensor."""
-        found = {info.topic_type for info in self._node.get_publishers_info_by_topic(self.name)}
-        return sorted(found - {self.topic.type_name})
+    def excluded(self) -> list[str]:
+        """A line for each kind of publisher that nothing is received from: of another type, or with less than is demanded."""
+        kinds = {info.topic_type for info in self._node.get_publishers_info_by_topic(self.name)} - {
+            self.topic.type_name
+        }
+        found = [
+            f"{self.name}: a publisher sends {kind}, not {self.topic.type_name}: nothing is received from it"
+            for kind in sorted(kinds)
+        ]
+        return [*found, *find_mismatches(self._node, (), [self._subscription] * self._overridden)]
 
     def destroy(self) -> None:
         """End the subscription."""
@@ -146,19 +146,11 @@ class SerializedInput:
             profile,
             callback_group=InputGroup(),
             qos_overriding_options=QoSOverridingOptions(overridden),
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=self._report_mismatch,
-                message_lost=lambda event: self.losses.reported(event.total_count_change),
-                use_default_callbacks=False,
-            ),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
         self.reliable = profile.reliability == ReliabilityPolicy.RELIABLE  # overrides were written into it
         return subscription
-
-    def _report_mismatch(self, event: Any) -> None:
-        if self._overridden:  # otherwise `adapt` handles it
-            self._mismatch(self.topic.name, "publisher", event)
 
     def _receive(self, data: bytes, info: Any) -> None:
         if self.losses.arrived(info):  # else it was received before the subscription was replaced
@@ -243,11 +235,11 @@ class TopicStatistics:
 class RecorderSubscriptions:
     """All subscriptions of the recorder; without a session, messages are only counted.
 
-    `inputs` are the subscriptions by full name of the topic; for `mismatch` see `SerializedInput`. `excluded` has a line for each
-    type of publishers, as of the last `tick`, that no message is received from.
+    `inputs` are the subscriptions by full name of the topic. `excluded` has a line for each kind of publisher, as of the last
+    `tick`, that no message is received from.
     """
 
-    def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:
+    def __init__(self, node: Node, topics: Sequence[InputTopic]) -> None:
         self.inputs: dict[str, SerializedInput] = {}
         self.excluded: tuple[str, ...] = ()
         self._queue: MessageQueue | None = None
@@ -260,7 +252,7 @@ class RecorderSubscriptions:
         self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=11)
         try:
             for topic in topics:
-                one = SerializedInput(node, topic, partial(self._receive, latched=topic.latched), mismatch)
+                one = SerializedInput(node, topic, partial(self._receive, latched=topic.latched))
                 self.inputs[one.name] = one
         except BaseException:  # such as an override that names no policy
             self.destroy()
@@ -269,7 +261,7 @@ class RecorderSubscriptions:
     def open(self, queue: MessageQueue) -> None:
         """Begin a session: restart the counts, and put messages into its queue, first the latched ones of before."""
         for one in self.inputs.values():
-            one.losses.reset()
+            one.losses.count = 0
         self._late.clear()
         with self._lock:
             for message in self._latched:
@@ -290,11 +282,7 @@ class RecorderSubscriptions:
         """Update the rates and adapt to the publishers; gives a line for each replaced subscription and new `excluded` type."""
         self._ticks.append((time.monotonic(), Counter(self._arrived)))
         before = self.excluded
-        self.excluded = tuple(
-            f"{one.name}: a publisher sends {name}, not {one.topic.type_name}: nothing is received from it"
-            for one in self.inputs.values()
-            for name in one.other_types()
-        )
+        self.excluded = tuple(text for one in self.inputs.values() for text in one.excluded())
         return [text for text in self.excluded if text not in before] + [
             f"{one.name}: subscribed with {'reliable' if one.reliable else 'best effort'} QoS, as its publishers offer"
             for one in self.inputs.values()
