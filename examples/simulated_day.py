@@ -53,7 +53,7 @@ ELECTRODE: Final = 10  # of the middle finger, from 1
 VALUE: Final = BIOTAC.columns(["E_MF"])[ELECTRODE - 1]
 DEVIATIONS: Final = 1.645  # of 90 %
 POLL_S: Final = 0.1
-SLOW: Final = {"camera.fps": 3, "camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}
+SLOW: Final = {"camera.fps": 3, "camera.silence_s": 20.0}
 
 Row = Mapping[str, Any]
 

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from foretouch.camera.config import RealSenseConfig
-from foretouch.camera.device import DeviceSource, describe, realsense, source_of
+from foretouch.camera.device import DeviceSource, describe, realsense
 from foretouch.camera.stream import FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
 
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _BACKOFF_S = (0.5, 10.0)  # pause after the first failed attempt, and the longest
+_START_S = 5.0  # from opening to the first frame, at most
 
 CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
 """`streaming`: frames arrive. `stalled`: the device is present but sends no frames. `absent`: no such device.
@@ -57,8 +58,9 @@ class CameraStatus:
 class RealSenseCamera:
     """A context manager and an iterator of organised clouds.
 
-    A device that is absent, unplugged or silent is reported in `status` and tried again. `source` is used instead of
-    what the settings name; `on_change` is called by the reading thread when the state changes, None logs it.
+    A device that is absent, unplugged or silent is reported in `status` and tried again. `source`, which has the methods of a
+    `DeviceSource`, is used instead of what the settings name; `on_change` is called by the reading thread when the state changes,
+    None logs it.
 
     Raises:
         FileError: If the settings name a recording that is absent, or a file to record to that exists.
@@ -66,14 +68,11 @@ class RealSenseCamera:
     """
 
     def __init__(
-        self,
-        config: RealSenseConfig,
-        source: DeviceSource | None = None,
-        on_change: Callable[[CameraStatus], None] | None = None,
+        self, config: RealSenseConfig, source: Any = None, on_change: Callable[[CameraStatus], None] | None = None
     ) -> None:
         self.config = config
         self._on_change = on_change or _log
-        self._source = source_of(config) if source is None else source
+        self._source = DeviceSource(config) if source is None else source
         if config.record_to and Path(config.record_to).exists():
             raise FileError(config.record_to, "exists; a recording is never overwritten")
         self._device: Any = None
@@ -86,10 +85,6 @@ class RealSenseCamera:
         self._last_number: int | None = None
         self._frame_at_s: float | None = None
         self._status = CameraStatus()
-
-    def reconfigure(self, config: RealSenseConfig) -> None:
-        """Apply new timeouts, from any thread; other settings need a new camera."""
-        self.config = self.config.replace(timeouts=config.timeouts)
 
     @property
     def status(self) -> CameraStatus:
@@ -184,7 +179,7 @@ class RealSenseCamera:
 
     def _on_silence(self, now: float, what: str) -> None:
         """Handle the lack of a cloud; `what` describes it in the reason."""
-        silent_s, timeouts = now - self._heard_s, self.config.timeouts
+        silent_s, limit_s = now - self._heard_s, self.config.silence_s if self._streaming else _START_S
         # A recording may not be playing yet in the first second.
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
         if ended and (self._last_number is not None or silent_s > 1.0):
@@ -195,10 +190,10 @@ class RealSenseCamera:
         if not self._source.present(self._device):
             self._release()
             self._retry_later("absent", f"{self._status.device}: was unplugged")
-        elif silent_s > (timeouts.reopen_s if self._streaming else timeouts.start_s) and self._source.reopens:
+        elif silent_s > limit_s and self._source.reopens:
             self._release()
             self._retry_later("reconnecting", f"{reason}, opening it again")
-        elif silent_s > (timeouts.stall_s if self._streaming else timeouts.start_s):
+        elif silent_s > limit_s / 3.0:
             self._set_state("stalled", reason)
 
     def _retry_later(self, state: CameraState, reason: str) -> None:

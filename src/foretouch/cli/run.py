@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPredictionArray
 
 
-_TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
+_PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -204,7 +204,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     nodes: dict[str, dict[str, Any]] = {
         **{name: {"tactile.sensor": sensor} for name in ("touch_predictor", "bridge") if sensor},
         "hand": shown,
-        "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown},
+        "camera": {"source": "scene", "camera.fps": fps, **_PATIENCE, **shown},
     }
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
         nodes["segmentation"] = {

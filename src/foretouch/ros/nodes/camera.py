@@ -13,10 +13,9 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.config import RealSenseConfig, ScheduleConfig
-from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.realsense import CameraStatus, RealSenseCamera
 from foretouch.config import setting
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ForetouchError
 from foretouch.laboratory import laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
@@ -33,12 +32,6 @@ class CameraNodeConfig(NodeConfig):
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
-    faults: FaultConfig = field(default_factory=FaultConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.source != "scene" and self.faults != FaultConfig():
-            raise ConfigError(f"faults: are supported by the camera of a scene only, not {self.source}")
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
@@ -52,7 +45,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._failure = ""
-        self._faults: MessageFaults | None = None
         self._size: dict[str, int] = {}  # of the image, where it is set by a scene
         super().__init__(name, CameraNodeConfig, **options)
 
@@ -62,8 +54,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             camera = config.camera
             self.synthetic = _simulation(config.source).swinging_camera(camera.width, camera.height, camera.fps)
         elif config.source == "scene":
-            self._faults = MessageFaults(config.faults)
-            self.synthetic = _simulation(config.source).scheduled_camera(config.scene, config.camera.fps, self._faults)
+            self.synthetic = _simulation(config.source).scheduled_camera(config.scene, config.camera.fps)
             self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
         self._points = self.advertise(PointCloud2, "points")
 
@@ -93,13 +84,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
     def _teardown(self) -> None:
         self.synthetic = None
-
-    def _config_changed(self, config: CameraNodeConfig) -> None:
-        """Apply new timeouts and message faults while it streams."""
-        if self._faults is not None:
-            self._faults.config = config.faults
-        if (camera := self._camera) is not None:
-            camera.reconfigure(config.camera.replace(**self._size))
 
     def has_ended(self) -> bool:
         """Whether a recording was played to its end."""

@@ -58,9 +58,11 @@ from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.grasp_actions import (
     PLANNER_ACTION,
+    PLANNER_TYPE,
     Predicted,
     planner_action_class,
     planner_feedback,
+    planner_goal,
     planner_result,
     refused_goal,
     sample_grasps,
@@ -114,7 +116,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _setup(self) -> None:
         config, closing = self.config, self._closing
-        self._planner_action = planner_action_class(config.planner_action_type)
+        self._planner_action = planner_action_class()
         self._predictor = Predictor(config.model, config.fallback_model)
         closing.callback(self._predictor.close)
         if self._predictor.fault:
@@ -202,7 +204,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         for part in (predictor.budget if predictor else None, self._adapter, self._keeper):
             found |= part.notes() if part is not None else {}
         found |= {f"requests.{name}": str(count) for name, count in dict(self._requests).items()}
-        return found | ({PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {})
+        return found | ({PLANNER_ACTION: "/".join(PLANNER_TYPE)} if self._planner_action is not None else {})
 
     def _config_changed(self, config: TouchPredictorConfig) -> None:
         """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
@@ -376,10 +378,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _sample_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
-        goal = SampleGrasps.Goal(
-            action_name=goal_handle.request.action_name,
-            count=min(self.config.planner_action_count, self.config.max_grasps),
-        )
+        goal = planner_goal(goal_handle.request, self.config.max_grasps)
         sampled = self._sample(goal_handle, goal, lambda _: None)
         goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
         return planner_result(self._planner_action)
