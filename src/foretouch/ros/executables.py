@@ -8,13 +8,14 @@ Threads: one serves requests and timers, one takes messages (see `runtime.execut
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
-from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
+from foretouch.interrupts import end_at_once, raise_interrupts
 from foretouch.laboratory import needs_laboratory
 from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
@@ -60,12 +61,17 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     try:
         for name in names:
             _node_class(name)
+        from foretouch.ros.graph import Graph
+
         raise_interrupts()
-        return _serve(names, arguments)
+        graph = Graph({name: {} for name in names}, arguments=arguments, monitor=None)
+        with suppress(KeyboardInterrupt), graph:
+            graph.wait_until_ended()
+        return int(any(node.has_failed for node in graph.nodes.values()))
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1
-    except KeyboardInterrupt:  # before or after the nodes were served
+    except KeyboardInterrupt:
         return 0
     finally:
         end_at_once()
@@ -83,19 +89,6 @@ def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
     options = "-p NAME:=VALUE, --params-file FILE, -r __ns:=/NAMESPACE, -r TOPIC:=OTHER, --log-level LEVEL"
     parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], metavar="…", help=options)
     return parser
-
-
-def _serve(names: Sequence[str], arguments: list[str]) -> int:
-    begin(arguments, names)
-    import rclpy
-
-    try:
-        with uninterrupted():
-            nodes = make_nodes(*names)
-        return int(spin(nodes))
-    finally:
-        with uninterrupted():
-            rclpy.try_shutdown()
 
 
 def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
@@ -125,29 +118,3 @@ def _node_class(name: str) -> Any:
     module, _, class_name = NODES[name].partition(":")
     with needs_laboratory(f"node {name}"):
         return getattr(import_module(module), class_name)
-
-
-def spin(nodes: "Sequence[ForetouchNode[Any]]") -> bool:
-    """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended, and destroy them; has one failed?"""
-    from rclpy.executors import ExternalShutdownException
-
-    from foretouch.ros.runtime.executor import GraphExecutor
-    from foretouch.ros.runtime.internal_errors import spin_on
-
-    executor = GraphExecutor(nodes[0].internal_errors)
-    try:
-        for node in nodes:
-            with uninterrupted():
-                executor.add_node(node)
-                node.autostart()
-        spin_on(executor, nodes[0].internal_errors, lambda: all(node.has_ended() for node in nodes), 0.5)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        with uninterrupted():
-            for node in nodes:
-                node.stop()
-            executor.shutdown(timeout_sec=1.0)
-            for node in nodes:
-                node.destroy_node()
-    return any(node.has_failed for node in nodes)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several nodes in one process, for the commands `run`, `replay` and `record`.
+"""Several nodes in one process: those of an executable, or of the commands `run`, `replay` and `record`.
 
 Threads: the executor spins in the background, so that the caller's thread is free to draw and to handle Ctrl-C.
 """
@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.dataset.topics import NAMESPACE
@@ -30,8 +31,8 @@ _SOURCES = ("replay", "camera")
 class Graph:
     """Nodes by name, and a monitor, that run while the context is open.
 
-    `nodes` are the parameters of each node by name (see `foretouch.ros.executables`), `monitor` the options of `MonitorNode`.
-    On entering, a `ConfigError` if a parameter breaks a rule.
+    `nodes` are the parameters of each node by name (see `foretouch.ros.executables`), `monitor` the options of `MonitorNode`, None
+    for no monitor, and `arguments` a command line with ROS arguments. On entering, a `ConfigError` if a parameter breaks a rule.
     """
 
     def __init__(
@@ -40,12 +41,16 @@ class Graph:
         *,
         namespace: str | None = None,
         params_file: str | Path | None = None,
-        monitor: Mapping[str, Any] | None = None,
+        monitor: Mapping[str, Any] | None = MappingProxyType({}),
+        arguments: Sequence[str] = (),
     ) -> None:
         self._parameters = nodes
         self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": _checked(namespace)}
-        self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
-        self._monitor_options = {} if monitor is None else monitor
+        self._arguments = [
+            *arguments,
+            *([] if params_file is None else ["--ros-args", "--params-file", str(params_file)]),
+        ]
+        self._monitor_options = monitor
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
         self._began_s = time.monotonic()
@@ -54,15 +59,27 @@ class Graph:
 
     def __enter__(self) -> Self:
         begin(self._arguments, list(self._parameters), **self._namespace)
-        from foretouch.ros.nodes.monitor import MonitorNode
         from foretouch.ros.runtime.executor import GraphExecutor
 
         try:
             with uninterrupted():
-                self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
-                self._executor = GraphExecutor(self.monitor.internal_errors)
-                self._executor.add_node(self.monitor)
-            self._make_nodes()
+                if self._monitor_options is not None:
+                    from foretouch.ros.nodes.monitor import MonitorNode
+
+                    self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
+            for name, parameters in self._parameters.items():
+                with uninterrupted():
+                    (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
+                    self.nodes[name] = node
+            with uninterrupted():
+                served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
+                self._errors = served[0].internal_errors
+                self._executor = GraphExecutor(self._errors)
+                for one in served:
+                    self._executor.add_node(one)
+            for node in self.nodes.values():
+                with uninterrupted():
+                    node.autostart()
         except BaseException:
             self.__exit__()
             raise
@@ -83,6 +100,13 @@ class Graph:
         ]
         if causes:
             raise ForetouchError(f"a node did not start: {'; '.join(causes)}")
+
+    def wait_until_ended(self) -> None:
+        """Wait until each node has ended by itself, or the context of rclpy is shut down."""
+        while self._thread is not None and self._thread.is_alive():
+            if all(node.has_ended() for node in self.nodes.values()):
+                return
+            time.sleep(0.2)
 
     @property
     def replay(self) -> "ReplayNode | None":
@@ -163,17 +187,7 @@ class Graph:
         from foretouch.ros.runtime.internal_errors import spin_on
 
         with suppress(ExternalShutdownException):
-            spin_on(self._executor, self.monitor.internal_errors, self._closing.is_set, 0.2)
-
-    def _make_nodes(self) -> None:
-        for name, parameters in self._parameters.items():
-            with uninterrupted():
-                (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
-                self.nodes[name] = node
-                self._executor.add_node(node)
-        for node in self.nodes.values():
-            with uninterrupted():
-                node.autostart()
+            spin_on(self._executor, self._errors, self._closing.is_set, 0.2)
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:

@@ -262,8 +262,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self.get_logger().warning(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
                        f"{len(grasps)} grasps: the fastest is used, {answer.level.name}")  # fmt: skip
         model, reduced = (None, False) if answer is None else (answer.level.model, answer.reduced)
-        predict = predictor.batch if isinstance(grasps, GraspArrays) else predictor.array
-        message = predict(targets, grasps, header, config, posing, model)  # type: ignore[arg-type]
+        message = predictor.answer(targets, grasps, header, config, posing, model)
         age_s = self.age_s(stamp_ns(header.stamp))
         return predictor.finish(message, age_s, config.late_after_s, reduced=reduced), answer
 
