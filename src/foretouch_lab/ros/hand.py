@@ -92,7 +92,6 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._current: _RunningGrasp | None = None
         self._repeats = 0
         self._pressed: tuple[Counts, float] | None = None  # what a person adds to the counts, and until when
-        self._late = 0
         self._behind_s = 0.0  # longest since the last report
         self._began = time.monotonic()
         self._thread: threading.Thread | None = None
@@ -158,7 +157,6 @@ class HandNode(ForetouchNode[HandNodeConfig]):
             "tactile.sent": str(self._faults.passed),
             "tactile.dropped.injected": str(self._faults.dropped),
             "tactile.moved.injected": str(self._faults.moved),
-            "tactile.left_out.late": str(self._late),
             **{f"executed.{outcome}": str(count) for outcome, count in self.executed.items()},
         }
 
@@ -248,12 +246,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
             due = start + number * period_ns * 1e-9
             if self._stopping.wait(max(0.0, due - time.monotonic())):
                 return
-            behind_s = time.monotonic() - due
-            self._behind_s = max(self._behind_s, behind_s)
-            missed = int(behind_s / (period_ns * 1e-9))
-            if missed * period_ns > 1_000_000_000:  # the machine was suspended: messages a second late are left out
-                self._late += missed
-                number += missed
+            self._behind_s = max(self._behind_s, time.monotonic() - due)
             try:
                 self._send(number, start_ns, period_ns)
             except Exception as err:  # noqa: BLE001  it would end the thread

@@ -27,13 +27,7 @@ from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
-from foretouch.ros.recorder.subscriptions import (
-    MessageQueue,
-    RecorderSubscriptions,
-    TopicStatistics,
-    robot_topics,
-    sample_topics,
-)
+from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, robot_topics, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold
@@ -194,10 +188,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             raise ConfigError(f"nothing is being recorded{': ' * bool(self.reason)}{self.reason}")
         return session.act(action, text, grasp_id)
 
-    def inputs(self) -> dict[str, TopicStatistics]:
-        """Rate, age and clock offset of each input by topic."""
-        return {} if self.input_topics is None else self.input_topics.statistics()
-
     @property
     def identity(self) -> Identity:
         """Hand and camera, as datasets hold them."""
@@ -354,7 +344,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         for text in () if inputs is None else inputs.tick():
             self.get_logger().info(text)
         session = self._session
-        if session is not None and session.ended.is_set():  # by itself; messages from now on are counted as late
+        if session is not None and session.ended.is_set():  # by itself
             self._finish()
             self.get_logger().error(self.reason or "the recording has ended")
         self._status.publish(self.status())

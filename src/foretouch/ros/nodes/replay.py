@@ -18,7 +18,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from ament_index_python import has_resource
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -55,36 +55,36 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
     reasons: dict[str, str] = {}
     prefix = namespace.rstrip("/") + "/"
     for topic in topics:
-        found = None
         if topic.name in {"/diagnostics", "/parameter_events", "/rosout"}:
-            reason = "reports on running nodes"
+            found: type | str = "reports on running nodes"
         elif topic.name.startswith(prefix) and topic.name != prefix + EXECUTED_TOPIC:  # which the robot publishes
-            reason = f"this graph publishes under {namespace} itself"
+            found = f"this graph publishes under {namespace} itself"
         else:
-            found, reason = _message_class(topic)
-        if topic.count and found is not None:
+            found = _message_class(topic)
+        if topic.count and isinstance(found, type):
             classes[topic] = found
         elif topic.count:
-            reasons[topic.name] = f"{reason} ({topic.count} messages)"
+            reasons[topic.name] = f"{found} ({topic.count} messages)"
     return classes, reasons
 
 
-def _message_class(topic: Topic) -> tuple[type | None, str]:
-    """The class of a topic's messages if this machine has it with the same fields; else None and the reason."""
+def _message_class(topic: Topic) -> type | str:
+    """The class of a topic's messages if this machine has it with the same fields; else the reason."""
     if (match := re.fullmatch(r"([a-z]\w*)/msg/([A-Z]\w*)", topic.type)) is None:
-        return None, f"type {topic.type or 'mixed'} is not a message type"
+        return f"type {topic.type or 'mixed'} is not a message type"
     package, name = match.groups()
     # A recording may name any module: only what is installed as ROS interfaces is imported.
+    absent = f"type {topic.type} is not installed"
     if not has_resource("rosidl_interfaces", package):
-        return None, f"type {topic.type} is not installed"
+        return absent
     try:
         found: Any = getattr(importlib.import_module(f"{package}.msg"), name)
         fields = tuple(found.get_fields_and_field_types())
     except (ImportError, AttributeError):
-        return None, f"type {topic.type} is not installed"
+        return absent
     if tuple(field.lower() for field in topic.fields) != fields:  # some names of ROS 1 had capitals
-        return None, f"type {topic.type} had other fields when it was recorded"
-    return found, ""
+        return f"type {topic.type} had other fields when it was recorded"
+    return cast("type", found)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,14 +35,13 @@ from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPredictio
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
 _PREDICTIONS: Final = 1000  # messages that are kept until their grasps are executed: half a minute at 30 Hz
-_AFTER_CLOSE = "after close"  # why messages are dropped that come when the disk is full: the only reason in no file
 
 
 @dataclass(frozen=True, kw_only=True)
 class SessionStatus:
     """State of a session; immutable."""
 
-    accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits or comes too late
+    accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits
     samples: int = 0  # with a touch
     unlabelled: int = 0  # samples without
     results: Counter[str] = field(default_factory=Counter)  # executed grasps: `recorded`, or why they were rejected
@@ -292,7 +291,6 @@ def status_to_msg(
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
-    drops[_AFTER_CLOSE] += sum(one.late for one in statistics.values())
     errors = [error * 1e-9 for error in session.pairing_errors_ns]
     flowing = recording and session.bytes_per_s > 0.0
     return RecorderStatus(
@@ -324,10 +322,10 @@ def status_to_msg(
 def _topic(name: str, account: TopicCounts, topic: TopicStatistics) -> TopicAccountMsg:
     return TopicAccountMsg(
         topic=name,
-        received=account.received + topic.waiting + topic.late,
+        received=account.received + topic.waiting,
         written=account.written,
         waiting=account.pending + topic.waiting,
-        **_counts("drop_reasons", "drop_counts", account.dropped + Counter({_AFTER_CLOSE: topic.late})),
+        **_counts("drop_reasons", "drop_counts", account.dropped),
         lost=account.lost,
         reliable=topic.reliable,
         rate=topic.rate_hz,

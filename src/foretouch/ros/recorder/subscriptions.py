@@ -7,14 +7,12 @@ publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.r
 subscription is then as the parameter demands, and a publisher that offers less is reported.
 """
 
-import math
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
@@ -25,16 +23,13 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.bounded_queue import BoundedQueue
-from foretouch.cloud.messages import read_header
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
 from foretouch.ros.runtime.discovery import find_mismatches
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
-_RECENT = 100  # messages that the offset of a clock is determined from
 _ADAPTED = QoSPolicyKind.RELIABILITY
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
 
@@ -57,12 +52,6 @@ class InputTopic:
     depth: int  # queue size of the middleware
     optional: bool = False  # whether nothing is reported of it until a message arrives
     latched: bool = False  # whether its publishers send their last messages to late subscribers (transient local)
-
-    @cached_property
-    def stamped(self) -> bool:
-        """Whether its messages begin with a header."""
-        fields: dict[str, str] = getattr(self.message, "get_fields_and_field_types", dict)()
-        return next(iter(fields.items()), None) == ("header", "std_msgs/Header")
 
     @property
     def type_name(self) -> str:
@@ -195,7 +184,6 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
     def __init__(self, most_bytes: int) -> None:
         super().__init__(most_bytes, when_full="reject", size_of=lambda one: len(one.data), on_drop=self._count)
         self._refused: Counter[str] = Counter()
-        self._late: Counter[str] = Counter()
 
     def take(self, timeout_s: float) -> tuple[list[SerializedMessage], Counter[str]]:
         """All messages that wait (see `get_all`), and how many were rejected since the last call, by topic."""
@@ -204,18 +192,14 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
             self._refused = Counter()
             return messages, refused
 
-    def late(self) -> Counter[str]:
-        """Messages that came after `close`, by topic."""
-        with self._changed:
-            return Counter(self._late)
-
     def waiting(self) -> Counter[str]:
         """Messages that wait, and those rejected since the last `take`, by topic."""
         with self._changed:
             return Counter(one.topic for one in self._items) + self._refused
 
     def _count(self, message: SerializedMessage, _reason: str) -> None:
-        (self._late if self.closed else self._refused)[message.topic] += 1
+        if not self.closed:  # else it came after the end of the session
+            self._refused[message.topic] += 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,13 +207,8 @@ class TopicStatistics:
     """Statistics of a topic beside the session's message counts."""
 
     waiting: int = 0  # messages in the queue
-    late: int = 0  # messages that came after the session had ended by itself and its file was closed
     reliable: bool = True  # whether lost messages are sent again
     rate_hz: float = 0.0  # rate of arrival [Hz]
-    age_s: float = math.inf  # time since the last message [s]; infinite before the first
-    offset_s: float = (
-        math.nan
-    )  # smallest difference of reception and stamp [s]; not finite without messages with a stamp
 
 
 class RecorderSubscriptions:
@@ -245,11 +224,8 @@ class RecorderSubscriptions:
         self._queue: MessageQueue | None = None
         self._latched: deque[SerializedMessage] = deque(maxlen=_LATCHED_KEPT)
         self._lock = threading.Lock()  # a latched message is written once in a session
-        self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
-        self._last_s: dict[str, float] = {}
-        self._behind_ns: dict[str, deque[int]] = {}  # differences of reception and stamp of recent messages
-        self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=11)
+        self._ticks = deque([(time.monotonic(), Counter[str]())], maxlen=11)
         try:
             for topic in topics:
                 one = SerializedInput(node, topic, partial(self._receive, latched=topic.latched))
@@ -262,7 +238,6 @@ class RecorderSubscriptions:
         """Begin a session: restart the counts, and put messages into its queue, first the latched ones of before."""
         for one in self.inputs.values():
             one.losses.count = 0
-        self._late.clear()
         with self._lock:
             for message in self._latched:
                 queue.put(replace(message, received_ns=time.time_ns()))
@@ -270,9 +245,7 @@ class RecorderSubscriptions:
 
     def close(self) -> None:
         """End the session."""
-        queue, self._queue = self._queue, None
-        if queue is not None:
-            self._late = queue.late()
+        self._queue = None
 
     def lost(self) -> dict[str, int]:
         """Messages that the middleware has lost since `open`, by topic."""
@@ -293,18 +266,12 @@ class RecorderSubscriptions:
         """Current statistics of each topic."""
         queue = self._queue
         waiting: Counter[str] = Counter() if queue is None else queue.waiting()
-        late = self._late if queue is None else queue.late()
-        (first_s, first), (last_s, last) = (
-            (self._ticks[0], self._ticks[-1]) if self._ticks else ((0.0, late), (0.0, late))
-        )
+        (first_s, first), (last_s, last) = self._ticks[0], self._ticks[-1]
         return {
             name: TopicStatistics(
                 waiting=waiting[name],
-                late=late[name],
                 reliable=one.reliable,
                 rate_hz=(last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0,
-                age_s=time.monotonic() - self._last_s.get(name, -math.inf),
-                offset_s=min(tuple(self._behind_ns.get(name, ())), default=math.nan) * 1e-9,
             )
             for name, one in self.inputs.items()
             if self._arrived[name] or not one.topic.optional
@@ -317,12 +284,6 @@ class RecorderSubscriptions:
 
     def _receive(self, message: SerializedMessage, *, latched: bool) -> None:
         self._arrived[message.topic] += 1
-        self._last_s[message.topic] = time.monotonic()
-        one = self.inputs.get(message.topic)  # None where a message comes before the subscription is complete
-        if one is not None and one.topic.stamped:
-            with suppress(DatasetError):  # it is counted by those who read it
-                behind = self._behind_ns.setdefault(message.topic, deque(maxlen=_RECENT))
-                behind.append(message.received_ns - read_header(message.data)[0])
         with self._lock:
             if latched and all(message.data != one.data for one in self._latched):
                 self._latched.append(message)
