@@ -313,7 +313,6 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "markers": "all results, for RViz",
     "replay_status": "state and counts of a replay, latched",
     "/diagnostics": "rates, latencies and dropped messages of each node",
-    "heartbeat": "name and state of each node, every 0.4 s",
     "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",
     "edit_grasp": 'change the object, the outcome or the note of a recorded grasp of this session, or drop it; `grasp_id` "" is the last',
     "next_object": "name the object that is on the table from now on; without a name the next of the parameter `objects`",

@@ -53,10 +53,9 @@ def test_a_recording_plays_back_bit_for_bit(tmp_path, source, config):
 def test_in_real_time_the_pace_is_that_of_the_recording_and_a_gap_is_told(tmp_path, source, config):
     path = tmp_path / "seen.db3"
     recorded, told, arrived = [], [], []
-    patient = config.timeouts.replace(reopen_s=30.0, start_s=30.0)
-    with RealSenseCamera(config.replace(record_to=str(path), timeouts=patient), source) as camera:
+    with RealSenseCamera(config.replace(record_to=str(path), silence_s=30.0), source) as camera:
         camera.read(0.0)
-        for pause_s in (0.1, 0.1, 1.0, 0.1):  # the longest is more than `reopen_s` of the player
+        for pause_s in (0.1, 0.1, 1.0, 0.1):  # the longest is more than `silence_s` of the player
             time.sleep(pause_s)
             source.feed()
             cloud = camera.read(1.0)

@@ -35,7 +35,7 @@ def test_every_status_reference_flag_and_rule_is_explained():
 
 
 def test_the_parameters_and_commands_of_the_page_are_those_of_the_node_and_those_tested_here():
-    named = ("sample_cost", "planner_action_type", "max_grasps")
+    named = ("sample_cost", "max_grasps")
     assert all(f"`{name}`" in PAGE and hasattr(TouchPredictorConfig(), name) for name in named)
     lines = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
     assert sorted(" ".join(line.partition("#")[0].split()) for line in lines) == [

@@ -71,7 +71,7 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
 def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, predictor, monkeypatch):
     reports = graph.reports("touch_predictor")
     node, send, heard = predictor(late_after_s=0.0, latency_budget_ms=60.0, diagnostics_period_s=0.1)
-    delayed(monkeypatch, type(node._predictor), "array", 0.1)
+    delayed(monkeypatch, type(node._predictor), "answer", 0.1)
     for stamp in (1, 2, 3):
         send(stamp)
     graph.until(lambda: len(heard) == 3)

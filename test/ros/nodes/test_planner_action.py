@@ -14,14 +14,14 @@ from constant_models import sensor_with_dead
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.touch import grasp_actions
 from foretouch.ros.touch.config import COSTS
-from foretouch.ros.touch.grasp_actions import cost_of, planner_action_class, planner_feedback
+from foretouch.ros.touch.grasp_actions import cost_of, planner_feedback
 from foretouch.tactile import Ranges, TactileRanges
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.types import Touch
@@ -31,7 +31,6 @@ from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane
 pytestmark = pytest.mark.ros
 
 CAMERA = "camera_depth_optical_frame"
-TYPE = "foretouch_msgs/SampleGrasps"
 
 
 def send_latest(graph, node, target):
@@ -46,10 +45,10 @@ def send_latest(graph, node, target):
     graph.until(lambda: node.statistics.summary().used == 1)
 
 
-def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(graph, model_card, scene_cloud):
-    sampling = {"planner_action_count": 5, "sample_cost": "harder_finger", "planner_action_type": TYPE}
-    (node,) = graph.add("touch_predictor", model=model_card, **sampling)
-    assert node.notes()["sample_grasp_poses"] == TYPE
+def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card, scene_cloud, monkeypatch):
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    (node,) = graph.add("touch_predictor", model=model_card, max_grasps=5, sample_cost="harder_finger")
+    assert "sample_grasp_poses" in node.notes()
     status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
     assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
@@ -65,18 +64,13 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(gra
     assert not node.internal_errors.counts()
 
 
-def test_the_type_is_a_parameter_and_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
+def test_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
     for module in ("moveit_task_constructor_msgs", "moveit_task_constructor_msgs.action"):
         monkeypatch.setitem(sys.modules, module, None)
     (node,) = graph.add("touch_predictor", model=model_card)
     assert "sample_grasp_poses" not in node.notes()
     graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
     assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
-    for name in ("SampleGraspPoses", "a/b/c"):
-        with pytest.raises(ConfigError, match=f"planner_action_type: '{name}' is not package/Type"):
-            planner_action_class(name)
-    assert planner_action_class(TYPE) is SampleGrasps
-    assert planner_action_class("nowhere_msgs/Other") is None
 
 
 def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():

@@ -204,7 +204,7 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(planner):
 
 
 def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
-    graph, real, sizes, handles = planner.graph, type(planner.node._predictor).array, [], []
+    graph, real, sizes, handles = planner.graph, type(planner.node._predictor).answer, [], []
 
     def many(pipeline, targets, header):
         array = plan_targets(pipeline, targets, header)
@@ -219,7 +219,7 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
         return real(predictor, targets, grasps, *rest)
 
     monkeypatch.setattr("foretouch.ros.messages.requests.plan_targets", many)
-    monkeypatch.setattr(type(planner.node._predictor), "array", slow)
+    monkeypatch.setattr(type(planner.node._predictor), "answer", slow)
     sent = graph.action_client(SampleGrasps, "sample_grasps").send_goal_async(planner.goal())
     sent.add_done_callback(lambda future: handles.append(future.result()))
     graph.until(lambda: handles)
@@ -228,10 +228,3 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
     assert sizes == [100, 100]
     assert future.result().status == GoalStatus.STATUS_CANCELED
     assert len(future.result().result.grasps) == 200
-
-
-def test_a_request_that_has_waited_for_too_long_is_refused_and_counted(planner, monkeypatch):
-    monkeypatch.setattr("foretouch.ros.runtime.workers.PATIENCE_S", -1.0)
-    answer = planner.ask()
-    assert (answer.status, answer.reason.partition(" behind")[0]) == (Status.BUSY, "busy: waited for -1 s")
-    assert planner.node.notes()["requests.predict_touch.busy"] == "1"

@@ -4,7 +4,7 @@
 A reliable subscriber receives nothing from a best-effort publisher. Therefore every subscription starts reliable, is
 replaced by one with best effort as soon as a publisher on its topic offers no more, and by a reliable one when all
 publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.reliability` overrides that: the
-subscription is then as the parameter demands, and a publisher that offers less is reported.
+subscription is then as the parameter demands.
 """
 
 import threading
@@ -26,7 +26,6 @@ from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
-from foretouch.ros.runtime.discovery import find_mismatches
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
@@ -109,15 +108,14 @@ class SerializedInput:
         return True
 
     def excluded(self) -> list[str]:
-        """A line for each kind of publisher that nothing is received from: of another type, or with less than is demanded."""
+        """A line for each other type of publishers that nothing is received from, such as those of another sensor."""
         kinds = {info.topic_type for info in self._node.get_publishers_info_by_topic(self.name)} - {
             self.topic.type_name
         }
-        found = [
+        return [
             f"{self.name}: a publisher sends {kind}, not {self.topic.type_name}: nothing is received from it"
             for kind in sorted(kinds)
         ]
-        return [*found, *find_mismatches(self._node, (), [self._subscription] * self._overridden)]
 
     def destroy(self) -> None:
         """End the subscription."""
@@ -214,7 +212,7 @@ class TopicStatistics:
 class RecorderSubscriptions:
     """All subscriptions of the recorder; without a session, messages are only counted.
 
-    `inputs` are the subscriptions by full name of the topic. `excluded` has a line for each kind of publisher, as of the last
+    `inputs` are the subscriptions by full name of the topic. `excluded` has a line for each type of publishers, as of the last
     `tick`, that no message is received from.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What discovery shows of a graph: a second graph in its namespace, ends of topics that do not fit, and who publishes what.
+"""What discovery shows of a graph: a second graph in its namespace, and who publishes and hears what.
 
 A participant of another program may be seen up to three seconds late, when its next announcement is due. A process that was
 killed is listed until its lease has expired: 20 s with the default of Fast DDS. A shorter lease is no remedy: after an
@@ -10,9 +10,6 @@ from collections.abc import Iterable
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos import QoSCompatibility, qos_check_compatible
-from rclpy.subscription import Subscription
 
 _GRAPH = (
     "segmentation",
@@ -36,28 +33,6 @@ def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
         if len(names) > 1 and set(names) != {own}:
             found.append(f"{topic} has {len(names)} publishers: {', '.join(names)}")
     return tuple(found)
-
-
-def find_mismatches(
-    node: Node, publishers: Iterable["Publisher[Any]"], subscriptions: Iterable["Subscription[Any]"]
-) -> tuple[str, ...]:
-    """Ends of other nodes between which and ours no message passes, since their QoS is incompatible, a line each."""
-    pairs = [
-        (one.topic_name, end, one.qos_profile, end.qos_profile)
-        for one in publishers
-        for end in node.get_subscriptions_info_by_topic(one.topic_name)
-    ]
-    pairs += [
-        (one.topic_name, end, end.qos_profile, one.qos_profile)
-        for one in subscriptions
-        for end in node.get_publishers_info_by_topic(one.topic_name)
-    ]
-    found = []
-    for topic, end, sent, heard in pairs:
-        result, reason = qos_check_compatible(sent, heard)
-        if result == QoSCompatibility.ERROR:
-            found.append(f"{topic}: no message passes between this node and {_name_of(end)}: {reason.strip('; ')}")
-    return tuple(dict.fromkeys(found))
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:

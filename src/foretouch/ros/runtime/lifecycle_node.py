@@ -6,7 +6,7 @@ deactivate). An error in `_setup` or `_start` refuses the transition and is logg
 
 Inputs are subscribed to with sensor-data QoS, outputs are published reliably: this pair is compatible with every
 publisher and subscriber. Outputs that are kept for late subscribers are transient local. All can be overridden
-(`qos_overrides.<topic>...` parameters). Incompatible QoS is reported in the log and in /diagnostics, within a second.
+(`qos_overrides.<topic>...` parameters). rclpy logs subscribers with incompatible QoS.
 """
 
 import gc
@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -30,7 +30,7 @@ from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status
 from foretouch.ros.runtime.direct import DirectInput, DirectPublisher, direct_topics
-from foretouch.ros.runtime.discovery import find_conflicts, find_mismatches
+from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
@@ -79,7 +79,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._direct_inputs: list[DirectInput] = []
         self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}
-        self._mismatches: tuple[str, ...] = ()  # ends of topics that no message passes between, a line each
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._last: InputSummary | None = None
@@ -151,9 +150,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions([*overridden, *[QoSPolicyKind.DURABILITY] * keep]),
-            event_callbacks=PublisherEventCallbacks(
-                use_default_callbacks=False
-            ),  # an event costs time at every message
             publisher_class=DirectPublisher,
         )
         self.add_managed_entity(publisher)
@@ -198,15 +194,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._closing.callback(self.destroy_service, service)
 
     def _look(self) -> None:
-        """What is done every second: look for a second graph and for QoS that does not fit, and serve late subscribers."""
+        """What is done every second: look for a second graph, and send what is kept to late subscribers."""
         self.look_for_second_graph()
-        outputs = tuple(self._outputs)
-        found = find_mismatches(self, outputs, tuple(self._inputs))
-        for text in found:
-            if text not in self._mismatches:
-                self.get_logger().warning(text)
-        self._mismatches = found
-        for publisher in outputs:
+        for publisher in tuple(self._outputs):
             publisher.send_unsent()
 
     def look_for_second_graph(self) -> None:
@@ -318,7 +308,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             now,
             self._last,
             errors=self.errors(),
-            warnings=(*self.conflicts, *self._mismatches, *self.warnings(), *recent),
+            warnings=(*self.conflicts, *self.warnings(), *recent),
             notes={
                 **self.notes(),
                 **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
