@@ -28,7 +28,6 @@ from foretouch.ros.messages.conversions import (
     plane_to_msg,
     prediction_from_msg,
     reference_text,
-    stamp_to_msg,
 )
 from foretouch.ros.messages.requests import RefusalError, read_table
 from foretouch.ros.messages.tactile import tactile_class
@@ -41,13 +40,6 @@ from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
 UNIT = Grasp(np.zeros(3), np.ones(3), np.eye(3))
-
-
-@given(st.integers(min_value=0, max_value=2**31 * 10**9 - 1))
-def test_stamps_keep_every_nanosecond(nanoseconds):
-    message = stamp_to_msg(nanoseconds)
-    assert 0 <= message.nanosec < 10**9
-    assert stamp_ns(message) == nanoseconds
 
 
 @given(st.floats(min_value=-1e9, max_value=1e9))

@@ -87,20 +87,6 @@ def test_messages_come_at_100_hz_with_even_stamps_noise_and_zeros_where_there_is
     assert node.phase == "idle"
 
 
-def test_jitter_skew_and_drops_are_applied_counted_and_changed_while_it_runs(graph, start):
-    node, tactile, *_ = start(faults__jitter_s=0.02, faults__skew_s=0.05, faults__drop_share=0.2)
-    graph.until(lambda: len(tactile) >= 150)
-    graph.set(node, faults__drop_share=1.0)
-    dropped, heard = int(node.notes()["tactile.dropped.injected"]), len(tactile)
-    assert (np.diff([stamp_ns(m.header.stamp) for m in tactile]) < 0).any()
-    assert dropped / (heard + dropped) == pytest.approx(0.2, abs=0.15)
-    graph.until(lambda: int(node.notes()["tactile.dropped.injected"]) > dropped + 20)
-    notes = node.notes()
-    assert notes["tactile.sent"] == notes["tactile.moved.injected"]
-    assert len(tactile) <= heard + 30  # those on their way
-    assert 0 <= int(notes["tactile.sent"]) - len(tactile) <= 30  # those sent before the subscriber was found
-
-
 def test_a_grasp_beside_the_object_fails_and_one_in_another_frame_is_refused(graph, start):
     node, tactile, reports, send = start()
     send("elsewhere", frame="map")
@@ -154,8 +140,3 @@ def test_a_grasp_that_is_stopped_is_not_reported_and_cleaning_up_releases_the_sc
     node.trigger_deactivate()
     node.trigger_cleanup()
     assert released() is None
-
-
-def test_settings_that_cannot_be_used_are_named(graph, tmp_path):
-    (node,) = graph.add("hand", scene__path=str(tmp_path / "none.yaml"))
-    assert node.state_name == "unconfigured"

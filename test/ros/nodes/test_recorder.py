@@ -6,7 +6,6 @@ import time
 import numpy as np
 import pytest
 from pair_builders import REST, level
-from rclpy.serialization import serialize_message
 from robot_builders import MS, QUICK, accounts, outcomes, start
 
 from foretouch.dataset.record import HOLD
@@ -130,21 +129,6 @@ def test_a_publisher_of_another_sensor_is_named(lone_graph, tmp_path):
     )
     line = "/rh/tactile: a publisher sends std_msgs/msg/String, not foretouch_msgs/msg/BiotacAll: nothing is received from it"
     lone_graph.until(lambda: node.warnings() == (line,))
-
-
-def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path):
-    (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
-    data, tactile = serialize_message(biotac_all_to_msg({}, "rh", 5)), node.input_topics.inputs["/rh/tactile"]
-    for publisher, sequence in ((b"a", 1), (b"a", 2), (b"b", 7), (b"a", 5), (b"a", 5), (b"b", 8), (b"a", 6)):
-        stamps = {"received_timestamp": 1, "source_timestamp": 1}
-        info = {"publication_sequence_number": sequence, "publisher_gid": {"data": publisher}, **stamps}
-        tactile._receive(data, info)
-    graph.until(lambda: accounts(node.status())["/rh/tactile"].written == 6)
-    for _ in range(2):  # while it records, and after
-        assert accounts(node.status())["/rh/tactile"].lost == node.status().lost == 2
-        node.end()
-    account = verify_dataset(tmp_path / "set")[0].counts.topics["/rh/tactile"]
-    assert (account.received, account.written, account.lost) == (6, 6, 2)
 
 
 def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(graph, tmp_path):

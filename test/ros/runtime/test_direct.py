@@ -9,7 +9,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
@@ -131,26 +131,6 @@ def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cl
     assert outsider.numbers["table"] == outsider.numbers["object_cloud"] == [1]  # the first that was sent
     assert [used for _, used, *_ in settle(graph, nodes, 4)] == [4, 4, 4]
     assert outsider.node.count_subscribers("/foretouch/table") == 3  # tools show who subscribes
-
-
-def test_what_is_kept_is_sent_once_somebody_outside_subscribes(graph, outsider, scene_cloud, model_card):
-    nodes, heard = graph.add(*PERCEPTION, model=model_card), []
-    publisher, kept = (
-        graph.talk_matched(PointCloud2, "points"),
-        QoSProfile(depth=20, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-    )
-    for stamp in range(1, 13):
-        publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp)))
-        graph.until(lambda stamp=stamp: nodes[2].statistics.summary().used == stamp)
-    assert len(nodes[1]._grasps._unsent) == 10
-    for _ in range(2):
-        outsider.node.create_subscription(GraspArray, "grasps", lambda m: heard.append(m.header.stamp.nanosec), kept)
-        graph.until(lambda: len(heard) == 10)
-        assert heard == list(range(3, 13))
-        heard.clear()
-    publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=13)))
-    graph.until(lambda: heard == [13, 13])
-    assert settle(graph, nodes, 13) == [(13, 13, {}, 0)] * 3  # copies are left out
 
 
 @pytest.mark.parametrize("direct", [True, False])

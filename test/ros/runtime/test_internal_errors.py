@@ -87,15 +87,6 @@ def test_a_parameter_of_an_unknown_type_or_whose_callback_fails_is_refused(graph
     assert (one.successful, one.reason, node.config.silence_s) == (False, REASON, 5.0)
 
 
-def test_a_node_that_cannot_stop_is_deactivated_nevertheless(graph, monkeypatch):
-    (node,) = graph.add("segmentation")
-    with monkeypatch.context() as patch:
-        patch.setattr(type(node), "_stop", fail)
-        assert graph.change("segmentation", "deactivate")
-    node.stop()
-    assert node.internal_errors.counts() == {"fail": 1}
-
-
 def test_a_cloud_whose_refusal_fails_too_is_counted_and_the_worker_goes_on(graph, scene_cloud, monkeypatch):
     (node,) = graph.add("segmentation")
     clouds = graph.talk_matched(PointCloud2, "points")

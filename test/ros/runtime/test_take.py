@@ -93,28 +93,6 @@ def same_information(publisher, info, known):
     assert 0 < info["received_timestamp"] - info["source_timestamp"] < 60e9
 
 
-def test_other_messages_and_serialised_ones_are_taken_too():
-    open_domain(new=False)
-    node = Node("take_others")
-    publisher = node.create_publisher(GraspArray, "grasps", QoSProfile(depth=10))
-    publisher.node = node
-    ours, theirs, raw = (
-        node.create_subscription(GraspArray, "grasps", print, QoSProfile(depth=10), raw=raw)
-        for raw in (False, False, True)
-    )
-    message = GraspArray(grasps=[Grasp(id=str(number), score=number / 4.0) for number in range(3)], reason="none")
-    publisher.publish(message)
-    got, info = taken(lambda: take(ours))
-    expected, known = taken(lambda: theirs.handle.take_message(GraspArray, False))
-    assert got == expected == message
-    same_information(publisher, info, known)
-    content, of_raw = taken(lambda: take(raw))
-    assert isinstance(content, bytes)
-    assert deserialize_message(content, GraspArray) == message
-    assert of_raw["publication_sequence_number"] == 1
-    node.destroy_node()
-
-
 def test_the_points_stay_as_long_as_they_are_used(ends, rng):
     publisher, ours, _ = ends
     messages = [made(rng, (48, 84), "camera") for _ in range(7)]
