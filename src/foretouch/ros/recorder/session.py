@@ -23,11 +23,12 @@ from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
-from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
+from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
 from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import GraspSample
@@ -61,9 +62,8 @@ class SessionStatus:
 class RecordingSession:
     """Records until `close`, or until the disk is full or fails, or the file is removed.
 
-    The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
-    assembled from, and the predictions as `touch`, of either type; `losses` gives the messages that the middleware has lost since the
-    session began, by topic; `publish` gets for each grasp whether it will hold.
+    The open `writer` is closed here. Of the `topics`, so many bytes of messages may wait for the disk, `tactile_topic` is that of the
+    hand, and nothing more is received at the end; `publish` gets for each grasp whether it will hold.
 
     Attributes:
         status: The state; replaced as a whole.
@@ -73,11 +73,11 @@ class RecordingSession:
     def __init__(
         self,
         writer: RecordingWriter,
-        queue: MessageQueue,
+        topics: RecorderSubscriptions,
         assembler: SampleAssembler,
         operator: Operator,
-        inputs: Mapping[str, tuple[Role | Literal["touch"], type]],
-        losses: Callable[[], Mapping[str, int]],
+        tactile_topic: str,
+        queue_bytes: int,
         warn: Callable[[str], object],
         publish: Callable[[TouchHold], object],
     ) -> None:
@@ -85,15 +85,28 @@ class RecordingSession:
         self.began_s = time.monotonic()
         self.status = SessionStatus(sensors=assembler.sensor_states(self.began_s))
         self.ended = threading.Event()
-        self._queue = queue
+        self._topics = topics
+        self._queue = MessageQueue(queue_bytes)
         self._assembler = assembler
         self._assembler_lock = threading.Lock()  # labels and the operator's actions come from other threads
         self._operator = operator
         self._dropping = False  # what is received in a pause
         self._predictions: OrderedDict[int, bytes] = OrderedDict()  # serialised, by the stamp of their cloud
         self._last: tuple[TouchPrediction | None, TouchCut] | None = None
-        self._inputs = inputs
-        self._losses = losses
+        roles: dict[str, Role | Literal["touch"]] = {
+            tactile_topic: "tactile",
+            CLOUD_TOPIC: "cloud",
+            GRASPS_TOPIC: "grasps",
+            EXECUTED_TOPIC: "executed",
+            "touch": "touch",
+        }
+        self._inputs = {
+            name: (roles[one.topic.name], one.topic.message)
+            for name, one in topics.inputs.items()
+            if one.topic.name in roles
+        }
+        for name, one in topics.inputs.items():
+            writer.add_topic(name, one.topic.type_name)
         self._warn = warn
         self._hold, self._publish = HoldEvaluator(writer.sensor), publish
         self._unreadable: Counter[str] = Counter()
@@ -102,6 +115,8 @@ class RecordingSession:
         self._sizes: deque[tuple[float, int]] = deque()
         writer.before_end = self._account_for_rest
         self._error = ""
+        self.ended_s = 0.0  # `time.monotonic`, once it has ended
+        topics.open(self._queue)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -116,7 +131,8 @@ class RecordingSession:
             return self._operator.act(action, text, grasp_id)
 
     def close(self) -> None:
-        """Write all messages received so far, complete pending grasps, and close the file."""
+        """Write all messages received so far, complete pending grasps, and close the file; may be called more than once."""
+        self._topics.close()
         self._queue.close()
         self._thread.join()
 
@@ -143,6 +159,7 @@ class RecordingSession:
         except ForetouchError as err:
             self._error = str(err) if removed else self._error or str(err)
         self._update_status()
+        self.ended_s = time.monotonic()
         self.ended.set()
 
     def _account_for_rest(self) -> None:
@@ -155,7 +172,7 @@ class RecordingSession:
         self._account_for_losses()
 
     def _account_for_losses(self) -> None:
-        for topic, count in self._losses().items():
+        for topic, count in self._topics.lost().items():
             self.writer.lose(topic, count)
 
     def _process(self, messages: list[SerializedMessage], refused: Counter[str], *, ending: bool = False) -> None:
@@ -274,48 +291,45 @@ class RecordingSession:
 
 
 def status_to_msg(
-    session: SessionStatus,
-    statistics: Mapping[str, TopicStatistics],
-    *,
-    path: str,
-    recording: bool,
-    duration_s: float,
-    reason: str,
-    now_ns: int,
+    session: RecordingSession | None, statistics: Mapping[str, TopicStatistics], now_ns: int
 ) -> RecorderStatus:
-    """The recorder's state as a message with a stamp [ns]: of the current session, or of the last one.
+    """The recorder's state as a message with a stamp [ns]: of the current session, or of the last one; None before the first.
 
-    `statistics` are by topic, `path` is that of the dataset, "" before the first session, and `reason` what went wrong.
+    `statistics` are by topic.
     """
-    received = {name: account for name, account in session.accounts.items() if name != SAMPLE_TOPIC}
+    recording = session is not None and not session.ended.is_set()
+    path = "" if session is None else str(session.writer.path)
+    duration_s = 0.0 if session is None else (session.ended_s or time.monotonic()) - session.began_s
+    state = SessionStatus() if session is None else session.status
+    received = {name: account for name, account in state.accounts.items() if name != SAMPLE_TOPIC}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
-    errors = [error * 1e-9 for error in session.pairing_errors_ns]
-    flowing = recording and session.bytes_per_s > 0.0
+    errors = [error * 1e-9 for error in state.pairing_errors_ns]
+    flowing = recording and state.bytes_per_s > 0.0
     return RecorderStatus(
         header=header_to_msg("", now_ns),
         recording=recording,
         path=path,
         duration=duration_to_msg(duration_s),
-        bytes_written=session.bytes_written,
-        samples=session.samples,
-        unlabelled=session.unlabelled,
+        bytes_written=state.bytes_written,
+        samples=state.samples,
+        unlabelled=state.unlabelled,
         received=sum(topic.received for topic in topics),
         used=sum(topic.written for topic in topics),
         **_counts("drop_reasons", "drop_counts", drops),
-        status=Status.FAILED if reason else Status.OK,
-        reason=reason,
+        status=Status.FAILED if state.error else Status.OK,
+        reason=state.error,
         lost=sum(topic.lost for topic in topics),
         topics=topics,
-        **_counts("outcomes", "outcome_counts", session.results),
-        last_sample=session.last_sample,
+        **_counts("outcomes", "outcome_counts", state.results),
+        last_sample=state.last_sample,
         pairing_error=errors[-1] if errors else math.nan,
         pairing_error_max=max(errors) if errors else math.nan,
-        sensors=list(session.sensors),
-        sensor_states=list(session.sensors.values()),
-        touch_hold=session.hold or TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet"),
-        disk_left=session.free_bytes / session.bytes_per_s if flowing else math.inf,
+        sensors=list(state.sensors),
+        sensor_states=list(state.sensors.values()),
+        touch_hold=state.hold or TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet"),
+        disk_left=state.free_bytes / state.bytes_per_s if flowing else math.inf,
     )
 
 
