@@ -98,10 +98,12 @@ def filter_blocks(names: Sequence[str]) -> list[Any]:
 
 
 def _lens_of(intrinsics: Any) -> Deprojector:
-    """Pixel directions from the library's intrinsics; a `CameraError` if the distortion model is not supported."""
+    """Pixel directions from the library's intrinsics; a `CameraError` if the image is not rectified."""
     i = intrinsics
+    if any(i.coeffs):
+        raise CameraError(f"depth stream: distortion {list(i.coeffs)} ({i.model}): only rectified images are supported")
     matrix = np.array([[i.fx, 0.0, i.ppx], [0.0, i.fy, i.ppy], [0.0, 0.0, 1.0]])
-    return Deprojector.of_lens(matrix, i.width, i.height, str(i.model).rpartition(".")[2], tuple(i.coeffs))
+    return Deprojector.of_lens(matrix, i.width, i.height)
 
 
 def _keep_in(queue: BoundedQueue[Any]) -> Callable[[Any], None]:

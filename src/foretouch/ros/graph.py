@@ -53,7 +53,6 @@ class Graph:
         self._monitor_options = monitor
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
-        self._began_s = time.monotonic()
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
@@ -120,13 +119,9 @@ class Graph:
 
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
-        while True:
-            for node in self.nodes.values():
-                node.look_for_second_graph()
-            found = list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
-            if found or time.monotonic() > self._began_s + 1.5:  # others announce themselves every 0.2 s
-                return found
-            time.sleep(0.1)  # a short replay ends before all others are discovered
+        for node in self.nodes.values():
+            node.look_for_second_graph()
+        return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
 
     def played(self) -> int:
         """Clouds published by the replay or the camera; 0 without one."""

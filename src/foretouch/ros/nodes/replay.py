@@ -44,6 +44,7 @@ from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
 _POLL_S = 0.05
 _ANSWER_S = 5.0  # longest wait for an answer in lockstep
+_FRAME = "camera_depth_optical_frame"  # of clouds from files that name none
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
@@ -93,13 +94,6 @@ class ReplayConfig(NodeConfig):
 
     path: str = setting("", "Recording, folder of clouds or samples, or file", read_only=True)
     topic: str = setting("", "Topic of the clouds, for a recording that holds several", read_only=True)
-    publish: str = setting(
-        "auto",
-        "Topic of the clouds: `points`, to be segmented, or `object_cloud`, together with `table`; `auto` uses"
-        " `object_cloud` for samples and for files whose clouds are not organised",
-        choices=["auto", "points", CLOUD_TOPIC],
-        read_only=True,
-    )
     table: tuple[float, ...] = setting(
         tuple(map(float, ASSUMED_TABLE.coefficients)),
         "a, b, c, d of the plane published with `object_cloud`",
@@ -124,7 +118,6 @@ class ReplayConfig(NodeConfig):
     wait_limit_s: float = setting(
         10.0, "Longest wait for `wait_for` and `discovery_s`; then it plays without them", bounds=(0.0, 3600.0)
     )
-    frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -176,17 +169,18 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         try:
             if not config.path:
                 raise ConfigError("path: is empty; set it to a recording, a folder or a file")
-            self._source = open_source(config.path, config.topic or None, frame_id=config.frame_id)
+            self._source = open_source(config.path, config.topic or None, frame_id=_FRAME)
         except ForetouchError as err:
             self.outcome, self.reason, self.has_failed = "failed", str(err), True
             raise
-        segmented = cloud_is_object(self._source) if config.publish == "auto" else config.publish == CLOUD_TOPIC
+        segmented = cloud_is_object(self._source)  # samples, and files whose clouds are not organised
         clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False)
         self._topic_publishers[CLOUDS], self.clouds_topic = clouds, str(clouds.topic_name)
         self._table = self.advertise(TablePlane, "table", depth=_DEPTH, direct=False) if segmented else None
         self._advertise_others(self._source)
         if config.lockstep:
-            self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
+            answers = self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH)
+            self._closing.callback(self.destroy_subscription, answers)
         try:
             self._wait_for = [self.resolve_topic_name(name) for name in config.wait_for]
         except RuntimeError as err:  # of rcl

@@ -23,7 +23,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.subscription import Subscription
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.topics import NAMESPACE
@@ -75,8 +74,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.last_failure = ""  # why the latest step that failed did
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
-        self._inputs: list[Subscription[Any]] = []
-        self._direct_inputs: list[DirectInput] = []
         self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
@@ -154,6 +151,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         )
         self.add_managed_entity(publisher)
         self._outputs.append(publisher)
+        self._closing.callback(self._withdraw, publisher)
         if direct and self.config.direct:
             self.direct_topics.add(publisher)
         return publisher
@@ -181,10 +179,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        self._inputs.append(subscription)
+        self._closing.callback(self.destroy_subscription, subscription)
         if self.config.direct:
             direct = DirectInput(subscription, self.internal_errors.guarded(topic, _receive))
-            self._direct_inputs.append(direct)
+            self._closing.callback(self.direct_topics.remove, direct)
             self.direct_topics.add(direct)
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
@@ -289,15 +287,11 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         gc.unfreeze()
         self._attempt(self._closing.close)
         self._attempt(self._teardown)
-        for direct in self._direct_inputs:
-            self.direct_topics.remove(direct)
-        for publisher in self._outputs:
-            self.direct_topics.remove(publisher)
-            self.destroy_lifecycle_publisher(publisher)
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        for ends in (self._direct_inputs, self._outputs, self._inputs):
-            ends.clear()
+
+    def _withdraw(self, publisher: DirectPublisher) -> None:
+        self._outputs.remove(publisher)
+        self.direct_topics.remove(publisher)
+        self.destroy_lifecycle_publisher(publisher)
 
     def _report(self) -> None:
         now, errors = self.statistics.summary(), self.internal_errors.counts()
