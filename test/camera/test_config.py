@@ -10,7 +10,6 @@ from foretouch.errors import ConfigError
 def test_bad_settings_are_named() -> None:
     cases = [
         ("file: 'a.db3' and serial '1' exclude each other", {"file": "a.db3", "serial": "1"}),
-        ("record_to: 'b.db3': a recording cannot be recorded again", {"file": "a.db3", "record_to": "b.db3"}),
         (r"filters\[0\]: 'median' is not one of decimation, spatial, temporal, hole_filling", {"filters": ["median"]}),
     ]
     every_refusal(ConfigError, cases, RealSenseConfig.from_mapping)

@@ -19,7 +19,6 @@ class RealSenseConfig(Settings, read_only=True):
 
     serial: str = setting("", "Serial number of the live device; empty for the first one found")
     file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device")
-    record_to: str = setting("", "File (.db3) that all frames are recorded to as they arrive")
     width: int = setting(848, "Columns of a live image", unit="px", bounds=(64, 3840))
     height: int = setting(480, "Rows of a live image", unit="px", bounds=(64, 2160))
     fps: int = setting(30, "Frames per second of a live device", unit="Hz", bounds=(1, 300))
@@ -41,8 +40,6 @@ class RealSenseConfig(Settings, read_only=True):
         super().__post_init__()
         if self.file and self.serial:
             raise ConfigError(f"file: {self.file!r} and serial {self.serial!r} exclude each other")
-        if self.file and self.record_to:
-            raise ConfigError(f"record_to: {self.record_to!r}: a recording cannot be recorded again")
 
     @property
     def optical_frame(self) -> str:

@@ -10,13 +10,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Literal, Self
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import DeviceSource, describe, realsense
 from foretouch.camera.stream import FrameStream
-from foretouch.errors import CameraError, FileError
+from foretouch.errors import CameraError
 from foretouch.types import Cloud
 
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
@@ -63,7 +62,7 @@ class RealSenseCamera:
     None logs it.
 
     Raises:
-        FileError: If the settings name a recording that is absent, or a file to record to that exists.
+        FileError: If the settings name a recording that is absent.
         MissingDependencyError: If pyrealsense2 is missing.
     """
 
@@ -73,8 +72,6 @@ class RealSenseCamera:
         self.config = config
         self._on_change = on_change or _log
         self._source = DeviceSource(config) if source is None else source
-        if config.record_to and Path(config.record_to).exists():
-            raise FileError(config.record_to, "exists; a recording is never overwritten")
         self._device: Any = None
         self._stream: FrameStream | None = None
         self._heard_s = 0.0  # of the last cloud, or of the opening, whose first frame may take longer [s]
@@ -139,7 +136,7 @@ class RealSenseCamera:
             self._retry_later("absent", str(err))
             return
         try:
-            self._stream = FrameStream(self._device, self._config_for_this_attempt())
+            self._stream = FrameStream(self._device, self.config)
         except RuntimeError as err:
             self._device = None
             self._retry_later("reconnecting", f"cannot be opened: {' '.join(str(err).split())}")
@@ -148,13 +145,6 @@ class RealSenseCamera:
         self._heard_s, self._streaming = time.monotonic(), False
         self._update(opened=self._status.opened + 1, device=describe(self._device))
         self._set_state("reconnecting", "opened, waiting for the first frame")
-
-    def _config_for_this_attempt(self) -> RealSenseConfig:
-        """Record to a new file each time: the library would overwrite the first one."""
-        path, opened = Path(self.config.record_to), self._status.opened
-        if not self.config.record_to or not opened:
-            return self.config
-        return self.config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
 
     def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
         depth, now = stream.wait(timeout_s), time.monotonic()

@@ -35,9 +35,8 @@ class FrameStream:
         waits = device.is_playback() and not config.real_time
         # Unlimited until the stream has started: the library must not wait while it starts.
         self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
-        recorded = realsense().recorder(config.record_to, device) if config.record_to else device
-        self._sensor, profile = _find_profile(recorded, None if device.is_playback() else config)
-        self._device = recorded  # or the library would end the recording
+        self._sensor, profile = _find_profile(device, None if device.is_playback() else config)
+        self._device = device  # or the library would end a recording
         try:
             self._sensor.open(profile)
             self._sensor.start(_keep_in(self._queue))

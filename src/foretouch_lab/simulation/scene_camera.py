@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene as a camera: whole images of its samples, fed to librealsense's software device.
 
-From there on the code is that of a real camera. `swinging_frames` moves the objects a little, so that no two images in a
-row are equal.
+From there on the code is that of a real camera.
 """
 
 import logging
@@ -14,43 +13,17 @@ import numpy as np
 from foretouch.camera.config import ScheduleConfig
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
-from foretouch_lab.simulation.depth_scene import (
-    FIRST_OBJECT,
-    TABLE,
-    DepthImage,
-    DepthScene,
-    random_scene,
-    to_millimetres,
-)
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, to_millimetres
 from foretouch_lab.simulation.effects import view
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, scheduled_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 from foretouch_lab.simulation.world import SampleKey, object_index
 
-_REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
 _LOG = logging.getLogger(__name__)
 _MS_NS = 1_000_000
 _VIEWS = 4  # of one sample, each with independent noise; rendering takes most of a core
-
-
-def swinging_frames(
-    scene: DepthScene, count: int, *, rng: np.random.Generator | None = None, noise_m: float = 0.0
-) -> list[DepthImage]:
-    """Frames of one period in which the first object swings to and fro along x.
-
-    Args:
-        scene: At rest; without objects all frames show the same.
-        count: How many frames make the period.
-        rng: Of the noise; may be None without.
-        noise_m: As for `DepthScene.render` [m].
-    """
-    images = []
-    for phase in 2.0 * np.pi * np.arange(count) / count:
-        offset = np.array([_REACH_M * np.sin(phase), 0.0, 0.0])
-        images.append((scene.moved(0, offset) if scene.objects else scene).render(rng, noise_m))
-    return images
 
 
 class FrameMaker:
@@ -147,19 +120,6 @@ class _SceneImages:
 def scheduled_camera(schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
     """As `scene_camera`, of the scene that the schedule names; a `ConfigError` if it breaks a rule."""
     return scene_camera(scheduled_scene(schedule), schedule, fps)
-
-
-def swinging_camera(width: int, height: int, fps: int) -> SyntheticCamera:
-    """A device that streams a random scene of three objects, of which one swings; not yet started.
-
-    Args:
-        width: Width of the images [px].
-        height: Their height [px].
-        fps: Images a second, of which at most 30 are kept in memory and repeated [Hz].
-    """
-    rng = np.random.default_rng(0)
-    scene = random_scene(rng, width, height)
-    return SyntheticCamera(swinging_frames(scene, min(30, fps), rng=rng), fps)
 
 
 def scene_camera(scene: SceneConfig, schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
