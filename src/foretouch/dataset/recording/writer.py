@@ -244,6 +244,11 @@ class RecordingWriter:
             self._require_open()
             return append_edit(self.path, edit)
 
+    @property
+    def objects(self) -> set[str]:
+        """Names of the objects of the dataset, as they were recorded."""
+        return {name.rpartition("/")[0] for name in self._ids}
+
     def flush(self) -> None:
         """Write the collected messages (raises as `write`)."""
         with self._guard:

@@ -125,9 +125,9 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._closing.callback(self.input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
         self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
-        self.serve(StopRecording, "stop_recording", self._stop_recording, group)
         services: tuple[tuple[Any, str, Callable[[Any, Any], str]], ...] = (
             (StartRecording, "start_recording", self._start_recording),
+            (StopRecording, "stop_recording", self._stop_recording),
             (LabelGrasp, "label_grasp", self._label_grasp),
             (LabelGrasp, "edit_grasp", self._edit_grasp),
             (LabelGrasp, "next_object", lambda request, _: self.act("object", request.object)),
@@ -269,14 +269,12 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if "\0" in path or (path and folder not in Path(folder, path).resolve().parents):
             raise ConfigError(f"path: {quoted(path)} is not inside of the folder {folder} of the recorder")
 
-    def _stop_recording(self, _request: Any, response: Any) -> Any:
-        if self._session is None or not self.recording:
-            response.message = self.reason or "nothing is being recorded"
-            return response
-        last = self.end()
-        response.path, response.samples, response.message = str(self._session.writer.path), last.samples, last.error
-        response.success = not last.error
-        return response
+    def _stop_recording(self, _request: Any, response: Any) -> str:
+        response.path, last = str(self._running().writer.path), self.end()
+        response.samples = last.samples
+        if last.error:
+            raise ConfigError(last.error)
+        return ""
 
     def _label_grasp(self, request: Any, response: Any) -> str:
         response.grasp_id, label = request.grasp_id, _decode_label(request)

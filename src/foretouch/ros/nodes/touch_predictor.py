@@ -152,9 +152,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 self,
                 kind,
                 name,
-                self.internal_errors.guarded(
-                    name, partial(self._execute, name, work, failure), partial(_aborted, failure)
-                ),
+                partial(self._execute, name, work, failure),
                 cancel_callback=lambda _: CancelResponse.ACCEPT,
                 callback_group=ReentrantCallbackGroup(),
                 goal_service_qos_profile=REQUESTS,
@@ -391,6 +389,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             end = goal_handle.succeed
         except RefusalError as refusal:
             result, end = failure(refusal), goal_handle.abort
+        except Exception as err:  # noqa: BLE001  it would end the process
+            reason = self.internal_errors.report(name, err)
+            result, end = failure(RefusalError(Status.FAILED, reason)), goal_handle.abort
         if goal_handle.is_cancel_requested:
             end = goal_handle.canceled
         end()
@@ -421,13 +422,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if (model := predictor.model) is not None:
             pressed = predicted_pressures(message.outcomes, model)
         return list(zip(predictor.end(message, answer).predictions, pressed.swapaxes(0, 1), strict=True))
-
-
-def _aborted(failure: Callable[[RefusalError], Any], arguments: tuple[Any, ...], reason: str) -> Any:
-    (goal_handle,) = arguments
-    if goal_handle.is_active:
-        goal_handle.abort()
-    return failure(RefusalError(Status.FAILED, reason))
 
 
 def _configured(part: _T | None) -> _T:

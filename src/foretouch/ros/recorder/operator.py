@@ -2,24 +2,20 @@
 """What the operator does during a session, by key or service: each action is an edit in the dataset's log.
 
 An action on the last grasp while one is being executed waits for that grasp, so that it is not taken for the one before.
-Beside it, the grasps of the dataset so far.
+Beside it, the grasps of the session so far.
 """
 
 import sys
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
 from typing import Final, Literal, NamedTuple, get_args
 
 from foretouch.dataset.pairing.assembler import SampleAssembler
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, EditLog, read_edits
-from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import DatasetError, ForetouchError
 
@@ -50,7 +46,7 @@ class OperatorState:
 
     object: str = ""  # on the table
     paused: bool = False  # whether nothing is recorded
-    grasps: Mapping[str, Mapping[str, int]] | None = None  # of the dataset, by object and outcome
+    grasps: Mapping[str, Mapping[str, int]] | None = None  # of the session, by object and outcome
     replies: Sequence[Reply] = ()  # to the latest actions, also to those that waited for a grasp
 
 
@@ -70,15 +66,13 @@ class Operator:
         self._writer, self._assembler, self._plan, self._clock_ns = writer, assembler, plan, clock_ns
         self._log: EditLog = read_edits(writer.path)
         self._first = len(self._log.edits)
-        self._earlier: dict[str, GraspSummary] = {}  # of earlier sessions
-        self._grasps: dict[str, GraspSummary] = {}  # of this session, by id as recorded
+        self._grasps: dict[str, GraspSummary] = {}  # by id as recorded
         self._touched: list[str] = []  # ids as recorded of the samples with a touch
         self._sample_of: dict[str, str] = {}  # by id of the grasp: id as recorded, or after a colon why there is none
         self._waiting: list[tuple[Action, str]] = []
         self._visits = [0]  # of each object: samples before it was laid on the table
         self._replies: deque[Reply] = deque(maxlen=8)
-        self._state, self._known = OperatorState(), (-1, -1, -1)
-        threading.Thread(target=self._read_earlier, name="summary", daemon=True).start()
+        self._state, self._known = OperatorState(), (-1, -1)
 
     @property
     def paused(self) -> int:
@@ -87,10 +81,10 @@ class Operator:
         return next((number for number, edit in own.items() if edit.action == "pause"), 0)
 
     def state(self) -> OperatorState:
-        """The state; grasps are counted anew once a second and after each change."""
-        known = (len(self._log.edits), len(self._grasps), int(time.monotonic()))
+        """The state; grasps are counted anew after each change."""
+        known = (len(self._log.edits), len(self._grasps))
         if known != self._known:
-            found = edited({**self._earlier, **self._grasps}, self._log)
+            found = edited(self._grasps, self._log)
             self._known = known
             self._state = OperatorState(self._object, bool(self.paused), count_outcomes(found.values(), self._plan))
         return replace(self._state, replies=tuple(self._replies))
@@ -144,9 +138,6 @@ class Operator:
     def _object(self) -> str:
         return self._assembler.objects[-1][1] or "unknown"
 
-    def _read_earlier(self) -> None:
-        self._earlier = summarise_dataset(self._writer.path)
-
     def _own_edits(self) -> dict[int, Edit]:
         return {number: edit for number, edit in self._log.in_force().items() if number > self._first}
 
@@ -193,7 +184,7 @@ class Operator:
     def _next_object(self, name: str) -> str:
         before, plan = self._object, self._plan
         following = plan[plan.index(before) + 1 :] if before in plan else plan
-        known = {before, *(one.object for one in (*self._earlier.values(), *self._grasps.values()))}
+        known = {before, *self._writer.objects}
         numbered = (f"object-{number}" for number in count(1))
         free = next(one for one in numbered if one not in known)
         name = check_name(name or next(iter(following), free), "object")
@@ -239,15 +230,6 @@ def summarise(record: SampleRecord) -> GraspSummary:
     """Summarise a sample as it was recorded."""
     outcome = DROPPED if DISCARDED in record.flags else record.outcome
     return GraspSummary(sys.intern(record.sample.object), outcome, record.sample.touch is not None)
-
-
-def summarise_dataset(path: Path) -> dict[str, GraspSummary]:
-    """The grasps of a dataset by id as recorded; none if it cannot be read."""
-    with suppress(ForetouchError, OSError):
-        dataset = RecordedDataset(path)
-        records = (dataset.as_recorded(k).record for k in range(len(dataset)))
-        return {record.sample.id: summarise(record) for record in records}
-    return {}
 
 
 def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, GraspSummary]:
