@@ -198,7 +198,7 @@ def run(arguments: argparse.Namespace) -> int:
             node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
         state = node.session_status()
-        announce("writing what is left; waiting until other graphs would be seen")
+        announce("writing what is left")
         with uninterrupted():
             node.end()
         report_conflicts(graph)
@@ -242,7 +242,7 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     keys = RecordingKeys(node.act)
 
     def ended() -> bool:
-        return not node.recording or time.monotonic() >= end or node.session_status().samples >= samples
+        return not node.recording or time.monotonic() >= end or node.session_status().message.samples >= samples
 
     def report() -> None:
         if arguments.json:

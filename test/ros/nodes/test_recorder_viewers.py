@@ -76,7 +76,7 @@ def test_other_tools_see_cloud_transforms_joints_and_robot(graph, tmp_path):
         robot.record(f"g-{session}", session)
         graph.until(lambda: all(accounts(node.status())[topic].written for topic in topics))
         status = node.end()
-        assert status.samples == 1
+        assert status.message.samples == 1
     reports = verify_dataset(tmp_path / "set")
     assert [report.fault_lines() for report in reports] == [[], []]
     for number, report in enumerate(reports):

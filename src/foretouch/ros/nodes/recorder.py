@@ -194,7 +194,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     @property
     def reason(self) -> str:
         """Why the last recording ended by itself."""
-        return self.session_status().error
+        return str(self.session_status().message.reason)
 
     def session_status(self) -> SessionStatus:
         """State of the current session, or of the last one."""
@@ -270,10 +270,11 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             raise ConfigError(f"path: {quoted(path)} is not inside of the folder {folder} of the recorder")
 
     def _stop_recording(self, _request: Any, response: Any) -> str:
-        response.path, last = str(self._running().writer.path), self.end()
-        response.samples = last.samples
-        if last.error:
-            raise ConfigError(last.error)
+        self._running()
+        last = self.end().message
+        response.path, response.samples = last.path, last.samples
+        if last.reason:
+            raise ConfigError(last.reason)
         return ""
 
     def _label_grasp(self, request: Any, response: Any) -> str:

@@ -11,6 +11,7 @@ import time
 import traceback
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, Literal
@@ -38,25 +39,22 @@ from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 _PREDICTIONS: Final = 1000  # messages that are kept until their grasps are executed: half a minute at 30 Hz
 
 
+_NO_HOLD: Final = TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet")
+
+
 @dataclass(frozen=True, kw_only=True)
 class SessionStatus:
     """State of a session; immutable."""
 
+    message: RecorderStatus = field(
+        default_factory=lambda: RecorderStatus(
+            pairing_error=math.nan, pairing_error_max=math.nan, touch_hold=_NO_HOLD, disk_left=math.inf
+        )
+    )  # without what is known of the topics
     accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits
-    samples: int = 0  # with a touch
-    unlabelled: int = 0  # samples without
-    results: Counter[str] = field(default_factory=Counter)  # executed grasps: `recorded`, or why they were rejected
     anomalies: Counter[str] = field(default_factory=Counter)  # of tactile stamps, and messages that were not decoded
-    last_sample: str = ""  # id of the latest sample with a touch
-    pairing_errors_ns: tuple[int, ...] = ()  # of the latest 1000 samples with a touch [ns]
-    sensors: Mapping[str, str] = field(default_factory=dict)  # state by finger, and of the camera
-    bytes_written: int = 0  # size of the file
-    bytes_per_s: float = 0.0  # current rate
-    free_bytes: int = 0  # space left until the session ends by itself
     operator: OperatorState = OperatorState()
     last: tuple[TouchPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
-    hold: TouchHold | None = None  # whether the latest grasp will hold
-    error: str = ""  # why it ended by itself, else ""
 
 
 class RecordingSession:
@@ -83,7 +81,7 @@ class RecordingSession:
     ) -> None:
         self.writer = writer
         self.began_s = time.monotonic()
-        self.status = SessionStatus(sensors=assembler.sensor_states(self.began_s))
+        self.status = SessionStatus()
         self.ended = threading.Event()
         self._topics = topics
         self._queue = MessageQueue(queue_bytes)
@@ -116,6 +114,7 @@ class RecordingSession:
         writer.before_end = self._account_for_rest
         self._error = ""
         self.ended_s = 0.0  # `time.monotonic`, once it has ended
+        self._update_status()
         topics.open(self._queue)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -266,27 +265,35 @@ class RecordingSession:
         while self._sizes[0][0] < now - 10.0:
             self._sizes.popleft()
         since_s, before = self._sizes[0]
-        accounts, assembler = self.writer.counts.topics, self._assembler
+        rate = (size - before) / (now - since_s) if now > since_s else 0.0
+        accounts, assembler, writer = self.writer.counts.topics, self._assembler, self.writer
+        flowing = rate > 0.0 and not (self._error or writer.closed)
+        errors = [error * 1e-9 for error in self._errors_ns] or [math.nan]
         with self._assembler_lock:
-            self.status = SessionStatus(
-                accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
-                samples=self.writer.labelled,
-                unlabelled=self.writer.samples - self.writer.labelled,
-                results=+assembler.results,
-                anomalies=assembler.readings.anomalies
-                + assembler.rejected_clouds
-                + assembler.invalid
-                + self._unreadable,
-                last_sample=self._last_sample,
-                pairing_errors_ns=tuple(self._errors_ns),
-                sensors=assembler.sensor_states(now),
+            sensors = assembler.sensor_states(now)
+            message = RecorderStatus(
+                path=str(writer.path),
                 bytes_written=size,
-                bytes_per_s=(size - before) / (now - since_s) if now > since_s else 0.0,
-                free_bytes=0 if self._error else self.writer.free_bytes,
-                error=self._error,
+                samples=writer.labelled,
+                unlabelled=writer.samples - writer.labelled,
+                status=Status.FAILED if self._error else Status.OK,
+                reason=self._error,
+                **_counts("outcomes", "outcome_counts", assembler.results),
+                last_sample=self._last_sample,
+                pairing_error=errors[-1],
+                pairing_error_max=max(errors),
+                sensors=list(sensors),
+                sensor_states=list(sensors.values()),
+                touch_hold=self._hold.last,
+                disk_left=writer.free_bytes / rate if flowing else math.inf,
+            )
+            found = assembler.readings.anomalies + assembler.rejected_clouds + assembler.invalid + self._unreadable
+            self.status = SessionStatus(
+                message=message,
+                accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
+                anomalies=found,
                 operator=self._operator.state(),
                 last=self._last,
-                hold=self._hold.last,
             )
 
 
@@ -297,40 +304,19 @@ def status_to_msg(
 
     `statistics` are by topic.
     """
-    recording = session is not None and not session.ended.is_set()
-    path = "" if session is None else str(session.writer.path)
-    duration_s = 0.0 if session is None else (session.ended_s or time.monotonic()) - session.began_s
     state = SessionStatus() if session is None else session.status
     received = {name: account for name, account in state.accounts.items() if name != SAMPLE_TOPIC}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
-    drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
-    errors = [error * 1e-9 for error in state.pairing_errors_ns]
-    flowing = recording and state.bytes_per_s > 0.0
-    return RecorderStatus(
-        header=header_to_msg("", now_ns),
-        recording=recording,
-        path=path,
-        duration=duration_to_msg(duration_s),
-        bytes_written=state.bytes_written,
-        samples=state.samples,
-        unlabelled=state.unlabelled,
-        received=sum(topic.received for topic in topics),
-        used=sum(topic.written for topic in topics),
-        **_counts("drop_reasons", "drop_counts", drops),
-        status=Status.FAILED if state.error else Status.OK,
-        reason=state.error,
-        lost=sum(topic.lost for topic in topics),
-        topics=topics,
-        **_counts("outcomes", "outcome_counts", state.results),
-        last_sample=state.last_sample,
-        pairing_error=errors[-1] if errors else math.nan,
-        pairing_error_max=max(errors) if errors else math.nan,
-        sensors=list(state.sensors),
-        sensor_states=list(state.sensors.values()),
-        touch_hold=state.hold or TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet"),
-        disk_left=state.free_bytes / state.bytes_per_s if flowing else math.inf,
-    )
+    drops = _counts("drop_reasons", "drop_counts", sum((one.dropped for one in accounts.values()), Counter()))
+    message = copy(state.message)
+    if session is not None:
+        message.recording = not session.ended.is_set()
+        message.duration = duration_to_msg((session.ended_s or time.monotonic()) - session.began_s)
+    message.header, message.topics = header_to_msg("", now_ns), topics
+    message.received, message.used = sum(one.received for one in topics), sum(one.written for one in topics)
+    message.lost, message.drop_reasons, message.drop_counts = sum(one.lost for one in topics), *drops.values()
+    return message
 
 
 def _topic(name: str, account: TopicCounts, topic: TopicStatistics) -> TopicAccountMsg:
