@@ -38,15 +38,18 @@ class CameraStatus:
     state: CameraState = "reconnecting"
     reason: str = "not opened yet"  # why, as text; empty while streaming
     device: str = ""  # name and serial number of the device; empty until one was opened
-    received: int = 0  # depth frames that the device made, by its frame numbers: delivered + the sum of dropped
     delivered: int = 0  # clouds returned
     dropped: Mapping[str, int] = field(default_factory=dict)  # lost frames by reason
     opened: int = 0  # how often a device was opened
     failures: int = 0  # consecutive attempts without a frame
-    since_frame_s: float | None = None  # age of the last frame [s]; None before the first
 
     def __str__(self) -> str:
         return f"camera: {self.state}{self.reason and f': {self.reason}'}"
+
+    @property
+    def received(self) -> int:
+        """Depth frames that the device made, by its frame numbers."""
+        return self.delivered + sum(self.dropped.values())
 
     @property
     def is_ok(self) -> bool:
@@ -80,14 +83,7 @@ class RealSenseCamera:
         self._next_attempt_s = 0.0  # end of the pause after a failed attempt [s]
         self._dropped: Counter[str] = Counter()
         self._last_number: int | None = None
-        self._frame_at_s: float | None = None
-        self._status = CameraStatus()
-
-    @property
-    def status(self) -> CameraStatus:
-        """The state, its reason, and the counts so far."""
-        last = self._frame_at_s
-        return replace(self._status, since_frame_s=None if last is None else time.monotonic() - last)
+        self.status = CameraStatus()  # the state, its reason, and the counts so far; replaced as a whole
 
     def read(self, timeout_s: float) -> Cloud | None:
         """Return the next cloud; None if there was none in time, for the reason that `status` gives.
@@ -96,7 +92,7 @@ class RealSenseCamera:
         ask for, or a `FileError` if the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
-        while self._status.state not in {"ended", "closed"}:
+        while self.status.state not in {"ended", "closed"}:
             left = deadline - time.monotonic()
             if self._stream is None:
                 self._try_to_open(max(0.0, left))
@@ -108,14 +104,14 @@ class RealSenseCamera:
 
     def __iter__(self) -> Iterator[Cloud]:
         """Clouds until the recording ends or the camera is closed."""
-        while self._status.state not in {"ended", "closed"}:
+        while self.status.state not in {"ended", "closed"}:
             if (cloud := self.read(_SLICE_S)) is not None:
                 yield cloud
 
     def close(self) -> None:
         """Release the device; afterwards nothing can be read."""
         self._release()
-        if self._status.state != "ended":
+        if self.status.state != "ended":
             self._set_state("closed", "closed by the user")
 
     def __enter__(self) -> Self:
@@ -143,7 +139,7 @@ class RealSenseCamera:
             return
         self._last_number = None
         self._heard_s, self._streaming = time.monotonic(), False
-        self._update(opened=self._status.opened + 1, device=describe(self._device))
+        self._update(opened=self.status.opened + 1, device=describe(self._device))
         self._set_state("reconnecting", "opened, waiting for the first frame")
 
     def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
@@ -151,7 +147,6 @@ class RealSenseCamera:
         if depth is None:
             self._on_silence(now, "no frame")
             return None
-        self._frame_at_s = now
         number = int(depth.get_frame_number())
         if self._last_number is not None and number > self._last_number + 1:  # of this opening
             self._drop("missed", number - self._last_number - 1)
@@ -163,7 +158,7 @@ class RealSenseCamera:
             self._on_silence(now, f"the library refuses the frame ({' '.join(str(err).split())})")
             return None
         self._heard_s, self._streaming, self._failures = now, True, 0
-        self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
+        self._update(delivered=self.status.delivered + 1)
         self._set_state("streaming", "")
         return cloud
 
@@ -179,7 +174,7 @@ class RealSenseCamera:
         reason = f"{what} for {silent_s:.1f} s"
         if not self._source.present(self._device):
             self._release()
-            self._retry_later("absent", f"{self._status.device}: was unplugged")
+            self._retry_later("absent", f"{self.status.device}: was unplugged")
         elif silent_s > limit_s and self._source.reopens:
             self._release()
             self._retry_later("reconnecting", f"{reason}, opening it again")
@@ -195,7 +190,7 @@ class RealSenseCamera:
 
     def _drop(self, reason: str, count: int = 1) -> None:
         self._dropped[reason] += count
-        self._update(received=self._status.received + count, dropped=dict(self._dropped))
+        self._update(dropped=dict(self._dropped))
 
     def _release(self) -> None:
         if self._stream is not None:
@@ -203,13 +198,13 @@ class RealSenseCamera:
         self._stream = self._device = None
 
     def _update(self, **changes: Any) -> None:
-        self._status = replace(self._status, **changes)
+        self.status = replace(self.status, **changes)
 
     def _set_state(self, state: CameraState, reason: str) -> None:
-        changed = state != self._status.state
+        changed = state != self.status.state
         self._update(state=state, reason=reason, failures=self._failures)
         if changed:
-            self._on_change(self._status)
+            self._on_change(self.status)
 
 
 def _log(status: CameraStatus) -> None:

@@ -45,7 +45,6 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self._served: dict[str, tuple[InputTopic, Any]] = {}  # topics with their channels, by full name
         self._asked: dict[str, SerializedInput] = {}  # while a client asks for the topic
         self._server: Any = None
-        self._timer: Any = None
         self._lock = threading.Lock()
         super().__init__(name, BridgeConfig, **options)
 
@@ -62,6 +61,8 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)
             self._served[name] = topic, channel
             self._closing.callback(channel.close)
+        timer = self.create_timer(0.2, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
+        self._closing.callback(self.destroy_timer, timer)
 
     def _start(self) -> None:
         foxglove, config = foxglove_sdk(), self.config
@@ -77,13 +78,9 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             raise ConfigError(f"{config.address}:{config.port}: {err}") from err
         host = f"[{config.address}]" if ":" in config.address else config.address
         self.url = f"ws://{host}:{self._server.port}"
-        self._timer = self.create_timer(0.2, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
         self.get_logger().info(f"serving at {self.url}")
 
     def _stop(self) -> None:
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
         if self._server is not None:
             self._server.stop()
             self._server = None

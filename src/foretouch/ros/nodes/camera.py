@@ -110,7 +110,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             "device": status.device,
             "opened": str(status.opened),
             "failures": str(status.failures),
-            "since_frame_s": "" if status.since_frame_s is None else f"{status.since_frame_s:.2f}",
         }
 
     # The thread.
