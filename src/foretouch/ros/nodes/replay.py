@@ -246,19 +246,21 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     def _wait_for_subscribers(self) -> bool:
         """Wait for those of the clouds, and then, with a limit, until all know each other; False if the replay must stop."""
         config, clouds = self.config, self._topic_publishers[CLOUDS]
-        if not self._wait(lambda: self._missing_ends(clouds), math.inf):
+        if not self._wait(lambda: self._missing_ends(clouds), math.inf, 0.5):
             return False
-        return not (config.subscribers or config.wait_for) or self._wait(self._unsettled(), config.wait_limit_s)
+        if not config.subscribers and not config.wait_for:
+            return True
+        return self._wait(self._unsettled(), config.wait_limit_s, 0.5 + config.discovery_s)
 
-    def _wait(self, missing: Callable[[], str], limit_s: float) -> bool:
-        """Wait until nothing is missing, or for so long, and say once what is; False if the replay must stop."""
+    def _wait(self, missing: Callable[[], str], limit_s: float, say_s: float) -> bool:
+        """Wait until nothing is missing, or for a limit, and say after some time what is; False if the replay must stop."""
         began, logged = time.monotonic(), False
         while self.state_name != "active" or (text := missing()):
             waited_s = time.monotonic() - began
             if self.state_name == "active" and waited_s >= limit_s:
                 self.get_logger().warning(f"plays after {limit_s:g} s, still without {text}")
                 return True
-            if self.state_name == "active" and waited_s >= 1.0 and not logged:
+            if self.state_name == "active" and waited_s >= say_s and not logged:
                 logged = True
                 self.get_logger().info(f"waits for {text}")
             if self._stopping.wait(_POLL_S):

@@ -11,8 +11,6 @@ model is immutable and serves all of them. A model that cannot be loaded does no
 gives the reason, and cleaning up and configuring again retries.
 """
 
-import math
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -108,11 +106,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._planner_action: Any = None  # class of the action of MoveIt Task Constructor
         self._tables: dict[int, TablePlane] = {}
         self._latest: Latest | None = None
-        self._latest_lock = threading.Lock()
         self._warned = False  # that no level meets the budget
         self._requests: Counter[str] = Counter()  # by name and status
         self._other_hand = ""  # why readings of the hand are not those of the model's sensor
-        self._foreign = ("", -math.inf)  # frame of the last request that the graph does not know, and when [s]
 
     def _setup(self) -> None:
         config, closing = self.config, self._closing
@@ -177,11 +173,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
             found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
         found += [self._other_hand] * bool(self._other_hand)
-        frame, asked_s = self._foreign
-        if time.monotonic() - asked_s < self.config.silence_s:
-            found.append(
-                f"a request is in frame {frame!r}, which is not that of the graph's clouds: answers stay in it"
-            )
         if model is not None and model.simulated:
             topic = self.resolve_topic_name(self.config.tactile_topic)
             others = {end.node_name for end in self.get_publishers_info_by_topic(topic)} - {"hand"}
@@ -265,23 +256,18 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         return predictor.finish(message, age_s, config.late_after_s, reduced=reduced), answer
 
     def _remember_table(self, message: TablePlane) -> None:
-        with self._latest_lock:
-            self._tables[stamp_ns(message.header.stamp)] = message
-            while len(self._tables) > 16:  # one has the stamp of the latest object_cloud
-                del self._tables[next(iter(self._tables))]
+        self._tables[stamp_ns(message.header.stamp)] = message
+        while len(self._tables) > 16:  # one has the stamp of the latest object_cloud
+            del self._tables[next(iter(self._tables))]
 
     def _frame_flags(self, cloud: Header) -> tuple[str, ...]:
         """The flag of a request whose cloud is in a frame that is not that of the graph's clouds."""
         latest = self._latest
-        if latest is None or cloud.frame_id == latest.cloud.header.frame_id:
-            return ()
-        self._foreign = (cloud.frame_id, time.monotonic())
-        return (UNKNOWN_FRAME,)
+        return () if latest is None or cloud.frame_id == latest.cloud.header.frame_id else (UNKNOWN_FRAME,)
 
     def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
-        with self._latest_lock:
-            if (table := self._tables.get(stamp_ns(message.header.stamp))) is not None:
-                self._latest = Latest(message, table)
+        if (table := self._tables.get(stamp_ns(message.header.stamp))) is not None:
+            self._latest = Latest(message, table)
 
     # Online adaptation.
 
