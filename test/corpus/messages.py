@@ -217,8 +217,8 @@ def predicted() -> Reader:
         targets = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
         posing = config.grasp if table else None
         arrays = len(request.contacts) or len(request.rotations)
-        grasps, predict = (read_arrays(request), predictor.batch) if arrays else (request.grasps, predictor.array)
-        answer = predictor.finish(predict(targets, grasps, request.cloud.header, config, posing), 1.0, 0.5)
+        grasps = read_arrays(request) if arrays else request.grasps
+        answer = predictor.finish(predictor.answer(targets, grasps, request.cloud.header, config, posing), 1.0, 0.5)
         (check_batch if arrays else check_predictions)(answer.reply)
 
     return [touch_request(), array_request()], read
@@ -229,7 +229,7 @@ def sampled() -> Reader:
     predictor, config = Predictor("default"), TouchPredictorConfig()
 
     def predict(target: Any, grasps: Any, header: Any) -> Any:
-        made = predictor.array([target], grasps, header, config).message.predictions
+        made = predictor.answer([target], grasps, header, config).message.predictions
         return [(one, np.full((3, 2), np.nan if one.status else 0.5)) for one in made]
 
     def read(goal: Any) -> None:
