@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from shape_msgs.msg import Plane as PlaneMsg
-from std_msgs.msg import String
 
 from foretouch.cli.answers import answer_record
-from foretouch.errors import CloudError, GraspError, MissingDependencyError, ModelError
+from foretouch.errors import CloudError, GraspError, ModelError
 from foretouch.grasp.messages import decode_grasp, has_orientation, rotation_from_quaternion
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.conversions import (
@@ -28,12 +27,8 @@ from foretouch.ros.messages.conversions import (
     reference_text,
 )
 from foretouch.ros.messages.requests import RefusalError, read_table
-from foretouch.ros.messages.tactile import tactile_class
 from foretouch.tactile import biotac_touch
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
-from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Plane, TouchPrediction
-from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
@@ -132,18 +127,3 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
     lines = answer_record(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))["predictions"]
     assert lines[0]["status"] == "ok"
     assert lines[1:] == [{"status": "failed", "reason": reason}, {"status": "bad_grasp", "reason": "g1: is not finite"}]
-
-
-def test_tactile_messages_hold_each_finger_at_its_index_and_a_missing_package_is_named():
-    counts = {name: np.arange(25, dtype=np.int16) + 100 * k for k, name in enumerate(("TH", "FF"))}
-    sent = biotac_all_to_msg(counts, "hand", 1_763_000_000_000_000_000)
-    assert (sent.header.frame_id, stamp_ns(sent.header.stamp)) == ("hand", 1_763_000_000_000_000_000)
-    assert [list(one.electrodes[:2]) for one in sent.tactiles] == [[101, 102], [0, 0], [0, 0], [0, 0], [1, 2]]
-    for name in FINGER_ORDER:
-        np.testing.assert_array_equal(finger_counts(sent, name), counts.get(name, np.zeros(25)))
-    assert {(one.tac, one.tdc) for one in sent.tactiles} == {(0, 0)}
-    warm = biotac_all_to_msg({"TH": np.arange(29, dtype=np.int16)}, "hand", 1_763_000_000_000_000_000).tactiles[-1]
-    assert (len(warm.electrodes), warm.pac0, warm.pac1, warm.tac, warm.tdc) == (24, 25, 26, 27, 28)
-    assert tactile_class("std_msgs/String") is String
-    with pytest.raises(MissingDependencyError, match="sr_robot_msgs is not installed"):
-        tactile_class("sr_robot_msgs/BiotacAll")

@@ -102,16 +102,6 @@ def test_a_grasp_beside_the_object_fails_and_one_in_another_frame_is_refused(gra
     assert len({tuple(finger_counts(m, "TH")) for m in tactile}) == 1
 
 
-def test_a_hand_that_is_restarted_continues_the_campaign(graph, start):
-    """The sensors were switched on 100 s ago, which are 30000 s of the campaign: 10 K warmer, at 75 counts of TDC a kelvin."""
-    warm_up = {"body_kelvin": 10.0, "warming_s": 1000.0, "tdc": {"session_kelvin": 0.0, "finger_kelvin": 0.0}}
-    config = scene(campaign={"live_speed": 300.0, "warm_up": warm_up})
-    _, tactile, *_ = start(config, scene__origin_ns=time.time_ns() - 100 * SECOND)
-    graph.until(lambda: tactile)
-    thumb = tactile[0].tactiles[FINGER_ORDER.index("TH")]
-    assert (thumb.tdc, thumb.tac) == (2400 + 750, 2048)
-
-
 def test_on_request_only(graph, start):
     node, _, reports, send = start(automatic=False)
     execute = lambda: graph.call(Trigger, "execute_grasp")  # noqa: E731

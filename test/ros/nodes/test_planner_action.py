@@ -10,20 +10,16 @@ import sys
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from constant_models import sensor_with_dead
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.pipeline import Pipeline
-from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.touch import grasp_actions
 from foretouch.ros.touch.config import COSTS
 from foretouch.ros.touch.grasp_actions import cost_of, planner_feedback
-from foretouch.tactile import Ranges
-from foretouch.types import Touch
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane
 
@@ -85,16 +81,3 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     costs = {rule: cost_of(rule, Grasp(score=4.0), np.array([0.25, 0.75])) for rule in COSTS}
     assert costs == {"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}
     assert np.isposinf([cost_of(rule, Grasp(score=math.nan), np.full(2, np.nan)) for rule in COSTS]).all()
-
-
-def test_a_sensor_without_a_pressure_presses_by_how_far_its_valid_taxels_moved():
-    sensor = sensor_with_dead("xela_uskin_4x4", 5)
-    view, rest, ranges = (
-        TaxelView(sensor),
-        Touch(np.full(96, 30_000.0), sensor.channels),
-        Ranges.of_sensor(sensor.channels),
-    )
-    values = rest.values.copy()
-    values[sensor.taxel_columns[0, :, 2]] += (65_535 - 30_000) / 2  # Z of the first finger, half of its way
-    values[sensor.taxel_columns[0, 5, 2]] = 65_535  # of the dead taxel
-    np.testing.assert_allclose(view.pressures(values, rest, ranges), [0.5, 0.0])
