@@ -311,7 +311,6 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "points": "the point cloud of the camera",
     "object_cloud": "the points of the target",
     "markers": "all results, for RViz",
-    "replay_status": "state and counts of a replay, latched",
     "/diagnostics": "rates, latencies and dropped messages of each node",
     "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",
     "edit_grasp": 'change the object, the outcome or the note of a recorded grasp of this session, or drop it; `grasp_id` "" is the last',

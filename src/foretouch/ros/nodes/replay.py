@@ -5,9 +5,8 @@ Threads: one thread reads ahead by one message, waits until it is due and publis
 callbacks only note answers. Messages of a recording are published byte for byte as they were recorded,
 unless `restamp` is set. Its other topics are played too, where this machine has their types.
 
-`replay_status` (`diagnostic_msgs/DiagnosticStatus`, latched) reports the state of the replay: `waiting`,
-`playing`, then `finished`, `stopped` or `failed`, with the counts. In the same process, `ReplayNode.ended`
-is set at the end.
+/diagnostics reports the state of the replay, `replay`: `waiting`, `playing`, then `finished`, `stopped` or `failed`, and the
+counts. In the same process, `ReplayNode.ended` is set at the end.
 """
 
 import importlib
@@ -21,7 +20,6 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from ament_index_python import has_resource
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
@@ -34,7 +32,6 @@ from foretouch.dataset.source import Source, open_source
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
-from foretouch.ros.runtime.diagnostics import made_status
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
@@ -146,11 +143,6 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._answered = threading.Condition()
         self._last_answer_ns = -1
         super().__init__(name, ReplayConfig, **options)
-        self._status = self.create_publisher(
-            DiagnosticStatus,
-            "replay_status",
-            QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-        )
 
     @property
     def unreadable(self) -> int:
@@ -228,18 +220,18 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     # The thread.
 
     def _run(self) -> None:
-        self._report_outcome("waiting")
+        self._set_outcome("waiting")
         try:
             if self._wait_for_subscribers():
                 self.look_for_second_graph()
-                self._report_outcome("playing")
+                self._set_outcome("playing")
                 self._play()
-            self._report_outcome("stopped" if self._stopping.is_set() else "finished")
+            self._set_outcome("stopped" if self._stopping.is_set() else "finished")
         except ForetouchError as err:
-            self._report_outcome("failed", str(err))
+            self._set_outcome("failed", str(err))
         except Exception as err:  # noqa: BLE001  the end of a thread must be reported
             if self.context.ok():
-                self._report_outcome("failed", f"{type(err).__name__}: {err}")
+                self._set_outcome("failed", f"{type(err).__name__}: {err}")
         finally:
             self.ended.set()
 
@@ -360,10 +352,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         for topic_name, reason in self._left_out.items():
             self.get_logger().info(f"{topic_name}: not played: {reason}")
 
-    def _report_outcome(self, outcome: str, reason: str = "") -> None:
-        self.outcome, self.reason, self.has_failed = outcome, reason, outcome == "failed"
-        values = self.notes() | {"unreadable": str(self.unreadable)}
-        level, text = (DiagnosticStatus.ERROR, f"{outcome}: {reason}") if reason else (DiagnosticStatus.OK, outcome)
-        self._status.publish(made_status(self.get_fully_qualified_name(), level, text, values))
+    def _set_outcome(self, outcome: str, reason: str = "") -> None:
+        self.outcome, self.reason, self.has_failed = outcome, reason, bool(reason)
         if reason:
             self.get_logger().error(reason)

@@ -147,12 +147,7 @@ def diagnostic_status(
         level, message = DiagnosticStatus.WARN, "; ".join(warnings)
     else:
         level, message = DiagnosticStatus.OK, f"{state}, {now.rate_hz:.1f} Hz"
-    pairs = {"state": state, **_numbers(now), **(notes or {})}
-    return made_status(name, level, message, pairs)
-
-
-def made_status(name: str, level: bytes, message: str, values: Mapping[str, str]) -> DiagnosticStatus:
-    """Make a status with values by key."""
+    values = {"state": state, **_numbers(now), **(notes or {})}
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     return DiagnosticStatus(level=level, name=name, message=message, hardware_id="none", values=pairs)
 
