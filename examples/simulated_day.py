@@ -38,8 +38,7 @@ from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
-from foretouch.ros.executables import PERCEPTION
-from foretouch.ros.graph import Graph
+from foretouch.ros.graph import PERCEPTION, Graph
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileConfig, stamp_ns
 from foretouch_lab.simulation.execution import SimulatedHand

@@ -281,7 +281,7 @@ def experiments() -> str:
 
 def node_configs() -> dict[str, type[Settings]]:
     """The settings of each node by its name."""
-    from foretouch.ros.executables import NODES
+    from foretouch.ros.graph import NODES
 
     configs = {}
     for name, place in NODES.items():
@@ -371,7 +371,7 @@ def graph() -> dict[str, Ends]:
     from rclpy.context import Context
     from rclpy.parameter import Parameter
 
-    from foretouch.ros.executables import NODES, make_nodes
+    from foretouch.ros.graph import NODES, make_nodes
 
     found: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
     context = Context()

@@ -35,7 +35,7 @@ from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
 from foretouch.models.hand_history import place_and_size
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.ros.executables import NODES
+from foretouch.ros.graph import NODES
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import plan_targets, read_arrays, read_cloud, read_plane, read_table, read_targets

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from foretouch import reading
 from foretouch.cloud.messages import decode_cloud
 from foretouch.grasp.messages import decode_grasp
-from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.action import SampleGrasps

@@ -13,7 +13,7 @@ from foretouch import reading
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.grasp.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns

@@ -21,8 +21,7 @@ from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import laboratory
-from foretouch.ros.executables import PERCEPTION
-from foretouch.ros.graph import Graph
+from foretouch.ros.graph import PERCEPTION, Graph
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -16,8 +17,9 @@ from typing import TYPE_CHECKING, Any, Self, cast
 from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
-from foretouch.ros.executables import begin, make_nodes
-from foretouch.ros.runtime.environment import start_rclpy
+from foretouch.laboratory import needs_laboratory
+from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
+from foretouch.ros.runtime.parameter_files import check_parameters
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.monitor import MonitorNode
@@ -25,13 +27,27 @@ if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
 
+NODES = {
+    "camera": "foretouch.ros.nodes.camera:CameraNode",
+    "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNode",
+    "grasp": "foretouch.ros.nodes.grasp:GraspNode",
+    "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
+    "replay": "foretouch.ros.nodes.replay:ReplayNode",
+    "hand": "foretouch_lab.ros.hand:HandNode",
+    "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
+    "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
+}
+"""Module and class of each node by name; that of the simulated hand is in the laboratory."""
+
+PERCEPTION = ("segmentation", "grasp", "touch_predictor")
+
 _SOURCES = ("replay", "camera")
 
 
 class Graph:
     """Nodes by name, and a monitor, that run while the context is open.
 
-    `nodes` are the parameters of each node by name (see `foretouch.ros.executables`), `monitor` the options of `MonitorNode`, None
+    `nodes` are the parameters of each node by name (see `NODES`), `monitor` the options of `MonitorNode`, None
     for no monitor, and `arguments` a command line with ROS arguments. On entering, a `ConfigError` if a parameter breaks a rule.
     """
 
@@ -183,6 +199,35 @@ class Graph:
 
         with suppress(ExternalShutdownException):
             spin_on(self._executor, self._errors, self._closing.is_set, 0.2)
+
+
+def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
+    """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
+    prepare_environment()
+    check_parameters(arguments, NODES, names, namespace)
+    start_rclpy(arguments)
+
+
+def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
+    """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
+
+    A `ConfigError` if a parameter given at the start breaks a rule.
+    """
+    nodes: list[ForetouchNode[Any]] = []
+    try:
+        nodes.extend(node_class(name)(**options) for name in names)  # those made before an error are kept
+    except ForetouchError:
+        for node in nodes:
+            node.destroy_node()
+        raise
+    return nodes
+
+
+def node_class(name: str) -> Any:
+    """The class of a node by its name; raises as `needs_laboratory`."""
+    module, _, class_name = NODES[name].partition(":")
+    with needs_laboratory(f"node {name}"):
+        return getattr(import_module(module), class_name)
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:

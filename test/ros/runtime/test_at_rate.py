@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.tactile.messages.table import stamp_ns

@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header
 
 from foretouch.dataset.bag_writer import write_bag
-from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import PERCEPTION
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 
