@@ -7,7 +7,7 @@ pace) never ends.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -34,12 +34,12 @@ class FrameStream:
         self._lens: tuple[str, Deprojector] | None = None
         waits = device.is_playback() and not config.real_time
         # Unlimited until the stream has started: the library must not wait while it starts.
-        self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
+        queue = self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
         self._sensor, profile = _find_profile(device, None if device.is_playback() else config)
         self._device = device  # or the library would end a recording
         try:
             self._sensor.open(profile)
-            self._sensor.start(_keep_in(self._queue))
+            self._sensor.start(lambda frame: (frame.keep(), queue.put(frame)))  # the library lends only a few otherwise
         except BaseException:
             self.close()
             raise
@@ -103,16 +103,6 @@ def _lens_of(intrinsics: Any) -> Deprojector:
         raise CameraError(f"depth stream: distortion {list(i.coeffs)} ({i.model}): only rectified images are supported")
     matrix = np.array([[i.fx, 0.0, i.ppx], [0.0, i.fy, i.ppy], [0.0, 0.0, 1.0]])
     return Deprojector.of_lens(matrix, i.width, i.height)
-
-
-def _keep_in(queue: BoundedQueue[Any]) -> Callable[[Any], None]:
-    """A callback for the library's thread."""
-
-    def _put(frame: Any) -> None:
-        frame.keep()  # the library lends only a few frames otherwise
-        queue.put(frame)
-
-    return _put
 
 
 def _find_profile(device: Any, config: RealSenseConfig | None) -> tuple[Any, Any]:

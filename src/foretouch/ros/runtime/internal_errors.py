@@ -28,14 +28,13 @@ class InternalErrors:
     """Counts and logs the internal errors of one node. Thread-safe.
 
     Args:
-        log: Called with a line for the first error of a callback, and then at most every five seconds.
+        log: Called with a line for the first error of a callback, and then for the tenth, the hundredth, and so on.
     """
 
     def __init__(self, log: Callable[[str], object]) -> None:
         self._log = log
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
-        self._logged_s: dict[str, float] = {}
 
     def counts(self) -> Counter[str]:
         """Number of errors by callback."""
@@ -45,14 +44,10 @@ class InternalErrors:
     def report(self, name: str, err: Exception) -> str:
         """Count and log an error of a callback; its type and text in one line, the reason for an answer with FAILED."""
         reason = described(err)[:300]
-        now = time.monotonic()
         with self._lock:
             self._counts[name] += 1
             count = self._counts[name]
-            due = now - self._logged_s.get(name, float("-inf")) >= 5.0
-            if due:
-                self._logged_s[name] = now
-        if due:
+        if str(count).rstrip("0") == "1":
             frames = traceback.extract_tb(err.__traceback__)
             position = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "no traceback"
             self._log(f"{name}: internal error {count}: {reason} ({position})")
