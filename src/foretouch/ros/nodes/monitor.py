@@ -95,9 +95,7 @@ class MonitorNode(GuardedCallbacks, Node):
         self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._kept = (
-            8 if hand is None else 32
-        )  # clouds: enough to find that of an answer again, or of an executed grasp
+        self._kept = 8 if hand is None else 32  # clouds: enough to find that of an answer, or of an executed grasp
         self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
         # The last by whether the model does not know the object, and whether it was touched before.
         self._executed: dict[tuple[bool, bool], Drawable] = {}

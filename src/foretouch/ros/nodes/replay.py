@@ -261,11 +261,10 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def _missing_ends(self, clouds: Any) -> str:
         """Which subscribers and publishers the first cloud waits for; "" if none."""
-        found, wanted = clouds.get_subscription_count(), self.config.subscribers
-        missing = [
-            f"subscribers of {clouds.topic_name}, {found} of {wanted} (is the graph running? --no-wait waits for none)"
-        ]
-        missing = missing if found < wanted else []
+        found, wanted, missing = clouds.get_subscription_count(), self.config.subscribers, []
+        if found < wanted:
+            count = f"{found} of {wanted} (is the graph running? --no-wait waits for none)"
+            missing.append(f"subscribers of {clouds.topic_name}, {count}")
         if self.config.lockstep and not self.count_publishers("touch"):
             missing.append("a publisher of touch")
         return " and ".join(missing)
