@@ -38,8 +38,7 @@ from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
-from foretouch.ros.executables import PERCEPTION
-from foretouch.ros.graph import Graph
+from foretouch.ros.graph import PERCEPTION, Graph
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileConfig, stamp_ns
 from foretouch_lab.simulation.execution import SimulatedHand
@@ -53,7 +52,7 @@ ELECTRODE: Final = 10  # of the middle finger, from 1
 VALUE: Final = BIOTAC.columns(["E_MF"])[ELECTRODE - 1]
 DEVIATIONS: Final = 1.645  # of 90 %
 POLL_S: Final = 0.1
-SLOW: Final = {"camera.fps": 3, "camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}
+SLOW: Final = {"camera.fps": 3, "camera.silence_s": 20.0}
 
 Row = Mapping[str, Any]
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.dataset.pairing.buffers import TouchReading
 from foretouch.dataset.pairing.cut import Interval
+from foretouch_lab.simulation.message_faults import FaultConfig, MessageFaults
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 100

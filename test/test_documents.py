@@ -161,7 +161,7 @@ def test_every_field_of_every_interface_is_listed_with_its_comment(reference) ->
 
 def test_every_parameter_of_every_node_is_listed(reference) -> None:
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
-    from foretouch.ros.executables import NODES
+    from foretouch.ros.graph import NODES
     from foretouch.ros.runtime.lifecycle_node import NodeConfig
 
     text, configs = reference.parameters(), reference.node_configs()

@@ -281,7 +281,7 @@ def experiments() -> str:
 
 def node_configs() -> dict[str, type[Settings]]:
     """The settings of each node by its name."""
-    from foretouch.ros.executables import NODES
+    from foretouch.ros.graph import NODES
 
     configs = {}
     for name, place in NODES.items():
@@ -311,9 +311,7 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
     "points": "the point cloud of the camera",
     "object_cloud": "the points of the target",
     "markers": "all results, for RViz",
-    "replay_status": "state and counts of a replay, latched",
     "/diagnostics": "rates, latencies and dropped messages of each node",
-    "heartbeat": "name and state of each node, every 0.4 s",
     "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",
     "edit_grasp": 'change the object, the outcome or the note of a recorded grasp of this session, or drop it; `grasp_id` "" is the last',
     "next_object": "name the object that is on the table from now on; without a name the next of the parameter `objects`",
@@ -373,7 +371,7 @@ def graph() -> dict[str, Ends]:
     from rclpy.context import Context
     from rclpy.parameter import Parameter
 
-    from foretouch.ros.executables import NODES, make_nodes
+    from foretouch.ros.graph import NODES, make_nodes
 
     found: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
     context = Context()
@@ -382,7 +380,7 @@ def graph() -> dict[str, Ends]:
         np.savez(f"{folder}/cloud.npz", xyz=np.ones((4, 4, 3), np.float32))
         scene = str(ROOT / "src/foretouch_lab/simulation/scenes/clean.yaml")
         needed: dict[str, dict[str, Any]] = {
-            "camera": {"source": "synthetic"},
+            "camera": {"source": "scene", "scene.path": scene},
             "hand": {"scene.path": scene},
             "replay": {"path": f"{folder}/cloud.npz", "lockstep": True},
         }

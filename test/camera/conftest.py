@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from foretouch.camera import realsense
-from foretouch.camera.config import RealSenseConfig, TimeoutConfig
+from foretouch.camera.config import RealSenseConfig
 from foretouch_lab.simulation import DepthImage, random_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 
@@ -37,5 +37,5 @@ def source(images: list[DepthImage]) -> Iterator[SyntheticCamera]:
 def config(monkeypatch: pytest.MonkeyPatch) -> RealSenseConfig:
     """The size of the images, and timeouts that a test can wait for."""
     monkeypatch.setattr(realsense, "_BACKOFF_S", (0.05, 0.2))
-    timeouts = TimeoutConfig(start_s=0.6, stall_s=0.2, reopen_s=0.5)
-    return RealSenseConfig(width=WIDTH, height=HEIGHT, timeouts=timeouts)
+    monkeypatch.setattr(realsense, "_START_S", 0.6)
+    return RealSenseConfig(width=WIDTH, height=HEIGHT, silence_s=0.5)

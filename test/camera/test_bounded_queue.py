@@ -118,26 +118,3 @@ def test_a_full_queue_may_block_the_sender_until_it_is_read_or_closed() -> None:
     assert not sender.is_alive()
     assert queue.get(0.0) is None
     assert queue.dropped == {"stopped": 2}
-
-
-def test_what_waits_can_be_taken_out_of_a_closed_queue_for_which_a_receiver_waits_no_longer_than_asked() -> None:
-    queue = BoundedQueue[int](3)
-    queue.put(0)
-    queue.put(1)
-    queue.close()
-    assert not queue.put(2)
-    assert queue.closed
-    assert (queue.get(), queue.get_all(), queue.get()) == (0, [1], None)
-    assert queue.dropped == {"closed": 1}
-    queue.reopen()
-    assert queue.put(3)
-    assert queue.get() == 3
-    got: list[int | None] = []
-    receiver = threading.Thread(target=lambda: got.append(queue.get()), daemon=True)
-    receiver.start()
-    queue.close()
-    receiver.join(1.0)
-    assert got == [None]
-    started = time.monotonic()
-    assert BoundedQueue[int](1).get(0.1) is None
-    assert 0.09 < time.monotonic() - started < 0.5

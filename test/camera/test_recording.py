@@ -6,24 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from camera_builders import record
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.realsense import RealSenseCamera
 from foretouch.errors import FileError
-from foretouch.types import Cloud
-from foretouch_lab.simulation.software_camera import SyntheticCamera
-
-
-def _record(path: Path, source: SyntheticCamera, config: RealSenseConfig, count: int) -> list[Cloud]:
-    clouds: list[Cloud] = []
-    with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
-        camera.read(0.0)
-        for _ in range(count):
-            source.feed()
-            cloud = camera.read(1.0)
-            assert cloud is not None, camera.status
-            clouds.append(cloud)
-    return clouds
 
 
 def _playing(path: Path, config: RealSenseConfig) -> RealSenseConfig:
@@ -32,7 +19,7 @@ def _playing(path: Path, config: RealSenseConfig) -> RealSenseConfig:
 
 def test_a_recording_plays_back_bit_for_bit(tmp_path, source, config):
     path = tmp_path / "seen.db3"
-    recorded = _record(path, source, config, 5)
+    recorded = record(path, source, config, 5)
     with RealSenseCamera(_playing(path, config)) as camera:
         played = {}
         for cloud in camera:
@@ -50,54 +37,7 @@ def test_a_recording_plays_back_bit_for_bit(tmp_path, source, config):
         assert twin.frame_id == cloud.frame_id
 
 
-def test_in_real_time_the_pace_is_that_of_the_recording_and_a_gap_is_told(tmp_path, source, config):
-    path = tmp_path / "seen.db3"
-    recorded, told, arrived = [], [], []
-    patient = config.timeouts.replace(reopen_s=30.0, start_s=30.0)
-    with RealSenseCamera(config.replace(record_to=str(path), timeouts=patient), source) as camera:
-        camera.read(0.0)
-        for pause_s in (0.1, 0.1, 1.0, 0.1):  # the longest is more than `reopen_s` of the player
-            time.sleep(pause_s)
-            source.feed()
-            cloud = camera.read(1.0)
-            assert cloud is not None
-            recorded.append(cloud.stamp_ns)
-    playing = _playing(path, config).replace(real_time=True)
-    with RealSenseCamera(playing, on_change=lambda status: told.append(status.state)) as camera:
-        played = []
-        for cloud in camera:
-            played.append(cloud.stamp_ns)
-            arrived.append(time.monotonic())
-    # The library may hand out the first frame late while it starts; from then on it keeps the pace.
-    assert played[-3:] == recorded[-3:]
-    assert arrived[-1] - arrived[-3] == pytest.approx((recorded[-1] - recorded[-3]) / 1e9, abs=0.25)
-    assert list(dict.fromkeys(told)) == ["streaming", "stalled", "ended"]
-    assert camera.status.opened == 1
-
-
-def test_a_reconnected_camera_records_to_the_next_file(tmp_path, source, config):
-    path = tmp_path / "seen.db3"
-    with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
-        for opening in range(2):
-            while camera.status.opened == opening:
-                camera.read(0.01)
-            source.feed()
-            assert camera.read(1.0) is not None
-            source.plugged = False
-            while camera.status.state != "absent":
-                camera.read(0.05)
-            source.plugged = True
-    for name in ("seen.db3", "seen-2.db3"):
-        with RealSenseCamera(_playing(tmp_path / name, config)) as camera:
-            assert len(list(camera)) == 1
-
-
-def test_files_that_cannot_be_played_or_overwritten_are_named(tmp_path, source, config):
-    precious = tmp_path / "precious.db3"
-    precious.write_bytes(b"precious")
-    with pytest.raises(FileError, match=r"precious\.db3: exists"):
-        RealSenseCamera(config.replace(record_to=str(precious)), source)
-    assert precious.read_bytes() == b"precious"
+def test_files_that_cannot_be_played_are_named(tmp_path, config):
     with pytest.raises(FileError, match=r"gone\.db3: no such file"):
         RealSenseCamera(_playing(tmp_path / "gone.db3", config))
     for name in ("bad.db3", "bad.bag"):

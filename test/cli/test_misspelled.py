@@ -69,7 +69,7 @@ def test_names_of_recipes_experiments_and_models(call) -> None:
 def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -> None:
     pytest.importorskip("rclpy")
     from foretouch.errors import ConfigError
-    from foretouch.ros.executables import NODES as KNOWN
+    from foretouch.ros.graph import NODES as KNOWN
     from foretouch.ros.runtime.parameter_files import check_parameters
 
     path = tmp_path / "robot.yaml"

@@ -35,7 +35,7 @@ from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
 from foretouch.models.hand_history import place_and_size
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.ros.executables import NODES
+from foretouch.ros.graph import NODES
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import plan_targets, read_arrays, read_cloud, read_plane, read_table, read_targets
@@ -217,8 +217,8 @@ def predicted() -> Reader:
         targets = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
         posing = config.grasp if table else None
         arrays = len(request.contacts) or len(request.rotations)
-        grasps, predict = (read_arrays(request), predictor.batch) if arrays else (request.grasps, predictor.array)
-        answer = predictor.finish(predict(targets, grasps, request.cloud.header, config, posing), 1.0, 0.5)
+        grasps = read_arrays(request) if arrays else request.grasps
+        answer = predictor.finish(predictor.answer(targets, grasps, request.cloud.header, config, posing), 1.0, 0.5)
         (check_batch if arrays else check_predictions)(answer.reply)
 
     return [touch_request(), array_request()], read
@@ -229,7 +229,7 @@ def sampled() -> Reader:
     predictor, config = Predictor("default"), TouchPredictorConfig()
 
     def predict(target: Any, grasps: Any, header: Any) -> Any:
-        made = predictor.array([target], grasps, header, config).message.predictions
+        made = predictor.answer([target], grasps, header, config).message.predictions
         return [(one, np.full((3, 2), np.nan if one.status else 0.5)) for one in made]
 
     def read(goal: Any) -> None:

@@ -37,7 +37,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
-from foretouch.ros.executables import make_nodes  # noqa: E402
+from foretouch.ros.graph import make_nodes  # noqa: E402
 from foretouch.ros.runtime.executor import GraphExecutor  # noqa: E402
 from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 

@@ -14,11 +14,12 @@ from pair_builders import REST, level
 from robot_builders import FRAME, MS, QUICK, Robot
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 from foretouch import reading
 from foretouch.cloud.messages import decode_cloud
 from foretouch.grasp.messages import decode_grasp
-from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.action import SampleGrasps
@@ -126,7 +127,8 @@ WAYS = (
 @pytest.mark.parametrize("rounds", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_every_executed_grasp_of_every_way_of_asking_is_adapted_to(graph, scene_cloud, tmp_path, rounds):
     card = save_calibrated_network(tmp_path, make_tracked_calibration())
-    planner = Planner(graph, scene_cloud, model=card, forget_after_s=1e6, **QUICK)
+    kept = {"hand": "right", "history_folder": str(tmp_path)}
+    planner = Planner(graph, scene_cloud, model=card, forget_after_s=1e6, use_tare=False, **kept, **QUICK)
     assert planner.look().reference == TouchPrediction.NONE
     for number, way in enumerate(WAYS * rounds, 1):
         planner.look()
@@ -137,6 +139,20 @@ def test_every_executed_grasp_of_every_way_of_asking_is_adapted_to(graph, scene_
         )
         assert planner.counts() == {"touches.waiting": 0, "touches.taken_in": number}, way.__name__
         assert planner.look().touches == number
+    graph.set(planner.node, use_touches=False)
+    assert planner.look().reference == TouchPrediction.NONE
+    graph.set(planner.node, use_touches=True)
+    assert graph.change("touch_predictor", "deactivate", "cleanup", "configure", "activate")  # as after a restart
+    graph.matched("object_cloud", "grasps", "touch")
+    found = planner.look()
+    assert (found.reference, found.touches, found.readings) == (TouchPrediction.TOUCHES, number, number)
+    for service, text, reference in (
+        ("forget_touches", f"{number} touches forgotten", TouchPrediction.HISTORY),
+        ("forget_history", f"{number} readings forgotten", TouchPrediction.NONE),
+    ):
+        answer = graph.call(Trigger, service)
+        assert (answer.success, answer.message) == (True, text)
+        assert planner.look().reference == reference
 
 
 @pytest.mark.slow

@@ -11,10 +11,9 @@ from visualization_msgs.msg import MarkerArray
 
 from foretouch import reading
 from foretouch.cloud.segmentation.identity import ObjectIdentity
-from foretouch.errors import ConfigError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
@@ -104,11 +103,6 @@ def test_what_stands_around_the_target_blocks_its_grasps_as_in_the_pipeline(chai
             received = decode_grasp(message)
             np.testing.assert_array_equal([received.g1, received.g2], [grasp.g1, grasp.g2])
     assert blocked > 0
-
-
-def test_the_method_that_was_replaced_is_refused_by_the_node(graph):
-    with pytest.raises(ConfigError, match=r"grasp\.method: 'stable' was replaced by 'completed', which is the default"):
-        graph.add("grasp", **{"grasp.method": "stable"})
 
 
 def test_the_target_and_the_grasp_of_a_still_scene_are_kept(chain, scene_cloud):

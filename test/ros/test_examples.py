@@ -9,11 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from answer_builders import touch_message
-from numpy.testing import assert_allclose
 from rclpy.duration import Duration
 
-from foretouch.models import load_model
-from foretouch.models.hand_history import HandHistory
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.tactile import biotac_touch
 from foretouch.types import Grasp
@@ -23,7 +20,6 @@ from foretouch_msgs.msg import TouchPrediction, TouchPredictionArray
 pytestmark = pytest.mark.ros
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-START = 1_700_000_000_000_000_000
 
 
 def example(name):
@@ -54,24 +50,3 @@ def test_the_listener_describes_each_reference_and_discards_old_answers_by_their
     graph.until(lambda: [one.received for one in listeners] == [2, 4])
     assert [one.discarded for one in listeners] == [2, 0]
     assert capsys.readouterr().out.count("60 s old") == 1
-
-
-def test_the_parts_of_the_day_are_those_of_the_level_and_in_its_model_time_passes_faster(tmp_path):
-    day, released = example("simulated_day"), load_model("default")
-    history = HandHistory(released)
-    rng = np.random.default_rng(0)
-    for k in range(4):
-        history.tracker.add_touch(START + k * 60_000_000_000, np.full(50, 3100.0), rng.normal(3000.0, 20.0, 50))
-    stamp = START + 180_000_000_000
-    parts = day.parts_of(history)
-    level, other = history.tracker.level(stamp), history.tracker.level(stamp, same_object=False)
-    assert_allclose(parts["state"][0], other.offset[day.VALUE])
-    assert_allclose(parts["state"][0] + parts["object"][0], level.offset[day.VALUE])
-    prior = (history.tracker.parameters.basis**2 @ history.tracker.parameters.object[0])[day.VALUE]
-    assert_allclose(parts["state"][1] ** 2 + prior, other.variance[day.VALUE])
-    model = load_model(day.write_model(tmp_path))
-    own, other = (one.calibration.tracker_parameters for one in (model, released))
-    assert_allclose(own.slow_time_s * day.SPEED, other.slow_time_s)
-    assert_allclose(own.fast_time_s * day.SPEED, other.fast_time_s)
-    assert (own.noise == other.noise).all()
-    assert model.sha256 == released.sha256

@@ -13,11 +13,7 @@ from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, SHORT, scene
 
 from foretouch.camera.config import ScheduleConfig
-from foretouch.camera.message_faults import FaultConfig
 from foretouch.cloud.messages import decode_cloud
-from foretouch.errors import ConfigError
-from foretouch.ros.nodes.camera import CameraNodeConfig
-from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 
@@ -44,14 +40,3 @@ def test_the_hand_holds_what_the_camera_saw(graph, tmp_path):
     for cloud in map(decode_cloud, points[:3]):
         expected = FrameMaker(config).frame(show.slot(cloud.stamp_ns)).cloud()
         np.testing.assert_allclose(cloud.xyz, expected.xyz, atol=1e-6)
-
-
-def test_faults_are_for_the_camera_of_a_scene_and_can_be_changed_while_it_runs(graph, tmp_path):
-    with pytest.raises(ConfigError, match="faults: are supported by the camera of a scene only, not device"):
-        CameraNodeConfig(faults=FaultConfig(drop_share=0.1))
-    path = write(tmp_path, scene(CAN, camera={"width": 96, "height": 72}))
-    points = graph.listen(PointCloud2, "points", reliable=False)
-    (camera,) = graph.add("camera", source="scene", camera__fps=15, scene__path=path)
-    graph.until(lambda: points)
-    graph.set(camera, faults__skew_s=3600.0)
-    graph.until(lambda: stamp_ns(points[-1].header.stamp) > time.time_ns() + 3500 * 10**9, timeout_s=10.0)

@@ -14,31 +14,20 @@ _MS_NS: Final = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimeoutConfig(Settings):
-    """When a camera without frames counts as stalled, and when it is opened again."""
-
-    start_s: float = setting(5.0, "Longest time from opening to the first frame", bounds=(0.1, 60.0))
-    stall_s: float = setting(1.0, "A streaming camera without a frame for longer is stalled", bounds=(0.05, 60.0))
-    reopen_s: float = setting(3.0, "A camera without a frame for longer is opened again", bounds=(0.05, 600.0))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.stall_s > self.reopen_s:
-            raise ConfigError(f"stall_s: {self.stall_s} is above reopen_s, {self.reopen_s}")
-
-
-@dataclass(frozen=True, kw_only=True)
 class RealSenseConfig(Settings, read_only=True):
     """A RealSense depth camera, live or recorded, and the processing of its frames."""
 
     serial: str = setting("", "Serial number of the live device; empty for the first one found")
     file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device")
-    record_to: str = setting("", "File (.db3) that all frames are recorded to as they arrive")
     width: int = setting(848, "Columns of a live image", unit="px", bounds=(64, 3840))
     height: int = setting(480, "Rows of a live image", unit="px", bounds=(64, 2160))
     fps: int = setting(30, "Frames per second of a live device", unit="Hz", bounds=(1, 300))
     filters: tuple[str, ...] = setting((), "Filters of the library, with its defaults, in its order", choices=FILTERS)
-    timeouts: TimeoutConfig = TimeoutConfig()
+    silence_s: float = setting(
+        3.0,
+        "A camera without a frame for longer is opened again; it is reported as stalled after a third of that",
+        bounds=(0.05, 600.0),
+    )
     real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost")
     frame_id: str = setting("", "Frame of the clouds; empty for the optical frame of the depth image")
     stamp: str = setting(
@@ -51,8 +40,6 @@ class RealSenseConfig(Settings, read_only=True):
         super().__post_init__()
         if self.file and self.serial:
             raise ConfigError(f"file: {self.file!r} and serial {self.serial!r} exclude each other")
-        if self.file and self.record_to:
-            raise ConfigError(f"record_to: {self.record_to!r}: a recording cannot be recorded again")
 
     @property
     def optical_frame(self) -> str:

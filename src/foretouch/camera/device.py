@@ -53,71 +53,46 @@ def realsense() -> Any:
 
 
 class DeviceSource:
-    """Provides a device each time that one is opened."""
+    """The device that settings name: on the USB bus, or a file of the library's own recorder (`.db3`, older ones `.bag`).
 
-    reopens = True  # whether opening a silent device again may help; a recording ends, and would only restart
+    A `FileError` if it is a file that is absent.
 
-    def find(self) -> Any:
-        """The `pyrealsense2.device`; a `CameraError` if it is not available now."""
-        raise NotImplementedError
+    Attributes:
+        reopens: Whether opening a silent device again may help; a recording ends, and would only restart.
+    """
 
-    def present(self, device: Any) -> bool:
-        """Whether a device that was found is still available."""
-        raise NotImplementedError
-
-
-class _LiveSource(DeviceSource):
-    """A device on the USB bus, of a serial number or the first one found."""
-
-    def __init__(self, serial: str = "") -> None:
-        self._serial = serial
+    def __init__(self, config: RealSenseConfig) -> None:
+        self._config = config
+        self._path = Path(config.file)
+        self.reopens = not config.file
+        if config.file and not self._path.is_file():
+            raise FileError(self._path, "no such file")
         self._context = realsense().context()
 
     def find(self) -> Any:
-        """See `DeviceSource`."""
+        """The `pyrealsense2.device`; a `CameraError` if it is not available now, a `FileError` if it is not a recording."""
+        if self._config.file:
+            return self._open_file()
         devices = {_info(one, realsense().camera_info.serial_number): one for one in self._context.query_devices()}
         if not devices:
-            raise CameraError(f"camera {self._serial}".strip() + ": no RealSense device is connected")
-        serial = self._serial or next(iter(devices))
+            raise CameraError(f"camera {self._config.serial}".strip() + ": no RealSense device is connected")
+        serial = self._config.serial or next(iter(devices))
         if serial not in devices:
             raise CameraError(f"camera {serial}: is not connected; connected: {', '.join(devices)}")
         return devices[serial]
 
     def present(self, device: Any) -> bool:
-        """See `DeviceSource`."""
-        return bool(device.is_connected())
+        """Whether a device that was found is still available."""
+        return self._path.is_file() if self._config.file else bool(device.is_connected())
 
-
-class _FileSource(DeviceSource):
-    """A file of the library's own recorder: `.db3`, or `.bag` of older versions."""
-
-    reopens = False
-
-    def __init__(self, path: str | Path, *, real_time: bool = True) -> None:
-        self._path, self._real_time = Path(path), real_time
-        if not self._path.is_file():
-            raise FileError(self._path, "no such file")
-
-    def find(self) -> Any:
-        """See `DeviceSource`; a `FileError` if it is not a RealSense recording."""
+    def _open_file(self) -> Any:
         try:
             # Each time a new context: one context refuses to load the same file twice.
             playback = realsense().context().load_device(str(self._path))
         except RuntimeError as err:
             raise FileError(self._path, f"not a RealSense recording: {err}") from err
-        playback.set_real_time(self._real_time)
+        playback.set_real_time(self._config.real_time)
         return playback
-
-    def present(self, device: Any) -> bool:  # noqa: ARG002
-        """See `DeviceSource`."""
-        return self._path.is_file()
-
-
-def source_of(config: RealSenseConfig) -> DeviceSource:
-    """The source that the settings name; a `FileError` if it is a file that is absent."""
-    if config.file:
-        return _FileSource(config.file, real_time=config.real_time)
-    return _LiveSource(config.serial)
 
 
 def list_devices() -> list[str]:

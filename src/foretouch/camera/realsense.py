@@ -10,17 +10,17 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Literal, Self
 
 from foretouch.camera.config import RealSenseConfig
-from foretouch.camera.device import DeviceSource, describe, realsense, source_of
+from foretouch.camera.device import DeviceSource, describe, realsense
 from foretouch.camera.stream import FrameStream
-from foretouch.errors import CameraError, FileError
+from foretouch.errors import CameraError
 from foretouch.types import Cloud
 
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _BACKOFF_S = (0.5, 10.0)  # pause after the first failed attempt, and the longest
+_START_S = 5.0  # from opening to the first frame, at most
 
 CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
 """`streaming`: frames arrive. `stalled`: the device is present but sends no frames. `absent`: no such device.
@@ -38,15 +38,18 @@ class CameraStatus:
     state: CameraState = "reconnecting"
     reason: str = "not opened yet"  # why, as text; empty while streaming
     device: str = ""  # name and serial number of the device; empty until one was opened
-    received: int = 0  # depth frames that the device made, by its frame numbers: delivered + the sum of dropped
     delivered: int = 0  # clouds returned
     dropped: Mapping[str, int] = field(default_factory=dict)  # lost frames by reason
     opened: int = 0  # how often a device was opened
     failures: int = 0  # consecutive attempts without a frame
-    since_frame_s: float | None = None  # age of the last frame [s]; None before the first
 
     def __str__(self) -> str:
         return f"camera: {self.state}{self.reason and f': {self.reason}'}"
+
+    @property
+    def received(self) -> int:
+        """Depth frames that the device made, by its frame numbers."""
+        return self.delivered + sum(self.dropped.values())
 
     @property
     def is_ok(self) -> bool:
@@ -57,25 +60,21 @@ class CameraStatus:
 class RealSenseCamera:
     """A context manager and an iterator of organised clouds.
 
-    A device that is absent, unplugged or silent is reported in `status` and tried again. `source` is used instead of
-    what the settings name; `on_change` is called by the reading thread when the state changes, None logs it.
+    A device that is absent, unplugged or silent is reported in `status` and tried again. `source`, which has the methods of a
+    `DeviceSource`, is used instead of what the settings name; `on_change` is called by the reading thread when the state changes,
+    None logs it.
 
     Raises:
-        FileError: If the settings name a recording that is absent, or a file to record to that exists.
+        FileError: If the settings name a recording that is absent.
         MissingDependencyError: If pyrealsense2 is missing.
     """
 
     def __init__(
-        self,
-        config: RealSenseConfig,
-        source: DeviceSource | None = None,
-        on_change: Callable[[CameraStatus], None] | None = None,
+        self, config: RealSenseConfig, source: Any = None, on_change: Callable[[CameraStatus], None] | None = None
     ) -> None:
         self.config = config
         self._on_change = on_change or _log
-        self._source = source_of(config) if source is None else source
-        if config.record_to and Path(config.record_to).exists():
-            raise FileError(config.record_to, "exists; a recording is never overwritten")
+        self._source = DeviceSource(config) if source is None else source
         self._device: Any = None
         self._stream: FrameStream | None = None
         self._heard_s = 0.0  # of the last cloud, or of the opening, whose first frame may take longer [s]
@@ -84,18 +83,7 @@ class RealSenseCamera:
         self._next_attempt_s = 0.0  # end of the pause after a failed attempt [s]
         self._dropped: Counter[str] = Counter()
         self._last_number: int | None = None
-        self._frame_at_s: float | None = None
-        self._status = CameraStatus()
-
-    def reconfigure(self, config: RealSenseConfig) -> None:
-        """Apply new timeouts, from any thread; other settings need a new camera."""
-        self.config = self.config.replace(timeouts=config.timeouts)
-
-    @property
-    def status(self) -> CameraStatus:
-        """The state, its reason, and the counts so far."""
-        last = self._frame_at_s
-        return replace(self._status, since_frame_s=None if last is None else time.monotonic() - last)
+        self.status = CameraStatus()  # the state, its reason, and the counts so far; replaced as a whole
 
     def read(self, timeout_s: float) -> Cloud | None:
         """Return the next cloud; None if there was none in time, for the reason that `status` gives.
@@ -104,7 +92,7 @@ class RealSenseCamera:
         ask for, or a `FileError` if the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
-        while self._status.state not in {"ended", "closed"}:
+        while self.status.state not in {"ended", "closed"}:
             left = deadline - time.monotonic()
             if self._stream is None:
                 self._try_to_open(max(0.0, left))
@@ -116,14 +104,14 @@ class RealSenseCamera:
 
     def __iter__(self) -> Iterator[Cloud]:
         """Clouds until the recording ends or the camera is closed."""
-        while self._status.state not in {"ended", "closed"}:
+        while self.status.state not in {"ended", "closed"}:
             if (cloud := self.read(_SLICE_S)) is not None:
                 yield cloud
 
     def close(self) -> None:
         """Release the device; afterwards nothing can be read."""
         self._release()
-        if self._status.state != "ended":
+        if self.status.state != "ended":
             self._set_state("closed", "closed by the user")
 
     def __enter__(self) -> Self:
@@ -144,29 +132,21 @@ class RealSenseCamera:
             self._retry_later("absent", str(err))
             return
         try:
-            self._stream = FrameStream(self._device, self._config_for_this_attempt())
+            self._stream = FrameStream(self._device, self.config)
         except RuntimeError as err:
             self._device = None
             self._retry_later("reconnecting", f"cannot be opened: {' '.join(str(err).split())}")
             return
         self._last_number = None
         self._heard_s, self._streaming = time.monotonic(), False
-        self._update(opened=self._status.opened + 1, device=describe(self._device))
+        self._update(opened=self.status.opened + 1, device=describe(self._device))
         self._set_state("reconnecting", "opened, waiting for the first frame")
-
-    def _config_for_this_attempt(self) -> RealSenseConfig:
-        """Record to a new file each time: the library would overwrite the first one."""
-        path, opened = Path(self.config.record_to), self._status.opened
-        if not self.config.record_to or not opened:
-            return self.config
-        return self.config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
 
     def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
         depth, now = stream.wait(timeout_s), time.monotonic()
         if depth is None:
             self._on_silence(now, "no frame")
             return None
-        self._frame_at_s = now
         number = int(depth.get_frame_number())
         if self._last_number is not None and number > self._last_number + 1:  # of this opening
             self._drop("missed", number - self._last_number - 1)
@@ -178,13 +158,13 @@ class RealSenseCamera:
             self._on_silence(now, f"the library refuses the frame ({' '.join(str(err).split())})")
             return None
         self._heard_s, self._streaming, self._failures = now, True, 0
-        self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
+        self._update(delivered=self.status.delivered + 1)
         self._set_state("streaming", "")
         return cloud
 
     def _on_silence(self, now: float, what: str) -> None:
         """Handle the lack of a cloud; `what` describes it in the reason."""
-        silent_s, timeouts = now - self._heard_s, self.config.timeouts
+        silent_s, limit_s = now - self._heard_s, self.config.silence_s if self._streaming else _START_S
         # A recording may not be playing yet in the first second.
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
         if ended and (self._last_number is not None or silent_s > 1.0):
@@ -194,11 +174,11 @@ class RealSenseCamera:
         reason = f"{what} for {silent_s:.1f} s"
         if not self._source.present(self._device):
             self._release()
-            self._retry_later("absent", f"{self._status.device}: was unplugged")
-        elif silent_s > (timeouts.reopen_s if self._streaming else timeouts.start_s) and self._source.reopens:
+            self._retry_later("absent", f"{self.status.device}: was unplugged")
+        elif silent_s > limit_s and self._source.reopens:
             self._release()
             self._retry_later("reconnecting", f"{reason}, opening it again")
-        elif silent_s > (timeouts.stall_s if self._streaming else timeouts.start_s):
+        elif silent_s > limit_s / 3.0:
             self._set_state("stalled", reason)
 
     def _retry_later(self, state: CameraState, reason: str) -> None:
@@ -210,7 +190,7 @@ class RealSenseCamera:
 
     def _drop(self, reason: str, count: int = 1) -> None:
         self._dropped[reason] += count
-        self._update(received=self._status.received + count, dropped=dict(self._dropped))
+        self._update(dropped=dict(self._dropped))
 
     def _release(self) -> None:
         if self._stream is not None:
@@ -218,13 +198,13 @@ class RealSenseCamera:
         self._stream = self._device = None
 
     def _update(self, **changes: Any) -> None:
-        self._status = replace(self._status, **changes)
+        self.status = replace(self.status, **changes)
 
     def _set_state(self, state: CameraState, reason: str) -> None:
-        changed = state != self._status.state
+        changed = state != self.status.state
         self._update(state=state, reason=reason, failures=self._failures)
         if changed:
-            self._on_change(self._status)
+            self._on_change(self.status)
 
 
 def _log(status: CameraStatus) -> None:

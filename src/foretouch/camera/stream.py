@@ -7,7 +7,7 @@ pace) never ends.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -34,13 +34,12 @@ class FrameStream:
         self._lens: tuple[str, Deprojector] | None = None
         waits = device.is_playback() and not config.real_time
         # Unlimited until the stream has started: the library must not wait while it starts.
-        self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
-        recorded = realsense().recorder(config.record_to, device) if config.record_to else device
-        self._sensor, profile = _find_profile(recorded, None if device.is_playback() else config)
-        self._device = recorded  # or the library would end the recording
+        queue = self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
+        self._sensor, profile = _find_profile(device, None if device.is_playback() else config)
+        self._device = device  # or the library would end a recording
         try:
             self._sensor.open(profile)
-            self._sensor.start(_keep_in(self._queue))
+            self._sensor.start(lambda frame: (frame.keep(), queue.put(frame)))  # the library lends only a few otherwise
         except BaseException:
             self.close()
             raise
@@ -98,20 +97,12 @@ def filter_blocks(names: Sequence[str]) -> list[Any]:
 
 
 def _lens_of(intrinsics: Any) -> Deprojector:
-    """Pixel directions from the library's intrinsics; a `CameraError` if the distortion model is not supported."""
+    """Pixel directions from the library's intrinsics; a `CameraError` if the image is not rectified."""
     i = intrinsics
+    if any(i.coeffs):
+        raise CameraError(f"depth stream: distortion {list(i.coeffs)} ({i.model}): only rectified images are supported")
     matrix = np.array([[i.fx, 0.0, i.ppx], [0.0, i.fy, i.ppy], [0.0, 0.0, 1.0]])
-    return Deprojector.of_lens(matrix, i.width, i.height, str(i.model).rpartition(".")[2], tuple(i.coeffs))
-
-
-def _keep_in(queue: BoundedQueue[Any]) -> Callable[[Any], None]:
-    """A callback for the library's thread."""
-
-    def _put(frame: Any) -> None:
-        frame.keep()  # the library lends only a few frames otherwise
-        queue.put(frame)
-
-    return _put
+    return Deprojector.of_lens(matrix, i.width, i.height)
 
 
 def _find_profile(device: Any, config: RealSenseConfig | None) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ _GROUPS: Final = {
     "model and adaptation": "model tare touched history prequential budget_ms tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain replay times wait_for "
     "wait_limit no_wait",
-    "what is written": "json out output picture serve allow_origin save screenshot labels_out no_sheet redraw",
+    "what is written": "json out output picture serve save screenshot labels_out no_sheet redraw",
 }
 """Destinations of options by the heading under which a command with many options lists them."""
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from os.path import commonpath
@@ -33,35 +33,31 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.recorder import RecorderNode
     from foretouch.ros.recorder.operator import OperatorState
     from foretouch.ros.recorder.session import SessionStatus
-    from foretouch.ros.recorder.subscriptions import TopicStatistics
     from foretouch.tactile.description import Sensor
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _SERVICES = "edit_grasp, next_object, pause_recording, undo_edit and stop_recording"
-_OFFSET_S = 0.1  # clocks that differ by more are shown in red: `guard_s` of the pairing
 
 
 def record_panel(
     status: RecorderStatus,
     title: str,
     session: SessionStatus | None = None,
-    inputs: Mapping[str, TopicStatistics] | None = None,
     keys: Sequence[Text] = (),
     sensor: Sensor | None = None,
 ) -> Panel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance.
 
-    With `session`, also objects with their outcomes, the last grasp and what is worth doing next; with `inputs`, the age and the
-    clock offset of each topic. `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
+    With `session`, also objects with their outcomes and the last grasp. `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
     """
     parts: list[RenderableType] = [_samples(status), *[Text(status.reason, "red")] * bool(status.reason), *keys]
     if session is not None:
-        parts += [_objects(session.operator), Text("next: " + "; ".join(session.operator.suggestions), "cyan")]
+        parts.append(_objects(session.operator))
     if session is not None and session.last is not None:
         parts.append(executed_table(*session.last, sensor))
     dropped = ", ".join(f"{n} {why}" for why, n in zip(status.drop_reasons, status.drop_counts, strict=True))
     parts += [_grasps(status), _sensors(status), *_invalid(session), *[Text(f"dropped: {dropped}")] * bool(dropped)]
-    return titled(title, [*parts, _topics(status.topics, inputs)])
+    return titled(title, [*parts, _topics(status.topics)])
 
 
 def _samples(status: RecorderStatus) -> Text:
@@ -118,7 +114,7 @@ def _objects(state: OperatorState) -> Text:
     return text
 
 
-def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics] | None) -> Table:
+def _topics(topics: Sequence[TopicAccount]) -> Table:
     own = [
         topic.topic for topic in topics[1:] if topic.topic.count("/") > 1
     ]  # the first is the hand's, /tf the robot's
@@ -129,24 +125,13 @@ def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics
         rows.append([
             Text(topic.topic.removeprefix(common), "" if topic.reliable else "yellow"),
             f"{topic.rate:.1f}",
-            *([] if inputs is None else _times(inputs.get(topic.topic))),
             str(topic.received),
             str(topic.written),
             str(topic.waiting),
             Text(str(topic.lost), "red" if topic.lost else ""),
             Text(str(dropped), "red" if dropped else ""),
         ])  # fmt: skip
-    times = () if inputs is None else ("age s", "clock ms")
-    return make_table(("topic", "Hz", *times, "received", "written", "queue", "lost", "dropped"), rows, live=True)
-
-
-def _times(one: TopicStatistics | None) -> list[str | Text]:
-    """Age of the last message [s], and by how much its clock, or its way, is behind this computer's [ms]."""
-    if one is None or not math.isfinite(one.age_s):
-        return ["–", "–"]
-    if not math.isfinite(one.offset_s):
-        return [f"{one.age_s:.1f}", "–"]
-    return [f"{one.age_s:.1f}", Text(f"{1e3 * one.offset_s:+.0f}", "red" if abs(one.offset_s) > _OFFSET_S else "")]
+    return make_table(("topic", "Hz", "received", "written", "queue", "lost", "dropped"), rows, live=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -213,7 +198,7 @@ def run(arguments: argparse.Namespace) -> int:
             node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
         state = node.session_status()
-        announce("writing what is left; waiting until other graphs would be seen")
+        announce("writing what is left")
         with uninterrupted():
             node.end()
         report_conflicts(graph)
@@ -257,7 +242,7 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     keys = RecordingKeys(node.act)
 
     def ended() -> bool:
-        return not node.recording or time.monotonic() >= end or node.session_status().samples >= samples
+        return not node.recording or time.monotonic() >= end or node.session_status().message.samples >= samples
 
     def report() -> None:
         if arguments.json:
@@ -283,7 +268,7 @@ def _panel(node: RecorderNode, keys: RecordingKeys | None) -> Panel:
     session = node.session_status()
     lines = [] if keys is None else keys.lines(next(reversed(session.operator.replies), None))
     title = "foretouch record (Ctrl-C ends it)"
-    return record_panel(node.status(), title, session, node.inputs(), lines, _described(node))
+    return record_panel(node.status(), title, session, lines, _described(node))
 
 
 def _described(node: RecorderNode) -> Sensor | None:

@@ -21,8 +21,7 @@ from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import laboratory
-from foretouch.ros.executables import PERCEPTION
-from foretouch.ros.graph import Graph
+from foretouch.ros.graph import PERCEPTION, Graph
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPredictionArray
 
 
-_TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
+_PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,13 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
-    parser.add_argument(
-        "--allow-origin",
-        action="append",
-        default=[],
-        metavar="ORIGIN",
-        help="let web pages of this origin read what is served, such as https://app.foxglove.dev (repeatable)",
-    )
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
@@ -103,7 +95,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> 
         help="wait until this topic has a subscriber besides the nodes of the graph, such as a planner of `touch`"
         " (repeatable)",
     )
-    limit = "longest wait for --wait-for, and until subscribers that are seen are matched (default: 10)"
+    limit = "longest wait for --wait-for, and until no node comes or goes any more (default: 10)"
     parser.add_argument("--wait-limit", type=partial(positive_value, or_zero=True), metavar="S", help=limit)
 
 
@@ -158,8 +150,6 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-        if arguments.allow_origin:
-            nodes["bridge"]["allow_origin"] = arguments.allow_origin
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     if not (scene or arguments.source == "camera"):
         return nodes | {"replay": _replay_parameters(arguments)}
@@ -213,7 +203,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     nodes: dict[str, dict[str, Any]] = {
         **{name: {"tactile.sensor": sensor} for name in ("touch_predictor", "bridge") if sensor},
         "hand": shown,
-        "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown},
+        "camera": {"source": "scene", "camera.fps": fps, **_PATIENCE, **shown},
     }
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
         nodes["segmentation"] = {

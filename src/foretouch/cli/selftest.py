@@ -114,7 +114,7 @@ def _run_node() -> None:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
 
-    from foretouch.ros.executables import make_nodes
+    from foretouch.ros.graph import make_nodes
 
     namespace = f"/foretouch_self_test_{os.getpid()}"
     probe = Node("probe", namespace=namespace)

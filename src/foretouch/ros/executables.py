@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of nodes, and an entry point for each: `ros2 run` and the launch files start these.
+"""An entry point for each node: `ros2 run` and the launch files start these.
 
 Threads: one serves requests and timers, one takes messages (see `runtime.executor`), and one works on clouds (see
 `runtime.workers`), so that a cloud in work delays no service, parameter or lifecycle request, nor the next message.
@@ -8,34 +8,14 @@ Threads: one serves requests and timers, one takes messages (see `runtime.execut
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
-from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
-from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
-from foretouch.laboratory import needs_laboratory
-from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
-from foretouch.ros.runtime.parameter_files import check_parameters
+from foretouch.interrupts import end_at_once, raise_interrupts
+from foretouch.ros.graph import NODES, PERCEPTION, Graph, node_class
+from foretouch.ros.runtime.environment import prepare_environment
 
-if TYPE_CHECKING:
-    from foretouch.ros.runtime.lifecycle_node import ForetouchNode
-
-
-NODES = {
-    "camera": "foretouch.ros.nodes.camera:CameraNode",
-    "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNode",
-    "grasp": "foretouch.ros.nodes.grasp:GraspNode",
-    "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
-    "replay": "foretouch.ros.nodes.replay:ReplayNode",
-    "hand": "foretouch_lab.ros.hand:HandNode",
-    "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
-    "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
-}
-"""Module and class of each node by name; that of the simulated hand is in the laboratory."""
-
-PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 EXECUTABLES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in NODES}, "perception": PERCEPTION}
 """Nodes of each executable, which is installed as `foretouch_<name>` and is the function `<name>` of this module."""
 
@@ -59,13 +39,16 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     prepare_environment()
     try:
         for name in names:
-            _node_class(name)
+            node_class(name)
         raise_interrupts()
-        return _serve(names, arguments)
+        graph = Graph({name: {} for name in names}, arguments=arguments, monitor=None)
+        with suppress(KeyboardInterrupt), graph:
+            graph.wait_until_ended()
+        return int(any(node.has_failed for node in graph.nodes.values()))
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1
-    except KeyboardInterrupt:  # before or after the nodes were served
+    except KeyboardInterrupt:
         return 0
     finally:
         end_at_once()
@@ -83,71 +66,3 @@ def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
     options = "-p NAME:=VALUE, --params-file FILE, -r __ns:=/NAMESPACE, -r TOPIC:=OTHER, --log-level LEVEL"
     parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], metavar="…", help=options)
     return parser
-
-
-def _serve(names: Sequence[str], arguments: list[str]) -> int:
-    begin(arguments, names)
-    import rclpy
-
-    try:
-        with uninterrupted():
-            nodes = make_nodes(*names)
-        return int(spin(nodes))
-    finally:
-        with uninterrupted():
-            rclpy.try_shutdown()
-
-
-def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
-    prepare_environment()
-    check_parameters(arguments, NODES, names, namespace)
-    start_rclpy(arguments)
-
-
-def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
-    """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
-
-    A `ConfigError` if a parameter given at the start breaks a rule.
-    """
-    nodes: list[ForetouchNode[Any]] = []
-    try:
-        nodes.extend(_node_class(name)(**options) for name in names)  # those made before an error are kept
-    except ForetouchError:
-        for node in nodes:
-            node.destroy_node()
-        raise
-    return nodes
-
-
-def _node_class(name: str) -> Any:
-    """The class of a node by its name; raises as `needs_laboratory`."""
-    module, _, class_name = NODES[name].partition(":")
-    with needs_laboratory(f"node {name}"):
-        return getattr(import_module(module), class_name)
-
-
-def spin(nodes: "Sequence[ForetouchNode[Any]]") -> bool:
-    """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended, and destroy them; has one failed?"""
-    from rclpy.executors import ExternalShutdownException
-
-    from foretouch.ros.runtime.executor import GraphExecutor
-    from foretouch.ros.runtime.internal_errors import spin_on
-
-    executor = GraphExecutor(nodes[0].internal_errors)
-    try:
-        for node in nodes:
-            with uninterrupted():
-                executor.add_node(node)
-                node.autostart()
-        spin_on(executor, nodes[0].internal_errors, lambda: all(node.has_ended() for node in nodes), 0.5)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        with uninterrupted():
-            for node in nodes:
-                node.stop()
-            executor.shutdown(timeout_sec=1.0)
-            for node in nodes:
-                node.destroy_node()
-    return any(node.has_failed for node in nodes)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several nodes in one process, for the commands `run`, `replay` and `record`.
+"""Several nodes in one process: those of an executable, or of the commands `run`, `replay` and `record`.
 
 Threads: the executor spins in the background, so that the caller's thread is free to draw and to handle Ctrl-C.
 """
@@ -9,14 +9,17 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
-from foretouch.ros.executables import begin, make_nodes
-from foretouch.ros.runtime.environment import start_rclpy
+from foretouch.laboratory import needs_laboratory
+from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
+from foretouch.ros.runtime.parameter_files import check_parameters
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.monitor import MonitorNode
@@ -24,14 +27,28 @@ if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
 
+NODES = {
+    "camera": "foretouch.ros.nodes.camera:CameraNode",
+    "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNode",
+    "grasp": "foretouch.ros.nodes.grasp:GraspNode",
+    "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
+    "replay": "foretouch.ros.nodes.replay:ReplayNode",
+    "hand": "foretouch_lab.ros.hand:HandNode",
+    "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
+    "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
+}
+"""Module and class of each node by name; that of the simulated hand is in the laboratory."""
+
+PERCEPTION = ("segmentation", "grasp", "touch_predictor")
+
 _SOURCES = ("replay", "camera")
 
 
 class Graph:
     """Nodes by name, and a monitor, that run while the context is open.
 
-    `nodes` are the parameters of each node by name (see `foretouch.ros.executables`), `monitor` the options of `MonitorNode`.
-    On entering, a `ConfigError` if a parameter breaks a rule.
+    `nodes` are the parameters of each node by name (see `NODES`), `monitor` the options of `MonitorNode`, None
+    for no monitor, and `arguments` a command line with ROS arguments. On entering, a `ConfigError` if a parameter breaks a rule.
     """
 
     def __init__(
@@ -40,29 +57,44 @@ class Graph:
         *,
         namespace: str | None = None,
         params_file: str | Path | None = None,
-        monitor: Mapping[str, Any] | None = None,
+        monitor: Mapping[str, Any] | None = MappingProxyType({}),
+        arguments: Sequence[str] = (),
     ) -> None:
         self._parameters = nodes
         self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": _checked(namespace)}
-        self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
-        self._monitor_options = {} if monitor is None else monitor
+        self._arguments = [
+            *arguments,
+            *([] if params_file is None else ["--ros-args", "--params-file", str(params_file)]),
+        ]
+        self._monitor_options = monitor
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
-        self._began_s = time.monotonic()
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
         begin(self._arguments, list(self._parameters), **self._namespace)
-        from foretouch.ros.nodes.monitor import MonitorNode
         from foretouch.ros.runtime.executor import GraphExecutor
 
         try:
             with uninterrupted():
-                self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
-                self._executor = GraphExecutor(self.monitor.internal_errors)
-                self._executor.add_node(self.monitor)
-            self._make_nodes()
+                if self._monitor_options is not None:
+                    from foretouch.ros.nodes.monitor import MonitorNode
+
+                    self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
+            for name, parameters in self._parameters.items():
+                with uninterrupted():
+                    (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
+                    self.nodes[name] = node
+            with uninterrupted():
+                served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
+                self._errors = served[0].internal_errors
+                self._executor = GraphExecutor(self._errors)
+                for one in served:
+                    self._executor.add_node(one)
+            for node in self.nodes.values():
+                with uninterrupted():
+                    node.autostart()
         except BaseException:
             self.__exit__()
             raise
@@ -84,6 +116,13 @@ class Graph:
         if causes:
             raise ForetouchError(f"a node did not start: {'; '.join(causes)}")
 
+    def wait_until_ended(self) -> None:
+        """Wait until each node has ended by itself, or the context of rclpy is shut down."""
+        while self._thread is not None and self._thread.is_alive():
+            if all(node.has_ended() for node in self.nodes.values()):
+                return
+            time.sleep(0.2)
+
     @property
     def replay(self) -> "ReplayNode | None":
         """The replay, if it is one of the nodes."""
@@ -96,13 +135,9 @@ class Graph:
 
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
-        while True:
-            for node in self.nodes.values():
-                node.look_for_second_graph()
-            found = list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
-            if found or time.monotonic() > self._began_s + 1.5:  # others announce themselves every 0.2 s
-                return found
-            time.sleep(0.1)  # a short replay ends before all others are discovered
+        for node in self.nodes.values():
+            node.look_for_second_graph()
+        return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
 
     def played(self) -> int:
         """Clouds published by the replay or the camera; 0 without one."""
@@ -163,17 +198,36 @@ class Graph:
         from foretouch.ros.runtime.internal_errors import spin_on
 
         with suppress(ExternalShutdownException):
-            spin_on(self._executor, self.monitor.internal_errors, self._closing.is_set, 0.2)
+            spin_on(self._executor, self._errors, self._closing.is_set, 0.2)
 
-    def _make_nodes(self) -> None:
-        for name, parameters in self._parameters.items():
-            with uninterrupted():
-                (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
-                self.nodes[name] = node
-                self._executor.add_node(node)
-        for node in self.nodes.values():
-            with uninterrupted():
-                node.autostart()
+
+def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
+    """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
+    prepare_environment()
+    check_parameters(arguments, NODES, names, namespace)
+    start_rclpy(arguments)
+
+
+def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
+    """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
+
+    A `ConfigError` if a parameter given at the start breaks a rule.
+    """
+    nodes: list[ForetouchNode[Any]] = []
+    try:
+        nodes.extend(node_class(name)(**options) for name in names)  # those made before an error are kept
+    except ForetouchError:
+        for node in nodes:
+            node.destroy_node()
+        raise
+    return nodes
+
+
+def node_class(name: str) -> Any:
+    """The class of a node by its name; raises as `needs_laboratory`."""
+    module, _, class_name = NODES[name].partition(":")
+    with needs_laboratory(f"node {name}"):
+        return getattr(import_module(module), class_name)
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:

@@ -13,10 +13,9 @@ computes contacts, so that a slow computation delays no message.
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Pose
@@ -24,7 +23,6 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
 from foretouch.camera.config import ScheduleConfig
-from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.config import setting
 from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
@@ -36,35 +34,28 @@ from foretouch.ros.runtime.workers import Worker
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg, sensor_to_msg
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch_lab.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch_lab.simulation.scene import scheduled_scene
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
 _DEPTH = 100
-_T = TypeVar("_T")
 _PRESS_S = 1.0  # how long a person presses a finger
-
-
-class _Command(NamedTuple):
-    """A grasp to execute."""
-
-    message: Any  # GraspArray; its first grasp is executed
-    planned_ns: int  # stamp of the cloud that it was planned on
-    arrived: float  # when it was accepted (`time.monotonic`) [s]
 
 
 class _RunningGrasp(NamedTuple):
     """A grasp that is being executed."""
 
-    command: _Command
+    planned: GraspArray  # its first grasp is executed
+    arrived: float  # when it was accepted (`time.monotonic`) [s]
     trajectory: GraspTrajectory  # motion and readings of the hand, one row per message
     first: int = 0  # number of the message of row 0
 
 
 def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> ExecutedGrasp:
     """Report a grasp; `first_ns` is the stamp of row 0 and `period_ns` the time between two messages [ns]."""
-    trajectory, planned = running.trajectory, running.command.message
+    trajectory, planned = running.trajectory, running.planned
     times = {
         name: stamp_to_msg(0 if row is None else first_ns + row * period_ns)
         for name, row in (("start", trajectory.start), ("contact", trajectory.contact), ("release", trajectory.release))
@@ -77,43 +68,12 @@ def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> E
 
 
 @dataclass(frozen=True, kw_only=True)
-class TactileFaultConfig(FaultConfig):
-    """Faults of messages, and of the fingers."""
-
-    swapped: bool = setting(False, "Whether the readings of thumb and middle finger are exchanged")
-    frozen: str = setting(
-        "",
-        "Finger whose readings stay the same: TH, which takes g1, or MF, which takes g2; empty for none",
-        choices=("", "TH", "MF"),
-    )
-
-
-class TactileFaults(MessageFaults):
-    """As `MessageFaults`, for tactile messages."""
-
-    config: TactileFaultConfig
-
-    def __init__(self, config: TactileFaultConfig, seed: int = 0) -> None:
-        super().__init__(config, seed)
-        self._first: dict[str, Any] = {}
-
-    def readings(self, fingers: Mapping[str, _T]) -> dict[str, _T]:
-        """The readings that a message carries, by finger: of the wrong one, or those of the first message."""
-        found, frozen = dict(fingers), self.config.frozen
-        if frozen:
-            found[frozen] = self._first.setdefault(frozen, found[frozen])
-        if self.config.swapped:
-            found["TH"], found["MF"] = found["MF"], found["TH"]
-        return found
-
-
-@dataclass(frozen=True, kw_only=True)
 class HandNodeConfig(NodeConfig):
     """Settings of the simulated hand."""
 
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
     course: GraspTimingConfig = field(default_factory=GraspTimingConfig)
-    faults: TactileFaultConfig = field(default_factory=TactileFaultConfig)
+    faults: FaultConfig = field(default_factory=FaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
 
@@ -132,18 +92,17 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._current: _RunningGrasp | None = None
         self._repeats = 0
         self._pressed: tuple[Counts, float] | None = None  # what a person adds to the counts, and until when
-        self._late = 0
         self._behind_s = 0.0  # longest since the last report
         self._began = time.monotonic()
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
         self._resting: RestingFingers
-        self._faults = TactileFaults(TactileFaultConfig())
+        self._faults = MessageFaults(FaultConfig())
         super().__init__(name, HandNodeConfig, **options)
 
     def _setup(self) -> None:
-        self._faults = TactileFaults(self.config.faults)
+        self._faults = MessageFaults(self.config.faults)
         scene = scheduled_scene(self.config.scene)
         self._hand = SimulatedHand(scene, self.config.course)
         if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
@@ -152,7 +111,9 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._sensor = sensor = self._hand.sensor
         kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
         self._resting = RestingFingers(at_rest)
-        self._solver: Worker[_Command] = Worker("hand-contact", 4, self._solve, lambda _, why: self._drop(why))
+        self._solver: Worker[tuple[GraspArray, float]] = Worker(
+            "hand-contact", 4, lambda one: self._solve(*one), lambda _, why: self._drop(why)
+        )
         self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
         self._message_class: Any = kind
         self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
@@ -196,7 +157,6 @@ class HandNode(ForetouchNode[HandNodeConfig]):
             "tactile.sent": str(self._faults.passed),
             "tactile.dropped.injected": str(self._faults.dropped),
             "tactile.moved.injected": str(self._faults.moved),
-            "tactile.left_out.late": str(self._late),
             **{f"executed.{outcome}": str(count) for outcome, count in self.executed.items()},
         }
 
@@ -236,7 +196,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
             if planned_ns <= self._accepted_ns:
                 return False, "there is no new grasp"
             self.busy, self._accepted_ns = True, planned_ns
-        self._solver.put(_Command(newest, planned_ns, self.statistics.receive()))
+        self._solver.put((newest, self.statistics.receive()))
         return True, newest.grasps[0].id
 
     def _abandon(self, reason: str) -> None:
@@ -256,16 +216,17 @@ class HandNode(ForetouchNode[HandNodeConfig]):
 
     # Contacts, computed in the solver's thread.
 
-    def _solve(self, command: _Command) -> None:
-        frame, expected = command.message.header.frame_id, self.config.frame_id
+    def _solve(self, planned: GraspArray, arrived: float) -> None:
+        frame, expected = planned.header.frame_id, self.config.frame_id
         try:
             if frame != expected:
                 raise ConfigError(f"grasps: frame {frame!r} is not the camera's, {expected!r}")
             assert self._hand is not None  # noqa: S101  setup made it
-            grasp, slot = decode_grasp(command.message.grasps[0]), self.config.scene.slot(command.planned_ns)
+            grasp = decode_grasp(planned.grasps[0])
+            slot = self.config.scene.slot(stamp_ns(planned.header.stamp))
             self._repeats += 1
             trajectory = self._hand.execute(grasp, slot, self._repeats, time.monotonic() - self._began)
-            self._ready = _RunningGrasp(command, trajectory)
+            self._ready = _RunningGrasp(planned, arrived, trajectory)
         except ForetouchError as err:
             self.get_logger().warning(str(err))
             self._drop("refused")
@@ -285,12 +246,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
             due = start + number * period_ns * 1e-9
             if self._stopping.wait(max(0.0, due - time.monotonic())):
                 return
-            behind_s = time.monotonic() - due
-            self._behind_s = max(self._behind_s, behind_s)
-            missed = int(behind_s / (period_ns * 1e-9))
-            if missed * period_ns > 1_000_000_000:  # the machine was suspended: messages a second late are left out
-                self._late += missed
-                number += missed
+            self._behind_s = max(self._behind_s, time.monotonic() - due)
             try:
                 self._send(number, start_ns, period_ns)
             except Exception as err:  # noqa: BLE001  it would end the thread
@@ -334,9 +290,9 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._current = None
         self.executed[trajectory.reason or "success"] += 1
         if trajectory.success:
-            self.statistics.use(running.command.arrived, (first_ns - running.command.planned_ns) * 1e-9)
+            self.statistics.use(running.arrived, (first_ns - stamp_ns(running.planned.header.stamp)) * 1e-9)
         else:
-            self.get_logger().warning(f"grasp {running.command.message.grasps[0].id}: {trajectory.message}")
+            self.get_logger().warning(f"grasp {running.planned.grasps[0].id}: {trajectory.message}")
             self.statistics.drop(trajectory.reason)
         self._idle()
         self._executed_publisher.publish(message)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene as a camera: whole images of its samples, fed to librealsense's software device.
 
-From there on the code is that of a real camera. `swinging_frames` moves the objects a little, so that no two images in a
-row are equal.
+From there on the code is that of a real camera.
 """
 
 import logging
@@ -12,46 +11,19 @@ from collections.abc import Callable
 import numpy as np
 
 from foretouch.camera.config import ScheduleConfig
-from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
-from foretouch_lab.simulation.depth_scene import (
-    FIRST_OBJECT,
-    TABLE,
-    DepthImage,
-    DepthScene,
-    random_scene,
-    to_millimetres,
-)
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, to_millimetres
 from foretouch_lab.simulation.effects import view
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, scheduled_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 from foretouch_lab.simulation.world import SampleKey, object_index
 
-_REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
 _LOG = logging.getLogger(__name__)
 _MS_NS = 1_000_000
 _VIEWS = 4  # of one sample, each with independent noise; rendering takes most of a core
-
-
-def swinging_frames(
-    scene: DepthScene, count: int, *, rng: np.random.Generator | None = None, noise_m: float = 0.0
-) -> list[DepthImage]:
-    """Frames of one period in which the first object swings to and fro along x.
-
-    Args:
-        scene: At rest; without objects all frames show the same.
-        count: How many frames make the period.
-        rng: Of the noise; may be None without.
-        noise_m: As for `DepthScene.render` [m].
-    """
-    images = []
-    for phase in 2.0 * np.pi * np.arange(count) / count:
-        offset = np.array([_REACH_M * np.sin(phase), 0.0, 0.0])
-        images.append((scene.moved(0, offset) if scene.objects else scene).render(rng, noise_m))
-    return images
 
 
 class FrameMaker:
@@ -103,36 +75,27 @@ class _SceneImages:
     Args:
         scene: The scene.
         schedule: Which sample is on the table when.
-        faults: Of the camera's clock, and images that get lost. The camera's clock alone
-            decides which sample is on the table, so that a stamp identifies the sample in spite of the faults.
-        clock_ns: Time of day [ns].
+        clock_ns: Time of day [ns], by which the sample is chosen, so that a stamp identifies it.
     """
 
     def __init__(
-        self,
-        scene: SceneConfig,
-        schedule: ScheduleConfig,
-        faults: MessageFaults | None = None,
-        clock_ns: Callable[[], int] = time.time_ns,
+        self, scene: SceneConfig, schedule: ScheduleConfig, clock_ns: Callable[[], int] = time.time_ns
     ) -> None:
         self._maker = FrameMaker(scene)
         self._schedule = schedule
-        self._faults = faults or MessageFaults(FaultConfig())
         self._clock_ns = clock_ns
         noisy = (scene.camera.noise, scene.camera.flying_pixels, scene.camera.holes)
         self._views = _VIEWS if any(effect is not None for effect in noisy) else 1
         self._slot: int | None = None
         self._images: list[DepthImage] = []
-        self._taken_ns: int | None = None
+        self._taken_ns = 0
         self.fault = ""  # why the last sample is not shown
 
     def __call__(self, number: int) -> DepthImage:
         """The image with this number."""
-        now_ns = self._clock_ns()
-        stamp_ns = self._faults.stamp(now_ns)
         # Whole milliseconds come back from the library's double-precision stamps as they went in.
-        self._taken_ns = None if stamp_ns is None else stamp_ns // _MS_NS * _MS_NS
-        slot = self._schedule.slot(now_ns if self._taken_ns is None else self._taken_ns)
+        self._taken_ns = self._clock_ns() // _MS_NS * _MS_NS
+        slot = self._schedule.slot(self._taken_ns)
         if slot != self._slot:
             self._images, self._slot = [], slot
         if len(self._images) < self._views:
@@ -140,8 +103,8 @@ class _SceneImages:
             return self._images[-1]
         return self._images[number % self._views]
 
-    def stamp_ns(self, number: int) -> int | None:  # noqa: ARG002
-        """When the last image was taken: before it was rendered [ns]; None if it is to be lost."""
+    def stamp_ns(self, number: int) -> int:  # noqa: ARG002
+        """When the last image was taken: before it was rendered [ns]."""
         return self._taken_ns
 
     def _render(self, slot: int, repeat: int) -> DepthImage:
@@ -154,34 +117,18 @@ class _SceneImages:
             return self._maker.nothing()
 
 
-def scheduled_camera(schedule: ScheduleConfig, fps: int, faults: MessageFaults | None = None) -> SyntheticCamera:
+def scheduled_camera(schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
     """As `scene_camera`, of the scene that the schedule names; a `ConfigError` if it breaks a rule."""
-    return scene_camera(scheduled_scene(schedule), schedule, fps, faults)
+    return scene_camera(scheduled_scene(schedule), schedule, fps)
 
 
-def swinging_camera(width: int, height: int, fps: int) -> SyntheticCamera:
-    """A device that streams a random scene of three objects, of which one swings; not yet started.
-
-    Args:
-        width: Width of the images [px].
-        height: Their height [px].
-        fps: Images a second, of which at most 30 are kept in memory and repeated [Hz].
-    """
-    rng = np.random.default_rng(0)
-    scene = random_scene(rng, width, height)
-    return SyntheticCamera(swinging_frames(scene, min(30, fps), rng=rng), fps)
-
-
-def scene_camera(
-    scene: SceneConfig, schedule: ScheduleConfig, fps: int, faults: MessageFaults | None = None
-) -> SyntheticCamera:
+def scene_camera(scene: SceneConfig, schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
     """A device that streams a scene, not yet started.
 
     Args:
         scene: The scene; its camera decides size and lens.
         schedule: Which sample is on the table when.
         fps: Images a second, as far as rendering keeps up [Hz].
-        faults: Of stamps and images; their settings may be replaced while it streams.
     """
-    images = _SceneImages(scene, schedule, faults)
+    images = _SceneImages(scene, schedule)
     return SyntheticCamera(images, fps, serial="scene", stamp_ns=images.stamp_ns)

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.camera.device import DeviceSource, realsense
+from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
 from foretouch_lab.simulation.depth_scene import DepthImage
 
@@ -20,15 +20,15 @@ _DEPTH_UNIT_M = 0.001
 _PIXEL_BYTES = 2
 
 
-class SyntheticCamera(DeviceSource):
-    """A `DeviceSource` that can be fed, paused, unplugged and plugged in again. As a context manager, it feeds itself.
+class SyntheticCamera:
+    """Stands for a `DeviceSource`; can be fed, paused, unplugged and plugged in again. As a context manager, it feeds itself.
 
     Args:
         frames: The n-th frame, or a sequence that is repeated; all of one size and lens.
         fps: Frames per second of `start` [Hz].
         serial: Its serial number.
-        stamp_ns: Returns the stamp of the n-th frame [ns since 1970], called after the frame is made, or None if the
-            frame is lost; by default the time of feeding. The library stores milliseconds in double precision.
+        stamp_ns: Returns the stamp of the n-th frame [ns since 1970], called after the frame is made; by default the
+            time of feeding. The library stores milliseconds in double precision.
     """
 
     def __init__(
@@ -36,12 +36,12 @@ class SyntheticCamera(DeviceSource):
         frames: Callable[[int], DepthImage] | Sequence[DepthImage],
         fps: int = 30,
         serial: str = "synthetic",
-        stamp_ns: Callable[[int], int | None] | None = None,
+        stamp_ns: Callable[[int], int] | None = None,
     ) -> None:
         if not callable(frames) and not frames:
             raise CameraError("synthetic camera: no frames to feed")
         self.frame = frames if callable(frames) else lambda number: frames[number % len(frames)]
-        self._stamp_ns: Callable[[int], int | None] = stamp_ns or (lambda _: time.time_ns())
+        self._stamp_ns = stamp_ns or (lambda _: time.time_ns())
         self._fps = fps
         first = self.frame(0)
         self.shape = first.depth_mm.shape  # (H, W) of every frame
@@ -52,6 +52,8 @@ class SyntheticCamera(DeviceSource):
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
+
+    reopens = True
 
     def find(self) -> Any:
         """See `DeviceSource`."""
@@ -71,7 +73,7 @@ class SyntheticCamera(DeviceSource):
             if frame.depth_mm.shape != self.shape:
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self.shape}")
             stamp_ns = self._stamp_ns(number)
-            if self.plugged and stamp_ns is not None:
+            if self.plugged:
                 self._sensor.on_video_frame(_video_frame(self._profile, frame.depth_mm, number, stamp_ns / 1e6))
             self._number += 1
             return number

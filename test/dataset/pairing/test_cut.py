@@ -8,11 +8,11 @@ import pytest
 from every_case import every_case
 from pair_builders import PERIOD, REST, SECOND, interval, level, stream
 
-from foretouch.camera.message_faults import FaultConfig
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
 from foretouch.dataset.record import APPROACH, HOLD
 from foretouch.dataset.record import REST as REST_PHASE
+from foretouch_lab.simulation.message_faults import FaultConfig
 
 CONFIG = PairingConfig()
 

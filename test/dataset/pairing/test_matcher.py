@@ -8,13 +8,13 @@ import pytest
 from every_case import every_case
 from pair_builders import SECOND, Named, interval, level, stream
 
-from foretouch.camera.message_faults import FaultConfig
 from foretouch.cloud.messages import cloud_fields
 from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import ExecutedGrasp, GraspTouchMatcher, Label, MatchedGrasp, RejectedGrasp
 from foretouch.dataset.pairing.sensors import ContactEpisodes
 from foretouch.types import Cloud
+from foretouch_lab.simulation.message_faults import FaultConfig
 
 CONFIG = PairingConfig(wait_s=1.0)
 

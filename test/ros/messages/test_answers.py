@@ -159,12 +159,3 @@ def test_without_a_model_every_grasp_has_the_reason_and_no_numbers():
         {},
     )
     assert prediction_from_msg(message.predictions[0]).value is None
-
-
-def test_the_status_is_that_of_any_prediction_else_of_the_first_refusal():
-    one = answer(packaged_sensor("biotac_sp"), 3)
-    refused = [Refusal(Status.BAD_GRASP, "a"), Refusal(Status.REFUSED, "b")]
-    for outcomes, expected in ((refused, (Status.BAD_GRASP, "a")), ([], (Status.OK, ""))):
-        made = TouchAnswer(one.header, one.grasps[: len(outcomes)], outcomes)
-        assert made.summary == expected
-    assert TouchAnswer(one.header, one.grasps, [*refused, one.outcomes[0]]).summary == (Status.OK, "")

@@ -4,7 +4,6 @@
 import json
 import re
 import socket
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,8 @@ from constant_models import constant_model, counted
 
 pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import PointCloud2
-from visualization_msgs.msg import Marker, MarkerArray
 from websocket_client import WebSocketClient
 
 from foretouch import reading
@@ -117,41 +114,6 @@ def test_it_listens_on_this_machine_alone_serves_again_after_a_stop_and_names_a_
         (bridge,) = graph.add("bridge", port=port)
         assert bridge.state_name == "inactive"
     graph.until(lambda: f"127.0.0.1:{port}: " in capfd.readouterr().err)
-
-
-def test_web_pages_are_refused_by_their_origin_unless_it_is_allowed(graph, capfd):
-    (bridge,) = graph.add("bridge", port=0, allow_origin=["https://app.foxglove.dev/"])
-    for origin in (
-        "https://evil.example",
-        "null",
-        "http://127.0.0.1",
-        "https://app.foxglove.dev.evil.example",
-        "\x1b[2J",
-    ):
-        with pytest.raises(ConnectionError, match="403"):
-            WebSocketClient(bridge.url, origin=origin)
-    for origin in ("", "https://app.foxglove.dev"):
-        with WebSocketClient(bridge.url, origin=origin) as client:
-            client.learn(TOUCH)
-    graph.until(lambda: "--allow-origin https://evil.example" in capfd.readouterr().err)
-
-
-def test_a_slow_client_is_reported_and_disturbs_nobody(graph):
-    (bridge,) = graph.add("bridge", port=0, backlog=4, diagnostics_period_s=0.2)
-    reports, publisher = graph.reports("bridge"), graph.talk(MarkerArray, "markers")
-    big = MarkerArray(markers=[Marker(text="x" * 200_000)])
-    with WebSocketClient(bridge.url, receive_buffer=4096) as slow:
-        subscribed(graph, bridge, slow, MARKERS)
-        graph.matched("markers")
-
-        def is_reported():
-            publisher.publish(big)
-            time.sleep(0.01)
-            slow_ones = [one for one in reports if one.level == DiagnosticStatus.WARN and "too slowly" in one.message]
-            return any(one.values.get("slow_clients") == "1" for one in slow_ones)
-
-        graph.until(is_reported)
-    graph.until(lambda: not bridge.notes()["topics"])
 
 
 def test_the_layout_shows_topics_of_the_graph_and_both_fingers():

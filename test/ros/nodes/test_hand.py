@@ -87,20 +87,6 @@ def test_messages_come_at_100_hz_with_even_stamps_noise_and_zeros_where_there_is
     assert node.phase == "idle"
 
 
-def test_jitter_skew_and_drops_are_applied_counted_and_changed_while_it_runs(graph, start):
-    node, tactile, *_ = start(faults__jitter_s=0.02, faults__skew_s=0.05, faults__drop_share=0.2)
-    graph.until(lambda: len(tactile) >= 150)
-    graph.set(node, faults__drop_share=1.0)
-    dropped, heard = int(node.notes()["tactile.dropped.injected"]), len(tactile)
-    assert (np.diff([stamp_ns(m.header.stamp) for m in tactile]) < 0).any()
-    assert dropped / (heard + dropped) == pytest.approx(0.2, abs=0.15)
-    graph.until(lambda: int(node.notes()["tactile.dropped.injected"]) > dropped + 20)
-    notes = node.notes()
-    assert notes["tactile.sent"] == notes["tactile.moved.injected"]
-    assert len(tactile) <= heard + 30  # those on their way
-    assert 0 <= int(notes["tactile.sent"]) - len(tactile) <= 30  # those sent before the subscriber was found
-
-
 def test_a_grasp_beside_the_object_fails_and_one_in_another_frame_is_refused(graph, start):
     node, tactile, reports, send = start()
     send("elsewhere", frame="map")
@@ -114,16 +100,6 @@ def test_a_grasp_beside_the_object_fails_and_one_in_another_frame_is_refused(gra
     assert stamp_ns(report.start) > 0
     assert dict(node.statistics.summary().dropped) == {"refused": 1, "misses": 1}
     assert len({tuple(finger_counts(m, "TH")) for m in tactile}) == 1
-
-
-def test_a_hand_that_is_restarted_continues_the_campaign(graph, start):
-    """The sensors were switched on 100 s ago, which are 30000 s of the campaign: 10 K warmer, at 75 counts of TDC a kelvin."""
-    warm_up = {"body_kelvin": 10.0, "warming_s": 1000.0, "tdc": {"session_kelvin": 0.0, "finger_kelvin": 0.0}}
-    config = scene(campaign={"live_speed": 300.0, "warm_up": warm_up})
-    _, tactile, *_ = start(config, scene__origin_ns=time.time_ns() - 100 * SECOND)
-    graph.until(lambda: tactile)
-    thumb = tactile[0].tactiles[FINGER_ORDER.index("TH")]
-    assert (thumb.tdc, thumb.tac) == (2400 + 750, 2048)
 
 
 def test_on_request_only(graph, start):
@@ -154,8 +130,3 @@ def test_a_grasp_that_is_stopped_is_not_reported_and_cleaning_up_releases_the_sc
     node.trigger_deactivate()
     node.trigger_cleanup()
     assert released() is None
-
-
-def test_settings_that_cannot_be_used_are_named(graph, tmp_path):
-    (node,) = graph.add("hand", scene__path=str(tmp_path / "none.yaml"))
-    assert node.state_name == "unconfigured"

@@ -68,19 +68,6 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
         graph.remove(node)
 
 
-def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, predictor, monkeypatch):
-    reports = graph.reports("touch_predictor")
-    node, send, heard = predictor(late_after_s=0.0, latency_budget_ms=60.0, diagnostics_period_s=0.1)
-    delayed(monkeypatch, type(node._predictor), "array", 0.1)
-    for stamp in (1, 2, 3):
-        send(stamp)
-    graph.until(lambda: len(heard) == 3)
-    flags = [one.predictions[0].flags for one in heard]
-    assert all("late" in one for one in flags)
-    assert ["reduced" in one for one in flags[::2]] == [False, True]  # the last waited for 0.2 s
-    graph.until(lambda: reports[-1].values["budget.late"] == "3")
-
-
 def test_a_budget_that_nothing_meets_uses_the_fastest_level_and_is_reported(graph):
     before = sys.getswitchinterval()
     (node,) = graph.add("touch_predictor", latency_budget_ms=0.01, late_after_s=0.0)

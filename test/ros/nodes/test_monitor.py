@@ -11,7 +11,7 @@ from foretouch.dataset.pairing.assembler import AssemblerConfig
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.nodes.monitor import Drawable, MonitorNode
+from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch_msgs.msg import BiotacAll, Grasp, GraspArray, Status, TouchPrediction, TouchPredictionArray
 
@@ -74,13 +74,3 @@ def test_the_last_answers_on_known_and_on_unfamiliar_objects_can_be_drawn(graph,
         one = TouchPrediction(header=message.header, grasp=grasp, status=Status.OK, flags=flags)
         answers.publish(TouchPredictionArray(header=message.header, predictions=[one]))
     graph.until(lambda: [one.prediction.grasp.id for one in node.last_drawables()] == ["3", "2"])
-
-
-def test_executed_grasps_are_drawn_before_the_first_touch_and_after_two_or_one(graph):
-    node = MonitorNode(with_clouds=True, hand=TactileConfig())
-    graph.serve(node)
-    first, one, two, other = (Drawable(None, None, TouchPrediction(touches=k)) for k in (0, 1, 2, 0))
-    node._executed.update({(False, 0): first, (False, 1): one})
-    assert node.last_drawables() == [first, one]
-    node._executed.update({(True, 0): other, (False, 2): two})
-    assert node.last_drawables() == [first, two, other]

@@ -10,28 +10,22 @@ import sys
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from constant_models import sensor_with_dead
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline
-from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.touch import grasp_actions
 from foretouch.ros.touch.config import COSTS
-from foretouch.ros.touch.grasp_actions import cost_of, planner_action_class, planner_feedback
-from foretouch.tactile import Ranges, TactileRanges
-from foretouch.tactile.channels import BIOTAC_SP
-from foretouch.types import Touch
+from foretouch.ros.touch.grasp_actions import cost_of, planner_feedback
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane
 
 pytestmark = pytest.mark.ros
 
 CAMERA = "camera_depth_optical_frame"
-TYPE = "foretouch_msgs/SampleGrasps"
 
 
 def send_latest(graph, node, target):
@@ -46,10 +40,10 @@ def send_latest(graph, node, target):
     graph.until(lambda: node.statistics.summary().used == 1)
 
 
-def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(graph, model_card, scene_cloud):
-    sampling = {"planner_action_count": 5, "sample_cost": "harder_finger", "planner_action_type": TYPE}
-    (node,) = graph.add("touch_predictor", model=model_card, **sampling)
-    assert node.notes()["sample_grasp_poses"] == TYPE
+def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card, scene_cloud, monkeypatch):
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    (node,) = graph.add("touch_predictor", model=model_card, max_grasps=5, sample_cost="harder_finger")
+    assert "sample_grasp_poses" in node.notes()
     status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
     assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
@@ -65,18 +59,13 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_the_type_that_it_names(gra
     assert not node.internal_errors.counts()
 
 
-def test_the_type_is_a_parameter_and_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
+def test_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
     for module in ("moveit_task_constructor_msgs", "moveit_task_constructor_msgs.action"):
         monkeypatch.setitem(sys.modules, module, None)
     (node,) = graph.add("touch_predictor", model=model_card)
     assert "sample_grasp_poses" not in node.notes()
     graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
     assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
-    for name in ("SampleGraspPoses", "a/b/c"):
-        with pytest.raises(ConfigError, match=f"planner_action_type: '{name}' is not package/Type"):
-            planner_action_class(name)
-    assert planner_action_class(TYPE) is SampleGrasps
-    assert planner_action_class("nowhere_msgs/Other") is None
 
 
 def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
@@ -89,24 +78,6 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     result.costs = [math.inf] * 3
     with pytest.raises(RefusalError, match="no grasp has a finite cost"):
         planner_feedback(SampleGrasps, result)
-    ranges, touch = TactileRanges().ranges, np.zeros(50)
-    for k, (name, share) in enumerate((("PDC_TH", 0.25), ("PDC_MF", 0.75))):
-        low, high = ranges.of(name)
-        touch[k] = low + share * (high - low)
-    pressed = TaxelView(BIOTAC_SP).pressures(touch, None, ranges)
-    costs = {rule: cost_of(rule, Grasp(score=4.0), pressed) for rule in COSTS}
-    assert costs == pytest.approx({"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}, rel=1e-3)
+    costs = {rule: cost_of(rule, Grasp(score=4.0), np.array([0.25, 0.75])) for rule in COSTS}
+    assert costs == {"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}
     assert np.isposinf([cost_of(rule, Grasp(score=math.nan), np.full(2, np.nan)) for rule in COSTS]).all()
-
-
-def test_a_sensor_without_a_pressure_presses_by_how_far_its_valid_taxels_moved():
-    sensor = sensor_with_dead("xela_uskin_4x4", 5)
-    view, rest, ranges = (
-        TaxelView(sensor),
-        Touch(np.full(96, 30_000.0), sensor.channels),
-        Ranges.of_sensor(sensor.channels),
-    )
-    values = rest.values.copy()
-    values[sensor.taxel_columns[0, :, 2]] += (65_535 - 30_000) / 2  # Z of the first finger, half of its way
-    values[sensor.taxel_columns[0, 5, 2]] = 65_535  # of the dead taxel
-    np.testing.assert_allclose(view.pressures(values, rest, ranges), [0.5, 0.0])

@@ -7,19 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from calibrated_models import save_calibrated_network
 from diagnostic_msgs.msg import DiagnosticStatus
-from planner_builders import Planner, a_target, ten_grasps, without_orientation
+from planner_builders import Planner, a_target, ten_grasps
 from sensor_msgs.msg import PointCloud2
 
 from foretouch import reading
-from foretouch.pipeline import PipelineConfig
-from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg
 from foretouch.ros.runtime.lifecycle_node import REQUESTS
-from foretouch.types import Cloud
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import BiotacAll, GraspArray, Status, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import BiotacAll, Status
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
@@ -53,23 +48,6 @@ def test_a_damaged_model_is_named_and_the_fallback_used(graph, model_card, tmp_p
     graph.remove(planner.node)
     (prediction,) = Planner(graph, target, grasps, **damaged, fallback_model=model_card).ask().predictions
     assert (prediction.status, "fallback_model" in prediction.flags) == (Status.OK, True)
-
-
-def test_grasps_in_another_frame_are_refused_and_the_latest_object_is_sampled(graph, planner, grasps):
-    heard = graph.listen(TouchPredictionArray, "touch")
-    topics = {"object_cloud": PointCloud2, "grasps": GraspArray, "table": TablePlane}
-    clouds, plans, tables = (graph.talk(kind, topic) for topic, kind in topics.items())
-    graph.matched("touch", *topics)
-    header = header_to_msg("cam", 11)
-    tables.publish(TablePlane(header=header, plane=plane_to_msg(planner.target.plane)))
-    graph.until(lambda: planner.node._tables)
-    clouds.publish(objects_to_msg([planner.target], "cam", 11))
-    plans.publish(GraspArray(header=header_to_msg("base", 11), grasps=[grasp_to_msg(grasps[0])]))
-    graph.until(lambda: heard)
-    assert heard[0].status == Status.UNKNOWN_FRAME
-    assert "'base' is not the cloud's, 'cam'" in heard[0].reason
-    result = planner.sample(SampleGrasps.Goal(count=2))
-    assert (result.grasp_state, result.grasp_candidates[0].header) == ("success", header)
 
 
 def test_costs_within_the_interval_of_the_lowest_are_equal_and_ordered_by_score(graph, target, grasps):
@@ -122,7 +100,7 @@ def test_an_internal_error_is_a_status_and_configuring_again_restores_service_an
         raise FloatingPointError("overflow")
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(planner.node._predictor), "array", fail)
+        patch.setattr(type(planner.node._predictor), "answer", fail)
         answer = planner.ask()
         assert (answer.status, answer.reason) == (Status.FAILED, "FloatingPointError: overflow")
         assert answer.header.frame_id == "cam"
@@ -130,36 +108,6 @@ def test_an_internal_error_is_a_status_and_configuring_again_restores_service_an
         assert (result.status, result.grasp_state) == (Status.FAILED, "failed: FloatingPointError: overflow")
     assert planner.node.internal_errors.counts() == {"predict_touch": 1, "sample_grasps": 1}
     assert planner.ask().status == Status.OK
-
-
-def test_reach_and_limits_of_objects_are_those_of_the_parameters(graph, tmp_path, target, grasps):
-    planner = Planner(graph, target, grasps, model=save_calibrated_network(tmp_path))
-    config, default = planner.node.config, PipelineConfig()
-    assert (config.max_width_m, config.max_distance_m) == (default.reach.max_width_m, default.reach.max_distance_m)
-    assert config.limits == default.limits
-    graph.set(planner.node, max_width_m=0.4, max_distance_m=0.5)
-    request = planner.request(3)
-    first, second, _ = request.grasps
-    first.g1.x, second.g1.x = first.g2.x + 0.35, second.g2.x + 0.45
-    without_orientation(first)
-    without_orientation(second)
-    wide, wider, fine = planner.ask(request).predictions
-    assert (wide.status, wider.status, fine.status) == (Status.OK, Status.BAD_GRASP, Status.OK), wide.reason
-    assert "m apart, more than max_width_m 0.4" in wider.reason
-    graph.set(planner.node, max_width_m=0.3)
-    assert "more than max_width_m 0.3" in planner.ask(request).predictions[0].reason
-
-    graph.set(planner.node, limits__max_extent_m=0.03)
-    answer = planner.ask(planner.request(2))
-    assert (answer.status, len(answer.predictions)) == (Status.BAD_CLOUD, 2)
-    assert "more than max_extent_m 0.03" in answer.reason
-    result = planner.sample()
-    assert (result.status, "more than max_extent_m 0.03" in result.grasp_state) == (Status.NO_GRASP, True)
-    graph.set(planner.node, limits__max_extent_m=5.0, max_distance_m=5.0)
-    request = planner.request()
-    points = np.concatenate([target.cloud.xyz, target.cloud.xyz + np.float32([2.0, 0.0, 0.0])])
-    request.cloud = cloud_to_msg(Cloud(points, frame_id="cam"))
-    assert planner.ask(request).status == Status.OK
 
 
 def test_a_model_of_the_simulated_hand_warns_of_readings_that_come_from_another(graph, monkeypatch):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.tactile.messages.table import stamp_ns
@@ -50,13 +50,13 @@ def test_beyond_what_it_can_do_the_graph_answers_the_newest_cloud(
     graph, scene_cloud, model_card, monkeypatch, busy_core, work_ms
 ):
     nodes = graph.add(*PERCEPTION, model=model_card)
-    predict = nodes[2]._predictor.array
+    predict = nodes[2]._predictor.answer
 
     def slowly(*arguments, **options):
         time.sleep(work_ms / 1e3)
         return predict(*arguments, **options)
 
-    monkeypatch.setattr(nodes[2]._predictor, "array", slowly)
+    monkeypatch.setattr(nodes[2]._predictor, "answer", slowly)
     rate_hz = 60.0
     stamps, ages = sent(graph, cloud_to_msg(scene_cloud(width=160)), rate_hz)
     for node in nodes:

@@ -2,7 +2,6 @@
 """Messages handed over within a process: the same answers and counts as over DDS."""
 
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -10,16 +9,14 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.ros.executables import PERCEPTION, make_nodes
+from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.runtime.direct import DirectInput
-from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, TablePlane, TouchPredictionArray
@@ -134,27 +131,6 @@ def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cl
     assert outsider.numbers["table"] == outsider.numbers["object_cloud"] == [1]  # the first that was sent
     assert [used for _, used, *_ in settle(graph, nodes, 4)] == [4, 4, 4]
     assert outsider.node.count_subscribers("/foretouch/table") == 3  # tools show who subscribes
-    assert {node._worker._thread for node in nodes} == {nodes[0]._worker._thread}
-
-
-def test_what_is_kept_is_sent_once_somebody_outside_subscribes(graph, outsider, scene_cloud, model_card):
-    nodes, heard = graph.add(*PERCEPTION, model=model_card), []
-    publisher, kept = (
-        graph.talk_matched(PointCloud2, "points"),
-        QoSProfile(depth=20, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-    )
-    for stamp in range(1, 13):
-        publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp)))
-        graph.until(lambda stamp=stamp: nodes[2].statistics.summary().used == stamp)
-    assert len(nodes[1]._grasps._unsent) == 10
-    for _ in range(2):
-        outsider.node.create_subscription(GraspArray, "grasps", lambda m: heard.append(m.header.stamp.nanosec), kept)
-        graph.until(lambda: len(heard) == 10)
-        assert heard == list(range(3, 13))
-        heard.clear()
-    publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=13)))
-    graph.until(lambda: heard == [13, 13])
-    assert settle(graph, nodes, 13) == [(13, 13, {}, 0)] * 3  # copies are left out
 
 
 @pytest.mark.parametrize("direct", [True, False])
@@ -182,21 +158,6 @@ def test_a_node_deactivated_in_the_middle_counts_its_clouds(graph, scene_cloud, 
     summaries = [node.statistics.summary() for node in nodes]
     counts = [(one.received, one.used, dict(one.dropped)) for one in summaries]
     assert counts == [(4, 4, {}), (4, 2, {"inactive": 2}), (4, 2, {})]  # the last has two clouds without grasps
-
-
-def test_overload_is_superseded_at_the_first_node_only(graph, scene_cloud, model_card):
-    nodes = graph.add(*PERCEPTION, model=model_card, queue_depth=2)
-    publisher = graph.talk_matched(PointCloud2, "points")
-    for stamp in range(1, 16):
-        publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp, width=160)))
-    graph.until(lambda: nodes[0].statistics.summary().used > 0)
-    graph.until(lambda: all(node.statistics.summary().waiting == 0 for node in nodes))
-    first, *others = [node.statistics.summary() for node in nodes]
-    assert first.received + first.lost <= 15
-    assert first.received == first.used + sum(first.dropped.values())
-    assert set(first.dropped) <= {"superseded"}
-    for one in others:
-        assert (one.received, one.used, dict(one.dropped)) == (first.used, first.used, {})
 
 
 def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cloud, model_card):
@@ -233,40 +194,3 @@ def test_a_copy_is_recognised_once_by_what_it_carries_and_nothing_else_is():
     for stamp in range(5000):  # whose copies never come
         one.expect_copy(made(stamp))
     assert [one.is_copy(made(stamp)) for stamp in (3999, 4000, 4999)] == [False, True, True]
-
-
-def test_a_message_of_the_same_stamp_from_elsewhere_is_received_beside_the_one_that_is_handed_over(graph, outsider):
-    """Each of both comes once, whatever the order."""
-    first, second = (ForetouchNode(name, NodeConfig) for name in ("first", "second"))
-    graph.serve(first, second)
-    heard = []
-    second.subscribe(TablePlane, "table", lambda message: heard.append((message.header.stamp.nanosec, message.reason)))
-    own = first.advertise(TablePlane, "table", keep=True)
-    foreign = outsider.node.create_publisher(TablePlane, "table", RELIABLE)
-    for node in (first, second):
-        node.trigger_configure()
-        node.trigger_activate()
-    graph.until(lambda: foreign.get_subscription_count() == 1 and own.get_subscription_count() == 1)
-    graph.until(lambda: graph.probe.count_publishers("/foretouch/table") == 2)
-    for stamp in range(1, 21):
-        for publisher, name in ((own, "own"), (foreign, "foreign"))[:: 1 if stamp % 2 else -1]:
-            publisher.publish(TablePlane(header=header_to_msg("cam", stamp), reason=name))
-        graph.until(lambda stamp=stamp: len(heard) >= 2 * stamp)
-    time.sleep(0.3)
-    stamps = [stamp for stamp, _ in heard]
-    assert sorted(stamps) == sorted([*range(1, 21)] * 2)
-    assert [stamp for stamp, name in heard if name == "own"][:1] == [1]
-    assert not second._direct_inputs[0]._copies
-
-
-def test_graphs_of_two_namespaces_do_not_mix(graph, scene_cloud, model_card):
-    model = [Parameter("model", value=model_card)]
-    left, right = (make_nodes(*PERCEPTION, parameter_overrides=model, namespace=name) for name in ("/left", "/right"))
-    graph.serve(*left, *right)
-    for node in (*left, *right):
-        node.autostart()
-    publisher = graph.talk(PointCloud2, "/left/points")
-    graph.until(lambda: publisher.get_subscription_count() == 1)
-    publisher.publish(cloud_to_msg(scene_cloud()))
-    graph.until(lambda: left[2].statistics.summary().used == 1)
-    assert [node.statistics.summary().received for node in right] == [0, 0, 0]

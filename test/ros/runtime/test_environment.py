@@ -69,23 +69,6 @@ def test_the_segment_of_a_started_process_is_as_large_as_the_profile_demands(bar
     assert int(*printed(code)) > 64 * 1024 * 1024
 
 
-NARROW = (
-    "import shutil, collections\n"
-    "usage = collections.namedtuple('usage', 'total used free')(67_108_864, 0, 67_108_864)  # as Docker gives\n"
-    "shutil.disk_usage = lambda _: usage\n"
-    "from foretouch.ros.runtime.environment import start_rclpy; start_rclpy([])\n"
-    "import rclpy; nodes = [rclpy.create_node(name) for name in 'ab']; rclpy.shutdown()"
-)
-
-
-@pytest.mark.ros
-def test_a_process_warns_once_where_shared_memory_is_too_small_for_large_clouds():
-    done = run_python(NARROW, env=dict(os.environ))
-    (line,) = (line for line in done.stderr.splitlines() if "MB" in line)
-    assert "67 of 67 MB of /dev/shm are free, 256 are needed: clouds go by UDP, and large ones are lost" in line
-    assert line.endswith("foretouch doctor names a fix")
-
-
 def test_large_clouds_pass_by_fast_dds_with_room_and_nothing_is_promised_for_another_middleware(tmp_path):
     text, fine = large_clouds("rmw_fastrtps_cpp", tmp_path / "none")
     assert (fine, "there is no" in text) == (False, True)

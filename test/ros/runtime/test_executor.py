@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs are taken in one thread and worked on in others; those of one stamp together."""
 
+import io
 import threading
 import time
 from collections import Counter
@@ -8,9 +9,12 @@ from itertools import count
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rich.console import Console
 from sensor_msgs.msg import PointCloud2
 
+from foretouch.cli.live import live_panel
 from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.runtime.processing_node import StampSynchronizer
 from foretouch_msgs.msg import Status, TablePlane
 
@@ -20,14 +24,14 @@ pytestmark = pytest.mark.ros
 def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, model_card, monkeypatch):
     node, send, heard = predictor(model=model_card)
     tables = graph.talk_matched(TablePlane, "table")
-    begun, predict = threading.Event(), node._predictor.array
+    begun, predict = threading.Event(), node._predictor.answer
 
     def slowly(*args, **kwargs):
         begun.set()
         time.sleep(1.0)
         return predict(*args, **kwargs)
 
-    monkeypatch.setattr(node._predictor, "array", slowly)
+    monkeypatch.setattr(node._predictor, "answer", slowly)
     send(1)
     assert begun.wait(5.0)
     for stamp in (2, 3):
@@ -79,7 +83,8 @@ def test_a_set_is_complete_in_either_order_and_the_oldest_incomplete_one_makes_r
 def test_clouds_without_grasps_are_answered_counted_and_reported_first_as_a_warning_then_as_an_error(predictor, graph):
     node, send, heard = predictor(model="touchnet-v1", partner_timeout_s=0.5, silence_s=1.5, diagnostics_period_s=0.2)
     reports, clouds = graph.reports("touch_predictor"), graph.talk_matched(PointCloud2, "object_cloud")
-    stamps = count(1)
+    stamps, monitor = count(1), MonitorNode()
+    graph.serve(monitor)
     send(next(stamps))
     graph.until(lambda: heard and heard[0].status == Status.OK)
     began = time.monotonic()
@@ -91,8 +96,15 @@ def test_clouds_without_grasps_are_answered_counted_and_reported_first_as_a_warn
 
     for level, text in ((DiagnosticStatus.WARN, "no_grasps"), (DiagnosticStatus.ERROR, "clouds without grasps")):
         graph.until(
-            lambda level=level, text=text: lacking() or (reports[-1].level == level and text in reports[-1].message)
+            lambda level=level, text=text: (
+                lacking() or (reports and reports[-1].level == level and text in reports[-1].message)
+            )
         )
+    assert "without grasps (published by /foretouch/probe)" in reports[-1].message
+    console = Console(file=io.StringIO(), width=200)
+    graph.until(
+        lambda: console.print(live_panel(monitor.view(), "")) or "without grasps (published" in console.file.getvalue()
+    )
     assert time.monotonic() - began < 4.0
     send(next(stamps))
     graph.until(lambda: heard[-1].status == Status.OK)

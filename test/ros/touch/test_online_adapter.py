@@ -20,7 +20,6 @@ from sensor_builders import sens_stream
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from foretouch import reading
 from foretouch.cli.live import live_panel
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
@@ -28,20 +27,16 @@ from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, values_from_msg
+from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import BIOTAC, biotac_touch
-from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.tactile.messages.table import make_reader, stamp_ns
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
-from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
-from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
-from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
 
@@ -244,31 +239,6 @@ def test_a_dead_sensor_is_refused_counted_and_named(card):
     assert (hand.reference(), "pdc_th: -22072" in hand.notes()["tare.fault"]) == ("none", True)
 
 
-def test_what_cannot_be_paired_is_counted_and_changes_nothing(card):
-    hand = DirectHand(card, pairing={**PAIRING, "wait_s": 0.2})
-    times = hand.grasp("a", 0)
-    hand.report("who?", times)
-    for name in ("failed", "overlapping"):
-        hand.now += MS
-        hand.see(name, requested=True)
-    times = Robot.grasp(hand, "not reported", 2, tell=False)
-    hand.report("failed", times, success=False)
-    hand.report("overlapping", times)  # the time of a failed grasp belongs to it
-    feel, hand.feel = hand.feel, lambda counts, readings: setattr(hand, "now", hand.now + 10 * MS * readings)
-    hand.grasp("unfelt", 1)
-    hand.feel = feel
-    hand.shift = 1.0
-    hand.now += MS
-    hand.see("one")
-    hand.shift = 0.0
-    hand.see("two of its stamp")
-    hand.report("one", times)
-    time.sleep(0.25)
-    reasons = ("grasp_unknown", "grasp_failed", "overlap", "no_tactile", "cloud_ambiguous")
-    assert hand.counts() == {"taken_in": 1, **{f"refused.{reason}": 1 for reason in reasons}}
-    assert (hand.reference(), hand.notes()["touches"]) == ("touches", "1")
-
-
 def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(card):
     hand = DirectHand(card)
     unread = hand.ask()[0]
@@ -312,98 +282,6 @@ def test_a_stamp_in_the_far_future_freezes_no_tare_and_a_clock_that_was_set_back
     assert hand.said == counts
     assert hand.keeper.history.tracker.evidence(hand.now).readings == 1
     assert hand.keeper.notes()["history.set_aside"] == "3"
-
-
-class Hand(CanRobot):
-    """The same beside a running touch predictor."""
-
-    def __init__(self, graph, card, **parameters):
-        (self.node,) = graph.add("touch_predictor", model=card, use_tare=False, **{**QUICK, **parameters})
-        assert self.node.state_name == "active"
-        self.graph, self.notes = graph, self.node.notes
-        self.heard = graph.listen(TouchPredictionArray, "touch")
-        super().__init__(graph)
-        graph.matched("touch")
-        self.begin()
-        self.feel(REST, 5)
-        self.wait()
-
-    def wait(self):
-        """Until all that was felt has arrived."""
-        self.graph.until(lambda: self.notes()["tactile.received"] == str(self.sent["/rh/tactile"]))
-
-    def see(self, name):
-        cloud, grasps = self.look(name)
-        self.clouds.publish(cloud)
-        self.grasps.publish(GraspArray(header=cloud.header, grasps=grasps))
-
-    def touch(self, name, number):
-        """Execute the first grasp of a cloud; all its messages have arrived when this returns."""
-        count = len(self.heard)
-        times = self.grasp(name, number)
-        self.wait()
-        self.graph.until(lambda: len(self.heard) > count)  # the cloud has arrived too
-        keys = {"touches.waiting", "touches.taken_in"}
-        self.graph.until(lambda: keys & {key for key, value in self.notes().items() if value != "0"})
-        return times
-
-    def ask(self):
-        """The prediction for a cloud of now, which is answered alike by the topic and the service."""
-        self.now = max(self.now + MS, time.time_ns())
-        count = len(self.heard)
-        self.see(f"ask {self.now}")
-        self.graph.until(lambda: len(self.heard) > count)
-        cloud, grasps = self.look("ask the service")
-        asked = self.graph.call(PredictTouch, "predict_touch", PredictTouch.Request(cloud=cloud, grasps=grasps)).touch
-        for found in (one.predictions[0] for one in (self.heard[-1], asked)):
-            assert (found.status, found.reference) == (Status.OK, asked.predictions[0].reference)
-            assert reading(found)["PDC"][0] == pytest.approx(
-                reading(asked.predictions[0])["PDC"][0], abs=0.02
-            )  # but for the drift
-        return asked.predictions[0]
-
-
-def test_a_node_adapts_to_its_hand_and_its_parameters_and_services_undo_it(graph, card):
-    hand = Hand(graph, card)
-    assert hand.ask().reference == TouchPredictionMsg.NONE
-    times = hand.touch("g", 0)
-    model = load_model(card)
-    history = HandHistory(model)
-    history.add_touch(hand.now, hand.cloud, hand.planned[0], hand.cut(times).touch)
-    found, (wanted, _) = hand.ask(), expected(hand, history, model)
-    rows = values_from_msg(found, BIOTAC_SP)
-    exact = np.stack([touch.values for touch in (wanted.value, wanted.lower, wanted.upper)])
-    np.testing.assert_allclose(rows, exact, rtol=0.0, atol=0.05)  # but for the drift within some seconds
-    assert (found.reference, found.touches, found.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
-    assert 0 <= found.touch_age.sec < 60
-    for name, value, reference in (("use_touches", False, "NONE"), ("use_touches", True, "TOUCHES")):
-        graph.set(hand.node, **{name: value})
-        assert hand.ask().reference == getattr(TouchPredictionMsg, reference)
-    for service, text, reference in (
-        ("forget_touches", "1 touches forgotten", TouchPredictionMsg.HISTORY),
-        ("forget_history", "1 readings forgotten", TouchPredictionMsg.NONE),
-    ):
-        answer = graph.call(Trigger, service)
-        assert (answer.success, answer.message) == (True, text)
-        assert hand.ask().reference == reference
-    hand.touch("again", 1)
-    assert hand.ask().reference == TouchPredictionMsg.TOUCHES
-    graph.set(hand.node, use_tare=True)  # touches with and without a tare cannot be combined
-    assert hand.notes()["touches"] == "0"
-
-
-def test_a_named_hand_remembers_across_a_restart(graph, card, tmp_path):
-    hand = Hand(graph, card, hand="right", history_folder=str(tmp_path))
-    hand.touch("g-0", 0)
-    before = hand.ask()
-    assert graph.change("touch_predictor", "deactivate", "cleanup")
-    assert (tmp_path / "right.safetensors").exists()
-    assert graph.change("touch_predictor", "configure", "activate")
-    graph.matched("object_cloud", "grasps", "touch")
-    after = hand.ask()
-    assert (after.reference, after.touches, after.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
-    assert reading(after)["PDC"][0] == pytest.approx(reading(before)["PDC"][0], abs=1.0)
-    assert hand.notes()["history.file"] == str(tmp_path / "right.safetensors")
 
 
 def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(graph, card, model_card):

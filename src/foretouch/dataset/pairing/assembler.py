@@ -73,8 +73,6 @@ class SampleAssembler:
         self._health = SensorHealth(reader.channels)
         self._last_unlabelled_ns: int | None = None
         self._last_tactile_s = self._last_cloud_s = float("-inf")
-        # Since when no finger is in contact; None while one is, or unless `watch_sensors` is set.
-        self.rest_since_s: float | None = None
         # Stamps from which on an object is on the table [ns], with its label, in order; may be changed.
         self.objects = [(0, config.object)]
         self.reset_grasps()
@@ -156,10 +154,6 @@ class SampleAssembler:
                 episode = self._episodes.update(one.stamp_ns, one.counts)
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
-            if self._episodes.touching:
-                self.rest_since_s = None
-            elif self.rest_since_s is None:
-                self.rest_since_s = now_s
         return accepted
 
     def _leave_out(self, counts: Float32) -> None:

@@ -26,7 +26,7 @@ Guarantees:
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Self
@@ -228,6 +228,11 @@ class RecordingWriter:
         with self._guard:
             self._require_open()
             return append_edit(self.path, edit)
+
+    @property
+    def objects(self) -> set[str]:
+        """Names of the objects of the dataset, as they were recorded."""
+        return {name.rpartition("/")[0] for name in self._ids}
 
     def flush(self) -> None:
         """Write the collected messages (raises as `write`)."""

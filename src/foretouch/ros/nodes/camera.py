@@ -13,10 +13,9 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.config import RealSenseConfig, ScheduleConfig
-from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.camera.realsense import CameraStatus, RealSenseCamera
 from foretouch.config import setting
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ForetouchError
 from foretouch.laboratory import laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
@@ -27,18 +26,10 @@ class CameraNodeConfig(NodeConfig):
     """Settings of the camera node."""
 
     source: str = setting(
-        "device",
-        "`device` (see `camera`), `synthetic` (three objects on a table, of which one swings), `scene` (see `scene`), or the path of a recording",
-        read_only=True,
+        "device", "`device` (see `camera`), `scene` (see `scene`), or the path of a recording", read_only=True
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
-    faults: FaultConfig = field(default_factory=FaultConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.source != "scene" and self.faults != FaultConfig():
-            raise ConfigError(f"faults: are supported by the camera of a scene only, not {self.source}")
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
@@ -47,23 +38,19 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
     exclusive_topics = ("points",)
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
-        self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `synthetic` or `scene`
+        self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `scene`
         self._camera: RealSenseCamera | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._failure = ""
-        self._faults: MessageFaults | None = None
         self._size: dict[str, int] = {}  # of the image, where it is set by a scene
         super().__init__(name, CameraNodeConfig, **options)
 
     def _setup(self) -> None:
         config = self.config
-        if config.source == "synthetic":
-            camera = config.camera
-            self.synthetic = _simulation(config.source).swinging_camera(camera.width, camera.height, camera.fps)
-        elif config.source == "scene":
-            self._faults = MessageFaults(config.faults)
-            self.synthetic = _simulation(config.source).scheduled_camera(config.scene, config.camera.fps, self._faults)
+        if config.source == "scene":
+            simulation = laboratory("simulation.scene_camera", "source: scene")
+            self.synthetic = simulation.scheduled_camera(config.scene, config.camera.fps)
             self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
         self._points = self.advertise(PointCloud2, "points")
 
@@ -71,7 +58,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._failure = ""
         self._stopping.clear()
         config, source = self.config.camera.replace(**self._size), self.config.source
-        if source not in {"device", "synthetic", "scene"}:
+        if source not in {"device", "scene"}:
             config = config.replace(file=source)
         self._camera = RealSenseCamera(config, self.synthetic, self._log_status)
         if self.synthetic is not None:
@@ -93,13 +80,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
     def _teardown(self) -> None:
         self.synthetic = None
-
-    def _config_changed(self, config: CameraNodeConfig) -> None:
-        """Apply new timeouts and message faults while it streams."""
-        if self._faults is not None:
-            self._faults.config = config.faults
-        if (camera := self._camera) is not None:
-            camera.reconfigure(config.camera.replace(**self._size))
 
     def has_ended(self) -> bool:
         """Whether a recording was played to its end."""
@@ -130,7 +110,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             "device": status.device,
             "opened": str(status.opened),
             "failures": str(status.failures),
-            "since_frame_s": "" if status.since_frame_s is None else f"{status.since_frame_s:.2f}",
         }
 
     # The thread.
@@ -162,8 +141,3 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             self.get_logger().info(str(status))
         else:
             self.get_logger().warning(str(status))
-
-
-def _simulation(source: str) -> Any:
-    """The module that makes simulated cameras; a `MissingDependencyError` where the laboratory is not installed."""
-    return laboratory("simulation.scene_camera", f"source: {source}")

@@ -95,12 +95,10 @@ class MonitorNode(GuardedCallbacks, Node):
         self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._kept = (
-            8 if hand is None else 32
-        )  # clouds: enough to find that of an answer again, or of an executed grasp
+        self._kept = 8 if hand is None else 32  # clouds: enough to find that of an answer, or of an executed grasp
         self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
-        # The last by whether the model does not know the object, and by the touches of it before, up to two.
-        self._executed: dict[tuple[bool, int], Drawable] = {}
+        # The last by whether the model does not know the object, and whether it was touched before.
+        self._executed: dict[tuple[bool, bool], Drawable] = {}
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(hand or TactileConfig()))
         self._with_hand = hand is not None
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
@@ -133,14 +131,14 @@ class MonitorNode(GuardedCallbacks, Node):
     def last_drawables(self) -> list[Drawable]:
         """The last predictions on an object that the model knows, and on one that it does not, as far as there are such.
 
-        Of executed grasps they are the last before the first touch of an object, and the last after two touches, or after one
-        where none came after two. If none was executed, they are the newest whose clouds are still kept.
+        Of executed grasps they are the last before the first touch of an object and the last after it. If none was executed,
+        they are the newest whose clouds are still kept.
         """
         with self._lock:
             executed = dict(self._executed)
             answers = [] if executed else list(self._drawable)
         if executed:
-            return [executed[key] for key in sorted(executed) if key[1] != 1 or (key[0], 2) not in executed]
+            return [executed[key] for key in sorted(executed)]
         found: dict[bool, Drawable] = {}
         for answer in reversed(answers):
             one = answer.predictions[0]
@@ -202,8 +200,8 @@ class MonitorNode(GuardedCallbacks, Node):
                         drawn = self._drawn(one, result.cut)
                         with self._lock:
                             self._view.executed = one, result.cut
-                            if drawn is not None and one.touches <= 2:
-                                self._executed[_is_unfamiliar(one), one.touches] = drawn
+                            if drawn is not None:
+                                self._executed[_is_unfamiliar(one), bool(one.touches)] = drawn
 
     def _receive_diagnostics(self, message: DiagnosticArray) -> None:
         with self._lock:

@@ -5,35 +5,28 @@ Threads: callbacks of the executor put serialised messages into a queue and retu
 them, waits for the disk, and assembles samples. Services have a callback group of their own.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 
 from foretouch.config import Settings, setting
-from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.cut import Interval, PairingConfig
 from foretouch.dataset.pairing.matcher import Label
 from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.dataset.topics import GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
-from foretouch.ros.recorder.subscriptions import (
-    MessageQueue,
-    RecorderSubscriptions,
-    TopicStatistics,
-    robot_topics,
-    sample_topics,
-)
+from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, robot_topics, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold
@@ -114,12 +107,9 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     exclusive_topics = (GRASPS_TOPIC,)
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
-        self.path = ""  # of the current dataset, or of the last one
-        self.reason = ""  # why the last recording ended by itself
         self.input_topics: RecorderSubscriptions | None = None
-        self._session: RecordingSession | None = None
-        self._last_status = SessionStatus()
-        self._duration_s = 0.0
+        self._session: RecordingSession | None = None  # the current one, or the last
+        self._told = False  # whether it is logged that it has ended by itself
         super().__init__(name, RecorderConfig, **options)
 
     def _setup(self) -> None:
@@ -131,13 +121,13 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         others, missing = robot_topics(depth=1000)
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
-        self.input_topics = RecorderSubscriptions(self, [*topics, *others], self._mismatch)
+        self.input_topics = RecorderSubscriptions(self, [*topics, *others])
         self._closing.callback(self.input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
         self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
-        self.serve(StopRecording, "stop_recording", self._stop_recording, group)
         services: tuple[tuple[Any, str, Callable[[Any, Any], str]], ...] = (
             (StartRecording, "start_recording", self._start_recording),
+            (StopRecording, "stop_recording", self._stop_recording),
             (LabelGrasp, "label_grasp", self._label_grasp),
             (LabelGrasp, "edit_grasp", self._edit_grasp),
             (LabelGrasp, "next_object", lambda request, _: self.act("object", request.object)),
@@ -189,14 +179,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
         """Do an action of the operator (see `Operator.act`); a `ConfigError` if nothing is being recorded."""
-        session = self._session
-        if session is None or session.ended.is_set():
-            raise ConfigError(f"nothing is being recorded{': ' * bool(self.reason)}{self.reason}")
-        return session.act(action, text, grasp_id)
-
-    def inputs(self) -> dict[str, TopicStatistics]:
-        """Rate, age and clock offset of each input by topic."""
-        return {} if self.input_topics is None else self.input_topics.statistics()
+        return self._running().act(action, text, grasp_id)
 
     @property
     def identity(self) -> Identity:
@@ -208,10 +191,19 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """Whether a session is running."""
         return self._session is not None and not self._session.ended.is_set()
 
+    @property
+    def reason(self) -> str:
+        """Why the last recording ended by itself."""
+        return str(self.session_status().message.reason)
+
     def session_status(self) -> SessionStatus:
         """State of the current session, or of the last one."""
-        session = self._session
-        return self._last_status if session is None else session.status
+        return SessionStatus() if self._session is None else self._session.status
+
+    def _running(self) -> RecordingSession:
+        if self._session is None or self._session.ended.is_set():
+            raise ConfigError(f"nothing is being recorded{': ' * bool(self.reason)}{self.reason}")
+        return self._session
 
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
         """Start a session and return the dataset's path; an existing dataset is extended.
@@ -224,7 +216,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             FileError: If it cannot be written, or is of another hand or camera.
         """
         if self.recording:
-            raise ConfigError(f"{self.path} is being recorded; stop it first")
+            raise ConfigError(f"{self._running().writer.path} is being recorded; stop it first")
         self.end()
         topics, config = self.input_topics, self.config
         assert topics is not None  # noqa: S101  made by setup
@@ -233,8 +225,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             check_name(name, "object")
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(target, _dataset_identity(config), config.writing, sensor=self.reader.sensor)
-        for name, one in topics.inputs.items():
-            writer.add_topic(name, one.topic.type_name)
         assembling = AssemblerConfig(
             pairing=config.pairing,
             object=label,
@@ -243,62 +233,26 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             assume_grasps=config.assume_grasps,
             watch_sensors=True,
         )
-        queue = MessageQueue(config.queue_mb * 1_000_000)
-        topics.open(queue)
-        roles: dict[str, Role | Literal["touch"]] = {
-            config.tactile_topic: "tactile",
-            CLOUD_TOPIC: "cloud",
-            GRASPS_TOPIC: "grasps",
-            EXECUTED_TOPIC: "executed",
-            "touch": "touch",
-        }
-        inputs = {
-            name: (roles[one.topic.name], one.topic.message)
-            for name, one in topics.inputs.items()
-            if one.topic.name in roles
-        }
         assembler = SampleAssembler(assembling, self.reader)
+        operator = Operator(writer, assembler, config.objects, lambda: self.get_clock().now().nanoseconds)
+        self._told, warn = False, self.get_logger().warning
+        queue_bytes = config.queue_mb * 1_000_000
         self._session = RecordingSession(
-            writer,
-            queue,
-            assembler,
-            Operator(writer, assembler, config.objects, lambda: self.get_clock().now().nanoseconds),
-            inputs,
-            topics.lost,
-            lambda text: self.get_logger().warning(text),
-            self._hold.publish,
+            writer, topics, assembler, operator, config.tactile_topic, queue_bytes, warn, self._hold.publish
         )
-        self.path, self.reason = str(target), ""
         self.get_logger().info(f"recording into {writer.file}")
         return target
 
     def end(self) -> SessionStatus:
         """End the session, if one is running; gives the final state of the last one."""
-        if self.input_topics is not None:
-            self.input_topics.close()
-        return self._finish()
-
-    def _finish(self) -> SessionStatus:
-        session = self._session
-        if session is not None:
-            session.close()
-            self._last_status, self.reason, self._session = session.status, session.status.error, None
-            self.path = str(session.writer.path)
-            self._duration_s = time.monotonic() - session.began_s
-        return self._last_status
+        if self._session is not None:
+            self._session.close()
+        return self.session_status()
 
     def status(self) -> RecorderStatus:
         """The current `recorder_status`."""
-        session, state = self._session, self.session_status()
-        return status_to_msg(
-            state,
-            {} if self.input_topics is None else self.input_topics.statistics(),
-            path=self.path,
-            recording=self.recording,
-            duration_s=self._duration_s if session is None else time.monotonic() - session.began_s,
-            reason=state.error or self.reason,
-            now_ns=self.get_clock().now().nanoseconds,
-        )
+        statistics = {} if self.input_topics is None else self.input_topics.statistics()
+        return status_to_msg(self._session, statistics, self.get_clock().now().nanoseconds)
 
     # Services and the timer.
 
@@ -315,20 +269,17 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if "\0" in path or (path and folder not in Path(folder, path).resolve().parents):
             raise ConfigError(f"path: {quoted(path)} is not inside of the folder {folder} of the recorder")
 
-    def _stop_recording(self, _request: Any, response: Any) -> Any:
-        if self._session is None:
-            response.message = self.reason or "nothing is being recorded"
-            return response
-        last = self.end()
-        response.path, response.samples, response.message = self.path, last.samples, last.error
-        response.success = not last.error
-        return response
+    def _stop_recording(self, _request: Any, response: Any) -> str:
+        self._running()
+        last = self.end().message
+        response.path, response.samples = last.path, last.samples
+        if last.reason:
+            raise ConfigError(last.reason)
+        return ""
 
     def _label_grasp(self, request: Any, response: Any) -> str:
-        response.grasp_id, session, label = request.grasp_id, self._session, _decode_label(request)
-        if session is None:
-            raise ConfigError("nothing is being recorded")
-        response.grasp_id, text = session.label(label)
+        response.grasp_id, label = request.grasp_id, _decode_label(request)
+        response.grasp_id, text = self._running().label(label)
         return text
 
     def _answer(self, act: Callable[[Any, Any], str], request: Any, response: Any) -> Any:
@@ -354,8 +305,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         inputs = self.input_topics
         for text in () if inputs is None else inputs.tick():
             self.get_logger().info(text)
-        session = self._session
-        if session is not None and session.ended.is_set():  # by itself; messages from now on are counted as late
-            self._finish()
-            self.get_logger().error(self.reason or "the recording has ended")
+        if self.reason and not self.recording and not self._told:
+            self._told = True
+            self.end()  # messages from now on are not received
+            self.get_logger().error(self.reason)
         self._status.publish(self.status())

@@ -5,22 +5,21 @@ Threads: one thread reads ahead by one message, waits until it is due and publis
 callbacks only note answers. Messages of a recording are published byte for byte as they were recorded,
 unless `restamp` is set. Its other topics are played too, where this machine has their types.
 
-`replay_status` (`diagnostic_msgs/DiagnosticStatus`, latched) reports the state of the replay: `waiting`,
-`playing`, then `finished`, `stopped` or `failed`, with the counts. In the same process, `ReplayNode.ended`
-is set at the end.
+/diagnostics reports the state of the replay, `replay`: `waiting`, `playing`, then `finished`, `stopped` or `failed`, and the
+counts. In the same process, `ReplayNode.ended` is set at the end.
 """
 
 import importlib
+import math
 import re
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from ament_index_python import has_resource
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
@@ -33,16 +32,16 @@ from foretouch.dataset.source import Source, open_source
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
-from foretouch.ros.runtime.diagnostics import made_status
-from foretouch.ros.runtime.discovery import Matching, matched_ends
+from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
-_POLL_S = 0.02
+_POLL_S = 0.05
 _ANSWER_S = 5.0  # longest wait for an answer in lockstep
+_FRAME = "camera_depth_optical_frame"  # of clouds from files that name none
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
@@ -54,36 +53,36 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
     reasons: dict[str, str] = {}
     prefix = namespace.rstrip("/") + "/"
     for topic in topics:
-        found = None
         if topic.name in {"/diagnostics", "/parameter_events", "/rosout"}:
-            reason = "reports on running nodes"
+            found: type | str = "reports on running nodes"
         elif topic.name.startswith(prefix) and topic.name != prefix + EXECUTED_TOPIC:  # which the robot publishes
-            reason = f"this graph publishes under {namespace} itself"
+            found = f"this graph publishes under {namespace} itself"
         else:
-            found, reason = _message_class(topic)
-        if topic.count and found is not None:
+            found = _message_class(topic)
+        if topic.count and isinstance(found, type):
             classes[topic] = found
         elif topic.count:
-            reasons[topic.name] = f"{reason} ({topic.count} messages)"
+            reasons[topic.name] = f"{found} ({topic.count} messages)"
     return classes, reasons
 
 
-def _message_class(topic: Topic) -> tuple[type | None, str]:
-    """The class of a topic's messages if this machine has it with the same fields; else None and the reason."""
+def _message_class(topic: Topic) -> type | str:
+    """The class of a topic's messages if this machine has it with the same fields; else the reason."""
     if (match := re.fullmatch(r"([a-z]\w*)/msg/([A-Z]\w*)", topic.type)) is None:
-        return None, f"type {topic.type or 'mixed'} is not a message type"
+        return f"type {topic.type or 'mixed'} is not a message type"
     package, name = match.groups()
     # A recording may name any module: only what is installed as ROS interfaces is imported.
+    absent = f"type {topic.type} is not installed"
     if not has_resource("rosidl_interfaces", package):
-        return None, f"type {topic.type} is not installed"
+        return absent
     try:
         found: Any = getattr(importlib.import_module(f"{package}.msg"), name)
         fields = tuple(found.get_fields_and_field_types())
     except (ImportError, AttributeError):
-        return None, f"type {topic.type} is not installed"
+        return absent
     if tuple(field.lower() for field in topic.fields) != fields:  # some names of ROS 1 had capitals
-        return None, f"type {topic.type} had other fields when it was recorded"
-    return found, ""
+        return f"type {topic.type} had other fields when it was recorded"
+    return cast("type", found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,13 +91,6 @@ class ReplayConfig(NodeConfig):
 
     path: str = setting("", "Recording, folder of clouds or samples, or file", read_only=True)
     topic: str = setting("", "Topic of the clouds, for a recording that holds several", read_only=True)
-    publish: str = setting(
-        "auto",
-        "Topic of the clouds: `points`, to be segmented, or `object_cloud`, together with `table`; `auto` uses"
-        " `object_cloud` for samples and for files whose clouds are not organised",
-        choices=["auto", "points", CLOUD_TOPIC],
-        read_only=True,
-    )
     table: tuple[float, ...] = setting(
         tuple(map(float, ASSUMED_TABLE.coefficients)),
         "a, b, c, d of the plane published with `object_cloud`",
@@ -113,19 +105,16 @@ class ReplayConfig(NodeConfig):
     subscribers: int = setting(1, "Number of subscribers of the clouds to wait for", bounds=(0, 100))
     discovery_s: float = setting(
         3.5,
-        "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
-        " announce themselves every 3 s; 0 does not wait",
+        "Time for which no publisher or subscriber must have come or gone before the first cloud, so that all know each other:"
+        " other programs announce themselves every 3 s; 0 does not wait",
         bounds=(0.0, 60.0),
     )
     wait_for: tuple[str, ...] = setting(
         (), "Topics that must have a subscriber, besides the nodes of the graph, before the first cloud", read_only=True
     )
     wait_limit_s: float = setting(
-        10.0,
-        "Longest wait for `wait_for`, and until subscribers that are seen are matched; then it plays without them",
-        bounds=(0.0, 3600.0),
+        10.0, "Longest wait for `wait_for` and `discovery_s`; then it plays without them", bounds=(0.0, 3600.0)
     )
-    frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -154,11 +143,6 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._answered = threading.Condition()
         self._last_answer_ns = -1
         super().__init__(name, ReplayConfig, **options)
-        self._status = self.create_publisher(
-            DiagnosticStatus,
-            "replay_status",
-            QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-        )
 
     @property
     def unreadable(self) -> int:
@@ -177,22 +161,22 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         try:
             if not config.path:
                 raise ConfigError("path: is empty; set it to a recording, a folder or a file")
-            self._source = open_source(config.path, config.topic or None, frame_id=config.frame_id)
+            self._source = open_source(config.path, config.topic or None, frame_id=_FRAME)
         except ForetouchError as err:
             self.outcome, self.reason, self.has_failed = "failed", str(err), True
             raise
-        segmented = cloud_is_object(self._source) if config.publish == "auto" else config.publish == CLOUD_TOPIC
+        segmented = cloud_is_object(self._source)  # samples, and files whose clouds are not organised
         clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False)
         self._topic_publishers[CLOUDS], self.clouds_topic = clouds, str(clouds.topic_name)
         self._table = self.advertise(TablePlane, "table", depth=_DEPTH, direct=False) if segmented else None
         self._advertise_others(self._source)
         if config.lockstep:
-            self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
-        self._matching = Matching(self, config.discovery_s, config.wait_for)
-        self._closing.callback(
-            self.destroy_subscription,
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH),
-        )
+            answers = self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH)
+            self._closing.callback(self.destroy_subscription, answers)
+        try:
+            self._wait_for = [self.resolve_topic_name(name) for name in config.wait_for]
+        except RuntimeError as err:  # of rcl
+            raise ConfigError(f"wait_for: {list(config.wait_for)}: not valid topic names") from err
 
     def _start(self) -> None:
         self._stopping.clear()
@@ -233,70 +217,72 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             **{f"left_out.{topic}": reason for topic, reason in self._left_out.items()},
         }
 
-    def matched_ends(self) -> dict[str, int]:
-        """Those of the other topics of a recording too."""
-        others = (one for topic, one in self._topic_publishers.items() if topic != CLOUDS)
-        return super().matched_ends() | matched_ends(others, ())
-
     # The thread.
 
     def _run(self) -> None:
-        self._report_outcome("waiting")
+        self._set_outcome("waiting")
         try:
             if self._wait_for_subscribers():
                 self.look_for_second_graph()
-                self._report_outcome("playing")
+                self._set_outcome("playing")
                 self._play()
-            self._report_outcome("stopped" if self._stopping.is_set() else "finished")
+            self._set_outcome("stopped" if self._stopping.is_set() else "finished")
         except ForetouchError as err:
-            self._report_outcome("failed", str(err))
+            self._set_outcome("failed", str(err))
         except Exception as err:  # noqa: BLE001  the end of a thread must be reported
             if self.context.ok():
-                self._report_outcome("failed", f"{type(err).__name__}: {err}")
+                self._set_outcome("failed", f"{type(err).__name__}: {err}")
         finally:
             self.ended.set()
 
     def _wait_for_subscribers(self) -> bool:
-        """Wait for those of the clouds, and then for all that discovery shows; False if the replay must stop."""
+        """Wait for those of the clouds, and then, with a limit, until all know each other; False if the replay must stop."""
         config, clouds = self.config, self._topic_publishers[CLOUDS]
-        began, logged = time.monotonic(), False
-        while self.state_name != "active" or (missing := self._missing_ends(clouds)):
-            if self._stopping.wait(_POLL_S):
-                return False
-            if self.state_name == "active" and time.monotonic() - began >= 0.5 and not logged:
-                logged = True
-                self.get_logger().info(
-                    f"waits for {missing}; is the graph running? --no-wait (subscribers: 0) waits for none"
-                )
+        if not self._wait(lambda: self._missing_ends(clouds), math.inf, 0.5):
+            return False
         if not config.subscribers and not config.wait_for:
             return True
-        # The subscribers must have discovered this node too.
-        return not self._stopping.wait(0.3) and self._wait_for_matches()
+        return self._wait(self._unsettled(), config.wait_limit_s, 0.5 + config.discovery_s)
+
+    def _wait(self, missing: Callable[[], str], limit_s: float, say_s: float) -> bool:
+        """Wait until nothing is missing, or for a limit, and say after some time what is; False if the replay must stop."""
+        began, logged = time.monotonic(), False
+        while self.state_name != "active" or (text := missing()):
+            waited_s = time.monotonic() - began
+            if self.state_name == "active" and waited_s >= limit_s:
+                self.get_logger().warning(f"plays after {limit_s:g} s, still without {text}")
+                return True
+            if self.state_name == "active" and waited_s >= say_s and not logged:
+                logged = True
+                self.get_logger().info(f"waits for {text}")
+            if self._stopping.wait(_POLL_S):
+                return False
+        return True
 
     def _missing_ends(self, clouds: Any) -> str:
         """Which subscribers and publishers the first cloud waits for; "" if none."""
-        found, wanted = clouds.get_subscription_count(), self.config.subscribers
-        missing = [f"subscribers of {clouds.topic_name}, {found} of {wanted}"] if found < wanted else []
+        found, wanted, missing = clouds.get_subscription_count(), self.config.subscribers, []
+        if found < wanted:
+            count = f"{found} of {wanted} (is the graph running? --no-wait waits for none)"
+            missing.append(f"subscribers of {clouds.topic_name}, {count}")
         if self.config.lockstep and not self.count_publishers("touch"):
             missing.append("a publisher of touch")
         return " and ".join(missing)
 
-    def _wait_for_matches(self) -> bool:
-        """Wait until what discovery shows is matched, with a limit; False if the replay must stop."""
-        began, limit_s, logged = time.monotonic(), self.config.wait_limit_s, False
-        while True:
-            self._matching.report(self.get_fully_qualified_name(), self.uptime_s(), self.matched_ends())
-            missing = self._matching.missing()
-            waited_s = time.monotonic() - began
-            if self._matching.is_discovered() and (not missing or waited_s >= limit_s):
-                if missing:
-                    self.get_logger().warning(f"plays after {limit_s:g} s, still without {'; '.join(missing)}")
-                return True
-            if missing and waited_s >= 1.0 and not logged:
-                logged = True
-                self.get_logger().info(f"waits at most {limit_s:g} s for {'; '.join(missing)}")
-            if self._stopping.wait(_POLL_S):
-                return False
+    def _unsettled(self) -> Callable[[], str]:
+        """What says which topics to wait for have no subscriber, and whether the graph has changed lately; "" if neither."""
+        seen, since_s = ends_of_topics(self), time.monotonic()
+
+        def missing() -> str:
+            nonlocal seen, since_s
+            if (now := ends_of_topics(self)) != seen:
+                seen, since_s = now, time.monotonic()
+            found = [f"a subscriber of {topic}" for topic in self._wait_for if not is_heard_outside(self, topic)]
+            if time.monotonic() - since_s < self.config.discovery_s:
+                found.append(f"{self.config.discovery_s:g} s in which no node comes or goes")
+            return " and ".join(found)
+
+        return missing
 
     def _play(self) -> None:
         assert self._source is not None  # noqa: S101  setup made it
@@ -365,10 +351,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         for topic_name, reason in self._left_out.items():
             self.get_logger().info(f"{topic_name}: not played: {reason}")
 
-    def _report_outcome(self, outcome: str, reason: str = "") -> None:
-        self.outcome, self.reason, self.has_failed = outcome, reason, outcome == "failed"
-        values = self.notes() | {"unreadable": str(self.unreadable)}
-        level, text = (DiagnosticStatus.ERROR, f"{outcome}: {reason}") if reason else (DiagnosticStatus.OK, outcome)
-        self._status.publish(made_status(self.get_fully_qualified_name(), level, text, values))
+    def _set_outcome(self, outcome: str, reason: str = "") -> None:
+        self.outcome, self.reason, self.has_failed = outcome, reason, bool(reason)
         if reason:
             self.get_logger().error(reason)

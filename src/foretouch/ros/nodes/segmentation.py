@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`points` -> `objects`, `table`, `object_cloud`: the objects on the table, and which of them to grasp."""
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,13 +57,6 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         )
         self._identity = ObjectIdentity()
         self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
-        self._frames: dict[str, float] = {}  # when a cloud in each frame came last (`time.monotonic`) [s]
-
-    def warnings(self) -> tuple[str, ...]:
-        """Whether clouds come in several frames, which are of several cameras or wrong."""
-        recent = [name for name, at in dict(self._frames).items() if time.monotonic() - at < self.config.silence_s]
-        text = f"points: clouds come in the frames {', '.join(recent)}; the parameter frames refuses others"
-        return (*super().warnings(), *([text] if len(recent) > 1 else []))
 
     def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         frame, allowed = header.frame_id, self.config.frames
@@ -72,7 +64,6 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
             raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
         if allowed and frame not in allowed:
             raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is not one of {', '.join(allowed)}")
-        self._frames[frame] = time.monotonic()
         cloud = read_cloud(messages["points"])
         scene = self._pipeline.segment(cloud, self._previous, self._identity)
         ids = [target.id for target in scene.targets]

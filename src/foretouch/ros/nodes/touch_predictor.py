@@ -11,8 +11,6 @@ model is immutable and serves all of them. A model that cannot be loaded does no
 gives the reason, and cleaning up and configuring again retries.
 """
 
-import math
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -58,9 +56,11 @@ from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.grasp_actions import (
     PLANNER_ACTION,
+    PLANNER_TYPE,
     Predicted,
     planner_action_class,
     planner_feedback,
+    planner_goal,
     planner_result,
     refused_goal,
     sample_grasps,
@@ -106,15 +106,13 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._planner_action: Any = None  # class of the action of MoveIt Task Constructor
         self._tables: dict[int, TablePlane] = {}
         self._latest: Latest | None = None
-        self._latest_lock = threading.Lock()
         self._warned = False  # that no level meets the budget
         self._requests: Counter[str] = Counter()  # by name and status
         self._other_hand = ""  # why readings of the hand are not those of the model's sensor
-        self._foreign = ("", -math.inf)  # frame of the last request that the graph does not know, and when [s]
 
     def _setup(self) -> None:
         config, closing = self.config, self._closing
-        self._planner_action = planner_action_class(config.planner_action_type)
+        self._planner_action = planner_action_class()
         self._predictor = Predictor(config.model, config.fallback_model)
         closing.callback(self._predictor.close)
         if self._predictor.fault:
@@ -150,9 +148,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 self,
                 kind,
                 name,
-                self.internal_errors.guarded(
-                    name, partial(self._execute, name, work, failure), partial(_aborted, failure)
-                ),
+                partial(self._execute, name, work, failure),
                 cancel_callback=lambda _: CancelResponse.ACCEPT,
                 callback_group=ReentrantCallbackGroup(),
                 goal_service_qos_profile=REQUESTS,
@@ -177,11 +173,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
             found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
         found += [self._other_hand] * bool(self._other_hand)
-        frame, asked_s = self._foreign
-        if time.monotonic() - asked_s < self.config.silence_s:
-            found.append(
-                f"a request is in frame {frame!r}, which is not that of the graph's clouds: answers stay in it"
-            )
         if model is not None and model.simulated:
             topic = self.resolve_topic_name(self.config.tactile_topic)
             others = {end.node_name for end in self.get_publishers_info_by_topic(topic)} - {"hand"}
@@ -202,7 +193,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         for part in (predictor.budget if predictor else None, self._adapter, self._keeper):
             found |= part.notes() if part is not None else {}
         found |= {f"requests.{name}": str(count) for name, count in dict(self._requests).items()}
-        return found | ({PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {})
+        return found | ({PLANNER_ACTION: "/".join(PLANNER_TYPE)} if self._planner_action is not None else {})
 
     def _config_changed(self, config: TouchPredictorConfig) -> None:
         """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
@@ -260,29 +251,23 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self.get_logger().warning(f"budget: {config.latency_budget_ms:g} ms: no level of the model meets it for "
                        f"{len(grasps)} grasps: the fastest is used, {answer.level.name}")  # fmt: skip
         model, reduced = (None, False) if answer is None else (answer.level.model, answer.reduced)
-        predict = predictor.batch if isinstance(grasps, GraspArrays) else predictor.array
-        message = predict(targets, grasps, header, config, posing, model)  # type: ignore[arg-type]
+        message = predictor.answer(targets, grasps, header, config, posing, model)
         age_s = self.age_s(stamp_ns(header.stamp))
         return predictor.finish(message, age_s, config.late_after_s, reduced=reduced), answer
 
     def _remember_table(self, message: TablePlane) -> None:
-        with self._latest_lock:
-            self._tables[stamp_ns(message.header.stamp)] = message
-            while len(self._tables) > 16:  # one has the stamp of the latest object_cloud
-                del self._tables[next(iter(self._tables))]
+        self._tables[stamp_ns(message.header.stamp)] = message
+        while len(self._tables) > 16:  # one has the stamp of the latest object_cloud
+            del self._tables[next(iter(self._tables))]
 
     def _frame_flags(self, cloud: Header) -> tuple[str, ...]:
         """The flag of a request whose cloud is in a frame that is not that of the graph's clouds."""
         latest = self._latest
-        if latest is None or cloud.frame_id == latest.cloud.header.frame_id:
-            return ()
-        self._foreign = (cloud.frame_id, time.monotonic())
-        return (UNKNOWN_FRAME,)
+        return () if latest is None or cloud.frame_id == latest.cloud.header.frame_id else (UNKNOWN_FRAME,)
 
     def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
-        with self._latest_lock:
-            if (table := self._tables.get(stamp_ns(message.header.stamp))) is not None:
-                self._latest = Latest(message, table)
+        if (table := self._tables.get(stamp_ns(message.header.stamp))) is not None:
+            self._latest = Latest(message, table)
 
     # Online adaptation.
 
@@ -376,10 +361,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _sample_poses(self, goal_handle: Any) -> Any:
         """Answer a goal of MoveIt Task Constructor on the latest object."""
-        goal = SampleGrasps.Goal(
-            action_name=goal_handle.request.action_name,
-            count=min(self.config.planner_action_count, self.config.max_grasps),
-        )
+        goal = planner_goal(goal_handle.request, self.config.max_grasps)
         sampled = self._sample(goal_handle, goal, lambda _: None)
         goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
         return planner_result(self._planner_action)
@@ -393,6 +375,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             end = goal_handle.succeed
         except RefusalError as refusal:
             result, end = failure(refusal), goal_handle.abort
+        except Exception as err:  # noqa: BLE001  it would end the process
+            reason = self.internal_errors.report(name, err)
+            result, end = failure(RefusalError(Status.FAILED, reason)), goal_handle.abort
         if goal_handle.is_cancel_requested:
             end = goal_handle.canceled
         end()
@@ -423,13 +408,6 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if (model := predictor.model) is not None:
             pressed = predicted_pressures(message.outcomes, model)
         return list(zip(predictor.end(message, answer).predictions, pressed.swapaxes(0, 1), strict=True))
-
-
-def _aborted(failure: Callable[[RefusalError], Any], arguments: tuple[Any, ...], reason: str) -> Any:
-    (goal_handle,) = arguments
-    if goal_handle.is_active:
-        goal_handle.abort()
-    return failure(RefusalError(Status.FAILED, reason))
 
 
 def _configured(part: _T | None) -> _T:

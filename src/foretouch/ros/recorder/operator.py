@@ -2,32 +2,25 @@
 """What the operator does during a session, by key or service: each action is an edit in the dataset's log.
 
 An action on the last grasp while one is being executed waits for that grasp, so that it is not taken for the one before.
-Beside it, the grasps of the dataset so far, and what docs/recording_protocol.md asks for next: a tare before each object, and ten
-grasps a visit of which the tenth repeats the ninth.
+Beside it, the grasps of the session so far.
 """
 
 import sys
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
 from typing import Final, Literal, NamedTuple, get_args
 
 from foretouch.dataset.pairing.assembler import SampleAssembler
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, EditLog, read_edits
-from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import DatasetError, ForetouchError
 
 Action = Literal["object", "success", "failure", "unknown", "drop", "relabel", "note", "pause", "undo"]
 ACTIONS: Final[tuple[Action, ...]] = get_args(Action)
-TARE_S: Final = 2.0  # how long the fingers rest before each object [s]
-VISIT_GRASPS: Final = 10  # grasps on an object until the next one is laid on the table
 DROPPED: Final = "dropped"  # instead of an outcome
 
 
@@ -37,11 +30,6 @@ class GraspSummary(NamedTuple):
     object: str
     outcome: str  # or `DROPPED`
     touched: bool
-
-    @property
-    def counts(self) -> bool:
-        """Whether it was executed and is used."""
-        return self.touched and self.outcome != DROPPED
 
 
 class Reply(NamedTuple):
@@ -58,8 +46,7 @@ class OperatorState:
 
     object: str = ""  # on the table
     paused: bool = False  # whether nothing is recorded
-    grasps: Mapping[str, Mapping[str, int]] | None = None  # of the dataset, by object and outcome
-    suggestions: Sequence[str] = ()  # what is worth doing next, the most urgent first
+    grasps: Mapping[str, Mapping[str, int]] | None = None  # of the session, by object and outcome
     replies: Sequence[Reply] = ()  # to the latest actions, also to those that waited for a grasp
 
 
@@ -79,16 +66,13 @@ class Operator:
         self._writer, self._assembler, self._plan, self._clock_ns = writer, assembler, plan, clock_ns
         self._log: EditLog = read_edits(writer.path)
         self._first = len(self._log.edits)
-        self._earlier: dict[str, GraspSummary] = {}  # of earlier sessions
-        self._grasps: dict[str, GraspSummary] = {}  # of this session, by id as recorded
+        self._grasps: dict[str, GraspSummary] = {}  # by id as recorded
         self._touched: list[str] = []  # ids as recorded of the samples with a touch
         self._sample_of: dict[str, str] = {}  # by id of the grasp: id as recorded, or after a colon why there is none
         self._waiting: list[tuple[Action, str]] = []
-        self._visits = [(0, time.monotonic())]  # of each object: samples before it, and when it was laid on the table
-        self._tared = False
+        self._visits = [0]  # of each object: samples before it was laid on the table
         self._replies: deque[Reply] = deque(maxlen=8)
-        self._state, self._known = OperatorState(), (-1, -1, -1)
-        threading.Thread(target=self._read_earlier, name="summary", daemon=True).start()
+        self._state, self._known = OperatorState(), (-1, -1)
 
     @property
     def paused(self) -> int:
@@ -97,19 +81,12 @@ class Operator:
         return next((number for number, edit in own.items() if edit.action == "pause"), 0)
 
     def state(self) -> OperatorState:
-        """The state; grasps are counted anew once a second and after each change."""
-        now_s = time.monotonic()
-        known = (len(self._log.edits), len(self._grasps), int(now_s))
+        """The state; grasps are counted anew after each change."""
+        known = (len(self._log.edits), len(self._grasps))
         if known != self._known:
-            before, since_s = self._visits[-1]
-            rested_s = self._assembler.rest_since_s
-            self._tared |= rested_s is not None and now_s - max(rested_s, since_s) >= TARE_S
-            found = edited({**self._earlier, **self._grasps}, self._log)
-            visited = sum(found[recorded].counts for recorded in self._touched[before:])
-            grasps, label = count_outcomes(found.values(), self._plan), self._object
+            found = edited(self._grasps, self._log)
             self._known = known
-            steps = suggest(grasps, label, visited, tared=self._tared)
-            self._state = OperatorState(label, bool(self.paused), grasps, steps)
+            self._state = OperatorState(self._object, bool(self.paused), count_outcomes(found.values(), self._plan))
         return replace(self._state, replies=tuple(self._replies))
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
@@ -161,9 +138,6 @@ class Operator:
     def _object(self) -> str:
         return self._assembler.objects[-1][1] or "unknown"
 
-    def _read_earlier(self) -> None:
-        self._earlier = summarise_dataset(self._writer.path)
-
     def _own_edits(self) -> dict[int, Edit]:
         return {number: edit for number, edit in self._log.in_force().items() if number > self._first}
 
@@ -210,7 +184,7 @@ class Operator:
     def _next_object(self, name: str) -> str:
         before, plan = self._object, self._plan
         following = plan[plan.index(before) + 1 :] if before in plan else plan
-        known = {before, *(one.object for one in (*self._earlier.values(), *self._grasps.values()))}
+        known = {before, *self._writer.objects}
         numbered = (f"object-{number}" for number in count(1))
         free = next(one for one in numbered if one not in known)
         name = check_name(name or next(iter(following), free), "object")
@@ -218,8 +192,7 @@ class Operator:
             raise DatasetError(f"{name} is on the table already")
         self._write(Edit(action="object", object=name))
         self._assembler.objects.append((self._clock_ns(), name))
-        self._visits.append((len(self._touched), time.monotonic()))
-        self._tared = False
+        self._visits.append(len(self._touched))
         return f"on the table: {name}"
 
     def _undo(self) -> str:
@@ -232,7 +205,7 @@ class Operator:
             self._write(Edit(action="undo", edit=number))
             return f"{''.join(f'{name}: ' for name in edit.ids)}undone: {_words(edit.action, edit.object or edit.text)}"
         # The object before is on the table, and was for all grasps since.
-        before, (first, _) = self._assembler.objects[-2][1] or "unknown", self._visits[-1]
+        before, first = self._assembler.objects[-2][1] or "unknown", self._visits[-1]
         since = tuple(one for one in self._touched[first:] if self._grasps[one].object == edit.object)
         self._write(Edit(action="undo", edit=number, ids=since, object=before if since else ""))
         self._assembler.objects.pop()
@@ -259,15 +232,6 @@ def summarise(record: SampleRecord) -> GraspSummary:
     return GraspSummary(sys.intern(record.sample.object), outcome, record.sample.touch is not None)
 
 
-def summarise_dataset(path: Path) -> dict[str, GraspSummary]:
-    """The grasps of a dataset by id as recorded; none if it cannot be read."""
-    with suppress(ForetouchError, OSError):
-        dataset = RecordedDataset(path)
-        records = (dataset.as_recorded(k).record for k in range(len(dataset)))
-        return {record.sample.id: summarise(record) for record in records}
-    return {}
-
-
 def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, GraspSummary]:
     """The grasps with the edits applied; the keys stay the ids as recorded."""
     found = {}
@@ -285,25 +249,3 @@ def count_outcomes(grasps: Iterable[GraspSummary], plan: Sequence[str] = ()) -> 
         if one.touched:
             found.setdefault(one.object, Counter())[one.outcome] += 1
     return found
-
-
-def suggest(grasps: Mapping[str, Mapping[str, int]], current: str, visited: int, *, tared: bool) -> list[str]:
-    """What is worth doing next, a line each, the most urgent first.
-
-    Args:
-        grasps: As of `count_outcomes`.
-        current: The object on the table.
-        visited: Grasps on it that are used since it was laid there.
-        tared: Whether the fingers have rested since for `TARE_S`.
-    """
-    steps = [] if tared else [f"tare: keep the fingers open and still for {TARE_S:g} s"]
-    if visited >= VISIT_GRASPS:
-        steps.append(f"{visited} grasps on {current} in this visit: next object")
-    elif visited == VISIT_GRASPS - 1:
-        steps.append("repeat the last grasp; leave the object where it is")
-    else:
-        steps.append(f"grasp {visited + 1} of {VISIT_GRASPS} on {current}")
-    used = {name: sum(counts.values()) - counts.get(DROPPED, 0) for name, counts in grasps.items() if name != current}
-    if few := sorted((count, name) for name, count in used.items() if count < VISIT_GRASPS):
-        steps.append(f"few grasps: {', '.join(f'{name} {count}' for count, name in few[:4])}")
-    return steps

@@ -11,6 +11,7 @@ import time
 import traceback
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, Literal
@@ -23,11 +24,12 @@ from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
-from foretouch.ros.recorder.subscriptions import MessageQueue, SerializedMessage, TopicStatistics
+from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
 from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import GraspSample
@@ -35,36 +37,31 @@ from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPredictio
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
 _PREDICTIONS: Final = 1000  # messages that are kept until their grasps are executed: half a minute at 30 Hz
-_AFTER_CLOSE = "after close"  # why messages are dropped that come when the disk is full: the only reason in no file
+
+
+_NO_HOLD: Final = TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SessionStatus:
     """State of a session; immutable."""
 
-    accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits or comes too late
-    samples: int = 0  # with a touch
-    unlabelled: int = 0  # samples without
-    results: Counter[str] = field(default_factory=Counter)  # executed grasps: `recorded`, or why they were rejected
+    message: RecorderStatus = field(
+        default_factory=lambda: RecorderStatus(
+            pairing_error=math.nan, pairing_error_max=math.nan, touch_hold=_NO_HOLD, disk_left=math.inf
+        )
+    )  # without what is known of the topics
+    accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits
     anomalies: Counter[str] = field(default_factory=Counter)  # of tactile stamps, and messages that were not decoded
-    last_sample: str = ""  # id of the latest sample with a touch
-    pairing_errors_ns: tuple[int, ...] = ()  # of the latest 1000 samples with a touch [ns]
-    sensors: Mapping[str, str] = field(default_factory=dict)  # state by finger, and of the camera
-    bytes_written: int = 0  # size of the file
-    bytes_per_s: float = 0.0  # current rate
-    free_bytes: int = 0  # space left until the session ends by itself
     operator: OperatorState = OperatorState()
     last: tuple[TouchPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
-    hold: TouchHold | None = None  # whether the latest grasp will hold
-    error: str = ""  # why it ended by itself, else ""
 
 
 class RecordingSession:
     """Records until `close`, or until the disk is full or fails, or the file is removed.
 
-    The open `writer` is closed here. `inputs` are the role and class of messages by topic, for the topics that samples are
-    assembled from, and the predictions as `touch`, of either type; `losses` gives the messages that the middleware has lost since the
-    session began, by topic; `publish` gets for each grasp whether it will hold.
+    The open `writer` is closed here. Of the `topics`, so many bytes of messages may wait for the disk, `tactile_topic` is that of the
+    hand, and nothing more is received at the end; `publish` gets for each grasp whether it will hold.
 
     Attributes:
         status: The state; replaced as a whole.
@@ -74,27 +71,40 @@ class RecordingSession:
     def __init__(
         self,
         writer: RecordingWriter,
-        queue: MessageQueue,
+        topics: RecorderSubscriptions,
         assembler: SampleAssembler,
         operator: Operator,
-        inputs: Mapping[str, tuple[Role | Literal["touch"], type]],
-        losses: Callable[[], Mapping[str, int]],
+        tactile_topic: str,
+        queue_bytes: int,
         warn: Callable[[str], object],
         publish: Callable[[TouchHold], object],
     ) -> None:
         self.writer = writer
         self.began_s = time.monotonic()
-        self.status = SessionStatus(sensors=assembler.sensor_states(self.began_s))
+        self.status = SessionStatus()
         self.ended = threading.Event()
-        self._queue = queue
+        self._topics = topics
+        self._queue = MessageQueue(queue_bytes)
         self._assembler = assembler
         self._assembler_lock = threading.Lock()  # labels and the operator's actions come from other threads
         self._operator = operator
         self._dropping = False  # what is received in a pause
         self._predictions: OrderedDict[int, bytes] = OrderedDict()  # serialised, by the stamp of their cloud
         self._last: tuple[TouchPrediction | None, TouchCut] | None = None
-        self._inputs = inputs
-        self._losses = losses
+        roles: dict[str, Role | Literal["touch"]] = {
+            tactile_topic: "tactile",
+            CLOUD_TOPIC: "cloud",
+            GRASPS_TOPIC: "grasps",
+            EXECUTED_TOPIC: "executed",
+            "touch": "touch",
+        }
+        self._inputs = {
+            name: (roles[one.topic.name], one.topic.message)
+            for name, one in topics.inputs.items()
+            if one.topic.name in roles
+        }
+        for name, one in topics.inputs.items():
+            writer.add_topic(name, one.topic.type_name)
         self._warn = warn
         self._hold, self._publish = HoldEvaluator(writer.sensor), publish
         self._unreadable: Counter[str] = Counter()
@@ -103,6 +113,9 @@ class RecordingSession:
         self._sizes: deque[tuple[float, int]] = deque()
         writer.before_end = self._account_for_rest
         self._error = ""
+        self.ended_s = 0.0  # `time.monotonic`, once it has ended
+        self._update_status()
+        topics.open(self._queue)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -117,7 +130,8 @@ class RecordingSession:
             return self._operator.act(action, text, grasp_id)
 
     def close(self) -> None:
-        """Write all messages received so far, complete pending grasps, and close the file."""
+        """Write all messages received so far, complete pending grasps, and close the file; may be called more than once."""
+        self._topics.close()
         self._queue.close()
         self._thread.join()
 
@@ -144,6 +158,7 @@ class RecordingSession:
         except ForetouchError as err:
             self._error = str(err) if removed else self._error or str(err)
         self._update_status()
+        self.ended_s = time.monotonic()
         self.ended.set()
 
     def _account_for_rest(self) -> None:
@@ -156,7 +171,7 @@ class RecordingSession:
         self._account_for_losses()
 
     def _account_for_losses(self) -> None:
-        for topic, count in self._losses().items():
+        for topic, count in self._topics.lost().items():
             self.writer.lose(topic, count)
 
     def _process(self, messages: list[SerializedMessage], refused: Counter[str], *, ending: bool = False) -> None:
@@ -250,84 +265,67 @@ class RecordingSession:
         while self._sizes[0][0] < now - 10.0:
             self._sizes.popleft()
         since_s, before = self._sizes[0]
-        accounts, assembler = self.writer.counts.topics, self._assembler
+        rate = (size - before) / (now - since_s) if now > since_s else 0.0
+        accounts, assembler, writer = self.writer.counts.topics, self._assembler, self.writer
+        flowing = rate > 0.0 and not (self._error or writer.closed)
+        errors = [error * 1e-9 for error in self._errors_ns] or [math.nan]
         with self._assembler_lock:
-            self.status = SessionStatus(
-                accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
-                samples=self.writer.labelled,
-                unlabelled=self.writer.samples - self.writer.labelled,
-                results=+assembler.results,
-                anomalies=assembler.readings.anomalies
-                + assembler.rejected_clouds
-                + assembler.invalid
-                + self._unreadable,
-                last_sample=self._last_sample,
-                pairing_errors_ns=tuple(self._errors_ns),
-                sensors=assembler.sensor_states(now),
+            sensors = assembler.sensor_states(now)
+            message = RecorderStatus(
+                path=str(writer.path),
                 bytes_written=size,
-                bytes_per_s=(size - before) / (now - since_s) if now > since_s else 0.0,
-                free_bytes=0 if self._error else self.writer.free_bytes,
-                error=self._error,
+                samples=writer.labelled,
+                unlabelled=writer.samples - writer.labelled,
+                status=Status.FAILED if self._error else Status.OK,
+                reason=self._error,
+                **_counts("outcomes", "outcome_counts", assembler.results),
+                last_sample=self._last_sample,
+                pairing_error=errors[-1],
+                pairing_error_max=max(errors),
+                sensors=list(sensors),
+                sensor_states=list(sensors.values()),
+                touch_hold=self._hold.last,
+                disk_left=writer.free_bytes / rate if flowing else math.inf,
+            )
+            found = assembler.readings.anomalies + assembler.rejected_clouds + assembler.invalid + self._unreadable
+            self.status = SessionStatus(
+                message=message,
+                accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
+                anomalies=found,
                 operator=self._operator.state(),
                 last=self._last,
-                hold=self._hold.last,
             )
 
 
 def status_to_msg(
-    session: SessionStatus,
-    statistics: Mapping[str, TopicStatistics],
-    *,
-    path: str,
-    recording: bool,
-    duration_s: float,
-    reason: str,
-    now_ns: int,
+    session: RecordingSession | None, statistics: Mapping[str, TopicStatistics], now_ns: int
 ) -> RecorderStatus:
-    """The recorder's state as a message with a stamp [ns]: of the current session, or of the last one.
+    """The recorder's state as a message with a stamp [ns]: of the current session, or of the last one; None before the first.
 
-    `statistics` are by topic, `path` is that of the dataset, "" before the first session, and `reason` what went wrong.
+    `statistics` are by topic.
     """
-    received = {name: account for name, account in session.accounts.items() if name != SAMPLE_TOPIC}
+    state = SessionStatus() if session is None else session.status
+    received = {name: account for name, account in state.accounts.items() if name != SAMPLE_TOPIC}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
-    drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
-    drops[_AFTER_CLOSE] += sum(one.late for one in statistics.values())
-    errors = [error * 1e-9 for error in session.pairing_errors_ns]
-    flowing = recording and session.bytes_per_s > 0.0
-    return RecorderStatus(
-        header=header_to_msg("", now_ns),
-        recording=recording,
-        path=path,
-        duration=duration_to_msg(duration_s),
-        bytes_written=session.bytes_written,
-        samples=session.samples,
-        unlabelled=session.unlabelled,
-        received=sum(topic.received for topic in topics),
-        used=sum(topic.written for topic in topics),
-        **_counts("drop_reasons", "drop_counts", drops),
-        status=Status.FAILED if reason else Status.OK,
-        reason=reason,
-        lost=sum(topic.lost for topic in topics),
-        topics=topics,
-        **_counts("outcomes", "outcome_counts", session.results),
-        last_sample=session.last_sample,
-        pairing_error=errors[-1] if errors else math.nan,
-        pairing_error_max=max(errors) if errors else math.nan,
-        sensors=list(session.sensors),
-        sensor_states=list(session.sensors.values()),
-        touch_hold=session.hold or TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet"),
-        disk_left=session.free_bytes / session.bytes_per_s if flowing else math.inf,
-    )
+    drops = _counts("drop_reasons", "drop_counts", sum((one.dropped for one in accounts.values()), Counter()))
+    message = copy(state.message)
+    if session is not None:
+        message.recording = not session.ended.is_set()
+        message.duration = duration_to_msg((session.ended_s or time.monotonic()) - session.began_s)
+    message.header, message.topics = header_to_msg("", now_ns), topics
+    message.received, message.used = sum(one.received for one in topics), sum(one.written for one in topics)
+    message.lost, message.drop_reasons, message.drop_counts = sum(one.lost for one in topics), *drops.values()
+    return message
 
 
 def _topic(name: str, account: TopicCounts, topic: TopicStatistics) -> TopicAccountMsg:
     return TopicAccountMsg(
         topic=name,
-        received=account.received + topic.waiting + topic.late,
+        received=account.received + topic.waiting,
         written=account.written,
         waiting=account.pending + topic.waiting,
-        **_counts("drop_reasons", "drop_counts", account.dropped + Counter({_AFTER_CLOSE: topic.late})),
+        **_counts("drop_reasons", "drop_counts", account.dropped),
         lost=account.lost,
         reliable=topic.reliable,
         rate=topic.rate_hz,

@@ -4,17 +4,15 @@
 A reliable subscriber receives nothing from a best-effort publisher. Therefore every subscription starts reliable, is
 replaced by one with best effort as soon as a publisher on its topic offers no more, and by a reliable one when all
 publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.reliability` overrides that: the
-subscription is then as the parameter demands, and a publisher that offers less is reported.
+subscription is then as the parameter demands.
 """
 
-import math
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
@@ -25,15 +23,12 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.bounded_queue import BoundedQueue
-from foretouch.cloud.messages import read_header
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch.errors import DatasetError
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.diagnostics import Losses
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
-_RECENT = 100  # messages that the offset of a clock is determined from
 _ADAPTED = QoSPolicyKind.RELIABILITY
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
 
@@ -57,12 +52,6 @@ class InputTopic:
     optional: bool = False  # whether nothing is reported of it until a message arrives
     latched: bool = False  # whether its publishers send their last messages to late subscribers (transient local)
 
-    @cached_property
-    def stamped(self) -> bool:
-        """Whether its messages begin with a header."""
-        fields: dict[str, str] = getattr(self.message, "get_fields_and_field_types", dict)()
-        return next(iter(fields.items()), None) == ("header", "std_msgs/Header")
-
     @property
     def type_name(self) -> str:
         """Name of the type, such as `sensor_msgs/msg/PointCloud2`."""
@@ -84,8 +73,7 @@ class SerializedMessage:
 class SerializedInput:
     """The subscription of a node to one topic, which begins as `reliable` as asked before it has adapted.
 
-    `receive` is called with every message, in a thread of the executor, and must return at once; `mismatch` with topic,
-    `publisher` and event where a publisher offers less than a parameter demands.
+    `receive` is called with every message, in a thread of the executor, and must return at once.
 
     Attributes:
         name: Full name of the topic.
@@ -94,20 +82,14 @@ class SerializedInput:
     """
 
     def __init__(
-        self,
-        node: Node,
-        topic: InputTopic,
-        receive: Callable[[SerializedMessage], None],
-        mismatch: Callable[[str, str, Any], None],
-        *,
-        reliable: bool = True,
+        self, node: Node, topic: InputTopic, receive: Callable[[SerializedMessage], None], *, reliable: bool = True
     ) -> None:
         self.topic = topic
         self.name: str = node.resolve_topic_name(topic.name)
         self.reliable = reliable
         self.losses = Losses()
         self._node = node
-        self._forward, self._mismatch = receive, mismatch
+        self._forward = receive
         override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
         self._overridden = override in getattr(node, "_parameter_overrides", {})
         self._subscription = self._subscribe()
@@ -125,10 +107,15 @@ class SerializedInput:
         self._node.destroy_subscription(old)
         return True
 
-    def other_types(self) -> list[str]:
-        """Types of publishers on the topic whose messages cannot be received, such as those of another sensor."""
-        found = {info.topic_type for info in self._node.get_publishers_info_by_topic(self.name)}
-        return sorted(found - {self.topic.type_name})
+    def excluded(self) -> list[str]:
+        """A line for each other type of publishers that nothing is received from, such as those of another sensor."""
+        kinds = {info.topic_type for info in self._node.get_publishers_info_by_topic(self.name)} - {
+            self.topic.type_name
+        }
+        return [
+            f"{self.name}: a publisher sends {kind}, not {self.topic.type_name}: nothing is received from it"
+            for kind in sorted(kinds)
+        ]
 
     def destroy(self) -> None:
         """End the subscription."""
@@ -146,19 +133,11 @@ class SerializedInput:
             profile,
             callback_group=InputGroup(),
             qos_overriding_options=QoSOverridingOptions(overridden),
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=self._report_mismatch,
-                message_lost=lambda event: self.losses.reported(event.total_count_change),
-                use_default_callbacks=False,
-            ),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
         self.reliable = profile.reliability == ReliabilityPolicy.RELIABLE  # overrides were written into it
         return subscription
-
-    def _report_mismatch(self, event: Any) -> None:
-        if self._overridden:  # otherwise `adapt` handles it
-            self._mismatch(self.topic.name, "publisher", event)
 
     def _receive(self, data: bytes, info: Any) -> None:
         if self.losses.arrived(info):  # else it was received before the subscription was replaced
@@ -203,7 +182,6 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
     def __init__(self, most_bytes: int) -> None:
         super().__init__(most_bytes, when_full="reject", size_of=lambda one: len(one.data), on_drop=self._count)
         self._refused: Counter[str] = Counter()
-        self._late: Counter[str] = Counter()
 
     def take(self, timeout_s: float) -> tuple[list[SerializedMessage], Counter[str]]:
         """All messages that wait (see `get_all`), and how many were rejected since the last call, by topic."""
@@ -212,18 +190,14 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
             self._refused = Counter()
             return messages, refused
 
-    def late(self) -> Counter[str]:
-        """Messages that came after `close`, by topic."""
-        with self._changed:
-            return Counter(self._late)
-
     def waiting(self) -> Counter[str]:
         """Messages that wait, and those rejected since the last `take`, by topic."""
         with self._changed:
             return Counter(one.topic for one in self._items) + self._refused
 
     def _count(self, message: SerializedMessage, _reason: str) -> None:
-        (self._late if self.closed else self._refused)[message.topic] += 1
+        if not self.closed:  # else it came after the end of the session
+            self._refused[message.topic] += 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,36 +205,28 @@ class TopicStatistics:
     """Statistics of a topic beside the session's message counts."""
 
     waiting: int = 0  # messages in the queue
-    late: int = 0  # messages that came after the session had ended by itself and its file was closed
     reliable: bool = True  # whether lost messages are sent again
     rate_hz: float = 0.0  # rate of arrival [Hz]
-    age_s: float = math.inf  # time since the last message [s]; infinite before the first
-    offset_s: float = (
-        math.nan
-    )  # smallest difference of reception and stamp [s]; not finite without messages with a stamp
 
 
 class RecorderSubscriptions:
     """All subscriptions of the recorder; without a session, messages are only counted.
 
-    `inputs` are the subscriptions by full name of the topic; for `mismatch` see `SerializedInput`. `excluded` has a line for each
-    type of publishers, as of the last `tick`, that no message is received from.
+    `inputs` are the subscriptions by full name of the topic. `excluded` has a line for each type of publishers, as of the last
+    `tick`, that no message is received from.
     """
 
-    def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:
+    def __init__(self, node: Node, topics: Sequence[InputTopic]) -> None:
         self.inputs: dict[str, SerializedInput] = {}
         self.excluded: tuple[str, ...] = ()
         self._queue: MessageQueue | None = None
         self._latched: deque[SerializedMessage] = deque(maxlen=_LATCHED_KEPT)
         self._lock = threading.Lock()  # a latched message is written once in a session
-        self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
-        self._last_s: dict[str, float] = {}
-        self._behind_ns: dict[str, deque[int]] = {}  # differences of reception and stamp of recent messages
-        self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=11)
+        self._ticks = deque([(time.monotonic(), Counter[str]())], maxlen=11)
         try:
             for topic in topics:
-                one = SerializedInput(node, topic, partial(self._receive, latched=topic.latched), mismatch)
+                one = SerializedInput(node, topic, partial(self._receive, latched=topic.latched))
                 self.inputs[one.name] = one
         except BaseException:  # such as an override that names no policy
             self.destroy()
@@ -269,8 +235,7 @@ class RecorderSubscriptions:
     def open(self, queue: MessageQueue) -> None:
         """Begin a session: restart the counts, and put messages into its queue, first the latched ones of before."""
         for one in self.inputs.values():
-            one.losses.reset()
-        self._late.clear()
+            one.losses.count = 0
         with self._lock:
             for message in self._latched:
                 queue.put(replace(message, received_ns=time.time_ns()))
@@ -278,9 +243,7 @@ class RecorderSubscriptions:
 
     def close(self) -> None:
         """End the session."""
-        queue, self._queue = self._queue, None
-        if queue is not None:
-            self._late = queue.late()
+        self._queue = None
 
     def lost(self) -> dict[str, int]:
         """Messages that the middleware has lost since `open`, by topic."""
@@ -290,11 +253,7 @@ class RecorderSubscriptions:
         """Update the rates and adapt to the publishers; gives a line for each replaced subscription and new `excluded` type."""
         self._ticks.append((time.monotonic(), Counter(self._arrived)))
         before = self.excluded
-        self.excluded = tuple(
-            f"{one.name}: a publisher sends {name}, not {one.topic.type_name}: nothing is received from it"
-            for one in self.inputs.values()
-            for name in one.other_types()
-        )
+        self.excluded = tuple(text for one in self.inputs.values() for text in one.excluded())
         return [text for text in self.excluded if text not in before] + [
             f"{one.name}: subscribed with {'reliable' if one.reliable else 'best effort'} QoS, as its publishers offer"
             for one in self.inputs.values()
@@ -305,18 +264,12 @@ class RecorderSubscriptions:
         """Current statistics of each topic."""
         queue = self._queue
         waiting: Counter[str] = Counter() if queue is None else queue.waiting()
-        late = self._late if queue is None else queue.late()
-        (first_s, first), (last_s, last) = (
-            (self._ticks[0], self._ticks[-1]) if self._ticks else ((0.0, late), (0.0, late))
-        )
+        (first_s, first), (last_s, last) = self._ticks[0], self._ticks[-1]
         return {
             name: TopicStatistics(
                 waiting=waiting[name],
-                late=late[name],
                 reliable=one.reliable,
                 rate_hz=(last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0,
-                age_s=time.monotonic() - self._last_s.get(name, -math.inf),
-                offset_s=min(tuple(self._behind_ns.get(name, ())), default=math.nan) * 1e-9,
             )
             for name, one in self.inputs.items()
             if self._arrived[name] or not one.topic.optional
@@ -329,12 +282,6 @@ class RecorderSubscriptions:
 
     def _receive(self, message: SerializedMessage, *, latched: bool) -> None:
         self._arrived[message.topic] += 1
-        self._last_s[message.topic] = time.monotonic()
-        one = self.inputs.get(message.topic)  # None where a message comes before the subscription is complete
-        if one is not None and one.topic.stamped:
-            with suppress(DatasetError):  # it is counted by those who read it
-                behind = self._behind_ns.setdefault(message.topic, deque(maxlen=_RECENT))
-                behind.append(message.received_ns - read_header(message.data)[0])
         with self._lock:
             if latched and all(message.data != one.data for one in self._latched):
                 self._latched.append(message)

@@ -96,49 +96,31 @@ def _quantiles(values: deque[float]) -> tuple[float, float] | None:
 
 
 class Losses:
-    """Counts the lost messages of one subscription, and calls `report` with their number at each loss. Thread-safe.
+    """Counts the lost messages of one subscription, and calls `report` with their number at each loss.
 
-    The middleware reports what the network lost. It does not report a message that a newer one has replaced in the
-    queue of the subscription, as with a process that does not get to run: only gaps in the sequence numbers of the
-    publisher show that. A larger step than any silence explains, up or down, is a new numbering, and counts as one.
+    They show as gaps in the sequence numbers of a publisher: what the network lost, and what a newer message has replaced in the
+    queue, as with a process that does not get to run. A larger step than any silence explains, up or down, is a new numbering, and
+    counts as one.
     """
 
     def __init__(self, report: Callable[[int], None] = lambda _: None) -> None:
         self.count = 0
         self._report = report
-        self._lock = threading.Lock()
         self._last: dict[bytes, int] = {}  # sequence number by publisher
-        self._gaps = self._events = 0
 
     def arrived(self, info: Any) -> bool:
-        """Count what is missing before a message, by what rclpy passes beside it; False if it was received before."""
-        sequence, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
-        if sequence is None or publisher is None:  # the middleware has none
+        """Count what is missing before a message, by what is known of it (see `take`); False if it was received before."""
+        sequence, publisher = info["publication_sequence_number"], info["publisher_gid"]["data"]
+        if sequence is None:  # the middleware has none
             return True
-        with self._lock:
-            step = int(sequence - self._last.get(publisher["data"], sequence - 1))
-            if -_LARGEST_GAP < step <= 0:
-                return False
-            self._last[publisher["data"]] = sequence
-            self._gaps += step - 1 if 0 < step <= _LARGEST_GAP else 1  # at least one of another numbering
-            self._update()
+        step = sequence - self._last.get(publisher, sequence - 1)
+        if -_LARGEST_GAP < step <= 0:
+            return False
+        self._last[publisher] = sequence
+        if missing := step - 1 if 0 < step <= _LARGEST_GAP else 1:
+            self.count += missing
+            self._report(missing)
         return True
-
-    def reported(self, count: int) -> None:
-        """Count what the middleware reports as lost."""
-        with self._lock:
-            self._events += count
-            self._update()
-
-    def reset(self) -> None:
-        """Restart the count."""
-        with self._lock:
-            self.count = self._gaps = self._events = 0
-
-    def _update(self) -> None:
-        if more := max(self._gaps, self._events) - self.count:
-            self.count += more
-            self._report(more)
 
 
 def diagnostic_status(
@@ -165,18 +147,7 @@ def diagnostic_status(
         level, message = DiagnosticStatus.WARN, "; ".join(warnings)
     else:
         level, message = DiagnosticStatus.OK, f"{state}, {now.rate_hz:.1f} Hz"
-    pairs = {"state": state, **_numbers(now), **(notes or {})}
-    return made_status(name, level, message, pairs)
-
-
-def gone_status(name: str, listener: str, last_s: float) -> DiagnosticStatus:
-    """Report in the place of a node that was killed or hangs, which another last heard at a time [s]."""
-    text = f"was killed or hangs: no heartbeat for {time.monotonic() - last_s:.1f} s at {listener}"
-    return made_status(name, DiagnosticStatus.ERROR, text, {"state": "gone"})
-
-
-def made_status(name: str, level: bytes, message: str, values: Mapping[str, str]) -> DiagnosticStatus:
-    """Make a status with values by key."""
+    values = {"state": state, **_numbers(now), **(notes or {})}
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     return DiagnosticStatus(level=level, name=name, message=message, hardware_id="none", values=pairs)
 

@@ -115,12 +115,14 @@ class _DirectTopics:
         self._lock = threading.Lock()
         self._publishers: list[DirectPublisher] = []
         self._inputs: list[DirectInput] = []
-        self._threads: weakref.WeakValueDictionary[str, WorkerThread] = weakref.WeakValueDictionary()
+        self._threads: dict[str, WorkerThread] = {}
 
     def thread(self, namespace: str) -> WorkerThread:
         """The thread that the workers of one graph share."""
         with self._lock:
-            return self._threads.setdefault(namespace, WorkerThread(f"graph {namespace}"))
+            if namespace not in self._threads:
+                self._threads[namespace] = WorkerThread(f"graph {namespace}")
+            return self._threads[namespace]
 
     def add(self, one: DirectPublisher | DirectInput) -> None:
         """Connect a publisher or a subscription."""

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps an internal error in a callback from ending the process: it is counted, logged and answered.
 
-rclpy passes an error in a callback of a service, timer, topic or parameter on to the executor, which ends, and with it
-all nodes of the process. Nodes derived from `GuardedCallbacks` pass every callback through `InternalErrors.guarded`,
-those that rclpy itself registers included.
+rclpy passes an error in a callback on to the executor, which ends, and with it all nodes of the process. Nodes derived from
+`GuardedCallbacks` pass those of timers, services and inputs through `InternalErrors.guarded`; `spin_on` goes on after all others.
 """
 
 import functools
@@ -29,14 +28,13 @@ class InternalErrors:
     """Counts and logs the internal errors of one node. Thread-safe.
 
     Args:
-        log: Called with a line for the first error of a callback, and then at most every five seconds.
+        log: Called with a line for the first error of a callback, and then for the tenth, the hundredth, and so on.
     """
 
     def __init__(self, log: Callable[[str], object]) -> None:
         self._log = log
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
-        self._logged_s: dict[str, float] = {}
 
     def counts(self) -> Counter[str]:
         """Number of errors by callback."""
@@ -46,14 +44,10 @@ class InternalErrors:
     def report(self, name: str, err: Exception) -> str:
         """Count and log an error of a callback; its type and text in one line, the reason for an answer with FAILED."""
         reason = described(err)[:300]
-        now = time.monotonic()
         with self._lock:
             self._counts[name] += 1
             count = self._counts[name]
-            due = now - self._logged_s.get(name, float("-inf")) >= 5.0
-            if due:
-                self._logged_s[name] = now
-        if due:
+        if str(count).rstrip("0") == "1":
             frames = traceback.extract_tb(err.__traceback__)
             position = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "no traceback"
             self._log(f"{name}: internal error {count}: {reason} ({position})")
@@ -91,7 +85,7 @@ class InternalErrors:
 
 
 class GuardedCallbacks:
-    """A mixin for rclpy's `Node`, before it in the list of bases: no callback of the node raises.
+    """A mixin for rclpy's `Node`, before it in the list of bases, whose timers and services do not raise.
 
     A service that fails answers with `success` false and a `message`, or with the status FAILED and a `reason`, as far
     as its response has such fields; a change of parameters is refused.
@@ -103,19 +97,17 @@ class GuardedCallbacks:
     internal_errors: InternalErrors
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        # Before rclpy's own constructor, which makes services.
         self.internal_errors = InternalErrors(lambda text: self.get_logger().error(text))  # type: ignore[attr-defined]
         super().__init__(*arguments, **options)
-        # Those of the lifecycle are not made by `create_service`.
-        for service in self.services:  # type: ignore[attr-defined]
-            if not hasattr(service.callback, "__wrapped__"):
-                service.callback = self.internal_errors.guarded(service.srv_name, service.callback, _failed_service)
+        for service in self.services:  # type: ignore[attr-defined]  # those of parameters and of the lifecycle
+            callback = service.callback
+            if service.srv_type in (SetParameters, SetParametersAtomically):
+                callback = functools.partial(_with_known_types, callback)
+            service.callback = self.guarded_service(service.srv_name, callback)
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """See rclpy's `Node`."""
-        return super().create_subscription(  # type: ignore[misc]
-            msg_type, topic, self.internal_errors.guarded(topic, callback), *arguments, **options
-        )
+    def guarded_service(self, name: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """The callback of a service that answers after an internal error, too."""
+        return self.internal_errors.guarded(name, callback, _failed_service)
 
     def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
         """See rclpy's `Node`; a timer goes on while the clock of a simulator stands."""
@@ -127,31 +119,11 @@ class GuardedCallbacks:
             **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **options},
         )
 
-    def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
-        """See rclpy's `Node`."""
-        if srv_type in (SetParameters, SetParametersAtomically):
-            callback = functools.partial(_with_known_types, callback)
-        return super().create_service(  # type: ignore[misc]
-            srv_type, srv_name, self.internal_errors.guarded(srv_name, callback, _failed_service), **options
-        )
-
-    def add_on_set_parameters_callback(self, callback: Any) -> None:
-        """See rclpy's `Node`."""
-        super().add_on_set_parameters_callback(  # type: ignore[misc]
-            self.internal_errors.guarded("set_parameters", callback, lambda _, reason: _refused(reason))
-        )
-
-    def add_post_set_parameters_callback(self, callback: Any) -> None:
-        """See rclpy's `Node`."""
-        super().add_post_set_parameters_callback(  # type: ignore[misc]
-            self.internal_errors.guarded("set_parameters", callback)
-        )
-
 
 def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool], poll_s: float) -> None:
     """Spin until a condition holds, which is checked every `poll_s`, through errors in the executor itself.
 
-    Such errors are rare: a message that cannot be decoded, or an answer that cannot be encoded. They are reported.
+    Such errors are rare, such as an answer that cannot be encoded. They are reported.
 
     Raises:
         ExternalShutdownException: If the context is shut down.

@@ -6,12 +6,11 @@ deactivate). An error in `_setup` or `_start` refuses the transition and is logg
 
 Inputs are subscribed to with sensor-data QoS, outputs are published reliably: this pair is compatible with every
 publisher and subscriber. Outputs that are kept for late subscribers are transient local. All can be overridden
-(`qos_overrides.<topic>...` parameters). Incompatible QoS is reported in the log and in /diagnostics.
+(`qos_overrides.<topic>...` parameters). rclpy logs subscribers with incompatible QoS.
 """
 
 import gc
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -20,18 +19,17 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.subscription import Subscription
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status, gone_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status
 from foretouch.ros.runtime.direct import DirectInput, DirectPublisher, direct_topics
-from foretouch.ros.runtime.discovery import FINALIZED, UPTIME, Heartbeat, find_conflicts, matched_ends
+from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
@@ -71,29 +69,20 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
         self.statistics = InputStatistics()
-        self._began_s = time.monotonic()
         self.state_name = "unconfigured"
         self.has_failed = False  # whether the process ends with exit status 1
         self.last_failure = ""  # why the latest step that failed did
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
-        self._inputs: list[Subscription[Any]] = []
-        self._direct_inputs: list[DirectInput] = []
         self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}
-        self._mismatches: dict[str, str] = {}
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
-        self._report_lock = threading.Lock()
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()
         self._input_group = InputGroup()
-        self._report_now = self.internal_errors.guarded("report", self._report)  # since a source may wait for it
         own_group = MutuallyExclusiveCallbackGroup()
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, "/diagnostics", 10, event_callbacks=PublisherEventCallbacks(matched=self._report_now)
-        )
-        self._heartbeat = Heartbeat(self, lambda: self.state_name, self._input_group, self._report_now)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
         self.create_timer(1.0, self._look, callback_group=own_group)
 
@@ -152,25 +141,17 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """
         durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
 
-        def _matched(event: Any) -> None:
-            publisher.send_unsent()
-            self._report_now(event)
-
         overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY]
         publisher: DirectPublisher = self.create_publisher(
             message,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions([*overridden, *[QoSPolicyKind.DURABILITY] * keep]),
-            event_callbacks=PublisherEventCallbacks(
-                matched=_matched if keep else None,
-                incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
-                use_default_callbacks=False,  # each further event costs time at every message
-            ),
             publisher_class=DirectPublisher,
         )
         self.add_managed_entity(publisher)
         self._outputs.append(publisher)
+        self._closing.callback(self._withdraw, publisher)
         if direct and self.config.direct:
             self.direct_topics.add(publisher)
         return publisher
@@ -192,47 +173,38 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         subscription = self.create_subscription(
             message,
             topic,
-            _take,
+            self.internal_errors.guarded(topic, _take),
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
             callback_group=self._input_group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._mismatch(topic, "publisher", event),
-                message_lost=lambda event: losses.reported(event.total_count_change),
-                use_default_callbacks=False,
-            ),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        self._inputs.append(subscription)
+        self._closing.callback(self.destroy_subscription, subscription)
         if self.config.direct:
             direct = DirectInput(subscription, self.internal_errors.guarded(topic, _receive))
-            self._direct_inputs.append(direct)
+            self._closing.callback(self.direct_topics.remove, direct)
             self.direct_topics.add(direct)
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
         """Offer a service until the node is cleaned up."""
-        service = self.create_service(kind, name, callback, callback_group=group, qos_profile=REQUESTS)
+        guarded = self.guarded_service(name, callback)
+        service = self.create_service(kind, name, guarded, callback_group=group, qos_profile=REQUESTS)
         self._closing.callback(self.destroy_service, service)
 
     def _look(self) -> None:
-        """What is done every second."""
+        """What is done every second: look for a second graph, and send what is kept to late subscribers."""
         self.look_for_second_graph()
+        for publisher in tuple(self._outputs):
+            publisher.send_unsent()
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
-        found = find_conflicts(self, self.exclusive_topics, self._heartbeat.is_silent)
+        found = find_conflicts(self, self.exclusive_topics)
         fresh = [text for text in found if text not in self.conflicts]
         self.conflicts = found
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
         if fresh:
             self.get_logger().warning(f"a second graph or source runs in {self.get_namespace()}: {'; '.join(fresh)}")
-
-    def uptime_s(self) -> float:
-        """Time since the node was made [s]."""
-        return time.monotonic() - self._began_s
-
-    def matched_ends(self) -> dict[str, int]:
-        """Number of matched ends of each of its topics, by key of /diagnostics."""
-        return matched_ends(tuple(self._outputs), tuple(self._inputs))
 
     def age_s(self, stamp_ns: int) -> float:
         """Age of a stamp on the node's clock [s]."""
@@ -264,7 +236,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         result = super().on_activate(state)
         gc.freeze()  # else all that was loaded is searched for garbage from time to time, for 0.1 s
         self.state_name = "active"
-        self._report_now()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -286,13 +257,12 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.stop()
         result = super().on_shutdown(state)
         self._release()
-        self.state_name = FINALIZED
+        self.state_name = "finalized"
         return result
 
     def destroy_node(self) -> None:
         """Stop and clean up, whatever the state."""
         self.stop()
-        self._heartbeat.stop()
         self._release()
         self._destroy()
 
@@ -317,45 +287,30 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         gc.unfreeze()
         self._attempt(self._closing.close)
         self._attempt(self._teardown)
-        for direct in self._direct_inputs:
-            self.direct_topics.remove(direct)
-        for publisher in self._outputs:
-            self.direct_topics.remove(publisher)
-            self.destroy_lifecycle_publisher(publisher)
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        for ends in (self._direct_inputs, self._outputs, self._inputs):
-            ends.clear()
 
-    def _mismatch(self, topic: str, other: str, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        text = self._mismatches[f"{topic} {other}"] = (
-            f"{topic}: a {other} has incompatible QoS ({policy}): no message passes"
+    def _withdraw(self, publisher: DirectPublisher) -> None:
+        self._outputs.remove(publisher)
+        self.direct_topics.remove(publisher)
+        self.destroy_lifecycle_publisher(publisher)
+
+    def _report(self) -> None:
+        now, errors = self.statistics.summary(), self.internal_errors.counts()
+        recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
+        status = diagnostic_status(
+            self.get_fully_qualified_name(),
+            self.state_name,
+            now,
+            self._last,
+            errors=self.errors(),
+            warnings=(*self.conflicts, *self.warnings(), *recent),
+            notes={
+                **self.notes(),
+                **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
+                **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
+            },
+            silence_s=getattr(self.config, "silence_s", None),
         )
-        self.get_logger().warning(text)
-
-    def _report(self, _event: Any = None) -> None:
-        with self._report_lock:
-            now, errors = self.statistics.summary(), self.internal_errors.counts()
-            recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
-            status = diagnostic_status(
-                self.get_fully_qualified_name(),
-                self.state_name,
-                now,
-                self._last,
-                errors=self.errors(),
-                warnings=(*self.conflicts, *self._mismatches.values(), *self.warnings(), *recent),
-                notes={
-                    **self.notes(),
-                    UPTIME: f"{self.uptime_s():.2f}",
-                    **{key: str(count) for key, count in self.matched_ends().items()},
-                    **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
-                    **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
-                },
-                silence_s=getattr(self.config, "silence_s", None),
-            )
-            self._last, self._last_errors = now, errors
-            gone = [gone_status(name, self.get_name(), at) for name, at in self._heartbeat.gone.items()]
-            report = DiagnosticArray(status=[status, *gone])
-            report.header.stamp = self.get_clock().now().to_msg()
-            self._diagnostics.publish(report)
+        self._last, self._last_errors = now, errors
+        report = DiagnosticArray(status=[status])
+        report.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(report)

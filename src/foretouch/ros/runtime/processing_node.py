@@ -24,6 +24,7 @@ from std_msgs.msg import Header
 
 from foretouch.config import setting
 from foretouch.ros.messages.requests import RefusalError, status_name
+from foretouch.ros.runtime.discovery import publishers_of
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.tactile.messages.table import stamp_ns
@@ -162,11 +163,14 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self._synchronizer.clear("stopped")
 
     def errors(self) -> tuple[str, ...]:
-        """What all clouds lack for longer than `silence_s`."""
+        """What all clouds lack for longer than `silence_s`, and who publishes it."""
         (first_s, last_s), limit_s = self._lacking_s, self.config.silence_s
         if not self._lacking or last_s - first_s < limit_s or time.monotonic() - last_s > limit_s:
             return ()
-        counts = ", ".join(f"{count} clouds without {topic}" for topic, count in dict(self._lacking).items())
+        counts = ", ".join(
+            f"{count} clouds without {topic} (published by {', '.join(publishers_of(self, topic)) or 'no node'})"
+            for topic, count in dict(self._lacking).items()
+        )
         return (f"no complete input for {last_s - first_s:.0f} s: {counts}",)
 
     def notes(self) -> dict[str, str]:
@@ -203,7 +207,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self._lacking_s = (self._lacking_s[0] if self._lacking else now, now)
         self._lacking[missing] += 1
         self.statistics.drop(f"no_{missing}")
-        reason = f"no_{missing}: none came for this cloud; /diagnostics shows which node does not work"
+        reason = f"no_{missing}: none came for this cloud; /diagnostics shows which node publishes them"
         self._refuse(next(iter(job.messages.values())).header, Status.FAILED, reason)
         self._note(Status.FAILED, reason)
 

@@ -3,8 +3,7 @@
 
 rclpy holds the interpreter's lock while it takes a message, and copies a cloud three times: 2.1 ms at 848x480, in which
 no other cloud is computed. rcl's own function, called through ctypes, copies it twice and without the lock, in 1.4 ms. It also
-gives the publisher of a message, which some versions of rclpy do not; for other messages than clouds it costs 0.01 ms more. Where
-rcl's library has another name, rclpy takes all messages.
+gives the publisher of a message, which some versions of rclpy do not; for other messages than clouds it costs 0.01 ms more.
 """
 
 import ctypes
@@ -21,13 +20,11 @@ from foretouch.types import UInt8
 _NONE: Final = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 _NO_SEQUENCE: Final = 2**64 - 1  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
 
-_Five = ctypes.c_void_p * 5
-
 
 class _Allocator(ctypes.Structure):
     """`rcutils_allocator_t`: four functions and their state."""
 
-    _fields_ = (("all", _Five),)
+    _fields_ = (("all", ctypes.c_void_p * 5),)
 
 
 class _Array(ctypes.Structure):
@@ -41,28 +38,12 @@ class _Array(ctypes.Structure):
     )
 
 
-class _Info(ctypes.Structure):
-    """`rmw_message_info_t`."""
+_Info = ctypes.c_uint64 * 16
+"""`rmw_message_info_t`: times of sending and reception, numbers of sending and reception, a pointer, and the publisher's id."""
 
-    _fields_ = (
-        ("source_timestamp", ctypes.c_int64),
-        ("received_timestamp", ctypes.c_int64),
-        ("publication_sequence_number", ctypes.c_uint64),
-        ("reception_sequence_number", ctypes.c_uint64),
-        ("implementation", ctypes.c_void_p),
-        ("publisher", ctypes.c_uint8 * 16),
-        ("rest", ctypes.c_uint8 * 64),
-    )
-
-
-_rcl: ctypes.CDLL | None
-try:
-    _rcl, _rcutils = (ctypes.CDLL(f"lib{name}.so") for name in ("rcl", "rcutils"))
-except OSError:
-    _rcl = None
-else:
-    _rcutils.rcutils_get_default_allocator.restype = _Allocator
-    _rcl.rcl_take_serialized_message.argtypes = [ctypes.c_void_p] * 4
+_rcl, _rcutils = (ctypes.CDLL(f"lib{name}.so") for name in ("rcl", "rcutils"))
+_rcutils.rcutils_get_default_allocator.restype = _Allocator
+_rcl.rcl_take_serialized_message.argtypes = [ctypes.c_void_p] * 4
 
 
 class _Bytes:
@@ -90,8 +71,6 @@ def take(subscription: "Subscription[Any]") -> tuple[Any, Any] | None:
     """
     handle = subscription.handle
     with handle:
-        if _rcl is None:
-            return handle.take_message(subscription.msg_type, subscription.raw)
         content, info = _Bytes(), _Info()
         status = _rcl.rcl_take_serialized_message(handle.pointer, ctypes.byref(content.array), ctypes.byref(info), None)
     if status == _NONE:
@@ -103,14 +82,14 @@ def take(subscription: "Subscription[Any]") -> tuple[Any, Any] | None:
     return None if message is None else (message, _known(info))
 
 
-def _known(info: _Info) -> dict[str, Any]:
+def _known(info: "ctypes.Array[ctypes.c_uint64]") -> dict[str, Any]:
     """What rclpy 9.1 passes beside a message, but for the number of receptions."""
-    sequence = info.publication_sequence_number
+    sent, received, sequence, *_ = info
     return {
-        "source_timestamp": info.source_timestamp,
-        "received_timestamp": info.received_timestamp,
+        "source_timestamp": sent,
+        "received_timestamp": received,
         "publication_sequence_number": None if sequence == _NO_SEQUENCE else sequence,
-        "publisher_gid": {"data": bytes(info.publisher)},
+        "publisher_gid": {"data": bytes(info)[40:56]},
     }
 
 

@@ -10,7 +10,6 @@ what is known of a message.
 
 import asyncio
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,36 +20,24 @@ from rclpy.node import Node
 from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.ros.messages.requests import RefusalError, status_code
 
-PATIENCE_S: Final = 10.0
-"""How long a request waits for a thread until it is refused [s]."""
-
 _CATCH_UP_S: Final = 0.25  # 90 clouds a second take nearly all of a core: a pause of 90 ms would lose some
 
 _T = TypeVar("_T")
 
 
 class WorkerThread:
-    """A thread that several workers share; it ends when the last worker is stopped.
+    """A thread that several workers share, and that lives as long as the process.
 
     What its work puts into the queue of another worker comes next, before all that waits: with the nodes of one process, a cloud
     goes through all steps before another is begun.
     """
 
     def __init__(self, name: str) -> None:
-        self._name = name
         self._changed = threading.Condition()
-        self._started: set[Worker[Any]] = set()
         self._calls: deque[Worker[Any]] = deque()  # one for each item that was put
         self._busy: Worker[Any] | None = None
-        self._thread: threading.Thread | None = None
-
-    def start(self, worker: "Worker[Any]") -> None:
-        """Serve a worker."""
-        with self._changed:
-            self._started.add(worker)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-                self._thread.start()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
 
     def call(self, worker: "Worker[Any]") -> None:
         """An item was put into the queue of a worker."""
@@ -61,27 +48,17 @@ class WorkerThread:
                 self._calls.append(worker)
                 self._changed.notify_all()
 
-    def stop(self, worker: "Worker[Any]") -> None:
-        """Wait for the current item of a worker and serve it no more."""
-        ended = None
+    def finish(self, worker: "Worker[Any]") -> None:
+        """Wait for the current item of a worker."""
         with self._changed:
-            self._started.discard(worker)
             self._changed.wait_for(lambda: worker is not self._busy)
-            if not self._started:
-                ended, self._thread = self._thread, None
-                self._changed.notify_all()
-        if ended is not None:
-            ended.join()
 
     def _run(self) -> None:
-        own = threading.current_thread()
         while True:
             with self._changed:
                 self._busy = None
                 self._changed.notify_all()
-                self._changed.wait_for(lambda: self._calls or self._thread is not own)
-                if self._thread is not own:
-                    return
+                self._changed.wait_for(lambda: self._calls)
                 worker = self._busy = self._calls.popleft()
             worker.work_on_next()
 
@@ -106,9 +83,8 @@ class Worker(Generic[_T]):
         self._thread = WorkerThread(name) if thread is None else thread
 
     def start(self) -> None:
-        """Start to work, unless it has started."""
+        """Start to work again after `stop`."""
         self._queue.reopen()
-        self._thread.start(self)
 
     def put(self, item: _T) -> None:
         """Queue an item; older ones are dropped where the queue is full or the work does not keep up."""
@@ -118,7 +94,7 @@ class Worker(Generic[_T]):
     def stop(self) -> None:
         """Finish the current item and drop the rest."""
         self._queue.close("stopped")
-        self._thread.stop(self)
+        self._thread.finish(self)
 
     def work_on_next(self) -> None:
         """Work on the oldest item, if it was not dropped; called by the thread."""
@@ -129,7 +105,7 @@ class Worker(Generic[_T]):
 class ThreadPool:
     """So many threads for the requests of one node, whose executor is woken when work is done.
 
-    At most `limit` requests wait, for `PATIENCE_S` each; others are refused, as `busy`.
+    At most `limit` requests wait; others are refused, as `busy`.
     """
 
     def __init__(self, node: Node, threads: int, limit: int) -> None:
@@ -146,7 +122,7 @@ class ThreadPool:
             raise RefusalError(status_code("busy"), f"busy: {self._limit} requests wait already: ask again later")
         self._waiting += 1
         try:
-            future = self._pool.submit(_in_time, work, time.monotonic() + PATIENCE_S)
+            future = self._pool.submit(work)
             future.add_done_callback(self._wake)
             while not future.done():  # noqa: ASYNC110  the executor goes on below when it is woken
                 await asyncio.sleep(0)
@@ -161,12 +137,3 @@ class ThreadPool:
     def _wake(self, _: Future[Any]) -> None:
         if self._node.executor is not None:
             self._node.executor.wake()
-
-
-def _in_time(work: Callable[[], _T], end_s: float) -> _T:
-    """Do work that has waited until a time at most [s], or refuse it."""
-    if time.monotonic() > end_s:
-        raise RefusalError(
-            status_code("busy"), f"busy: waited for {PATIENCE_S:g} s behind other requests: ask again later"
-        )
-    return work()

@@ -61,14 +61,6 @@ class TouchPredictorConfig(ProcessingConfig, ReachConfig, TactileInput):
     )
     max_grasps: int = setting(1000, "Maximum number of grasps in a request", bounds=(1, 10_000))
     sample_cost: str = setting(PRESSURE, "Cost of sampled grasps for goals that name none", choices=COSTS)
-    planner_action_type: str = setting(
-        "moveit_task_constructor_msgs/SampleGraspPoses",
-        "Type of the action sample_grasp_poses, which is offered where the package of the type is installed",
-        read_only=True,
-    )
-    planner_action_count: int = setting(
-        20, "Maximum number of grasps in an answer of sample_grasp_poses", bounds=(1, 10_000)
-    )
     pairing: PairingConfig = field(default_factory=PairingConfig)
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()

@@ -16,7 +16,6 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
-from foretouch.errors import ConfigError
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.ros.messages import requests
@@ -28,6 +27,9 @@ from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction
 
 PLANNER_ACTION = "sample_grasp_poses"
 """Name of the action; one name cannot have two types."""
+
+PLANNER_TYPE = ("moveit_task_constructor_msgs", "SampleGraspPoses")
+_PLANNER_COUNT = 20  # grasps in its answer, at most
 
 Predicted: TypeAlias = tuple[TouchPrediction, Float64]
 """The prediction of a grasp, and (3, F) how hard each finger presses (`TaxelView.pressures`): values and bounds, NaN for none."""
@@ -154,25 +156,20 @@ def cost_of(rule: str, grasp: Grasp, pressed: Float64) -> float:
     return cost if math.isfinite(cost) else math.inf
 
 
-def planner_action_class(type_name: str) -> Any:
-    """The class of an action such as `moveit_task_constructor_msgs/SampleGraspPoses`; None if it cannot be loaded.
-
-    A `ConfigError` if the name is not of the form package/Type, or the type has no fields of this action.
-    """
-    package, _, name = type_name.partition("/")
-    if not package.isidentifier() or not name.isidentifier():
-        raise ConfigError(f"planner_action_type: {type_name!r} is not package/Type")
+def planner_action_class() -> Any:
+    """The class of the action of MoveIt Task Constructor; None where its package is not installed."""
+    package, name = PLANNER_TYPE
     try:
         kind = getattr(importlib.import_module(f"{package}.action"), name)
-    except (ImportError, AttributeError):
-        return None
-    try:
         check_for_type_support(kind)
-    except Exception:  # noqa: BLE001  of rosidl: a package whose libraries are not found must not end the node
+    except Exception:  # noqa: BLE001  also of rosidl: a package whose libraries are not found must not end the node
         return None
-    if not (hasattr(kind.Feedback(), "grasp_candidates") and hasattr(kind.Feedback(), "costs")):
-        raise ConfigError(f"planner_action_type: {type_name} has no grasp_candidates and costs in its feedback")
     return kind
+
+
+def planner_goal(request: Any, max_grasps: int) -> Any:
+    """The `SampleGrasps.Goal` of a goal of the planner."""
+    return SampleGrasps.Goal(action_name=request.action_name, count=min(_PLANNER_COUNT, max_grasps))
 
 
 def planner_feedback(kind: Any, sampled: Any) -> Any:
@@ -186,6 +183,4 @@ def planner_feedback(kind: Any, sampled: Any) -> Any:
 
 def planner_result(kind: Any, refusal: RefusalError | None = None) -> Any:
     """The result of a goal that succeeded or was refused."""
-    return kind.Result(
-        grasp_state="success" if refusal is None else f"{requests.status_name(refusal.status)}: {refusal}"
-    )
+    return kind.Result(grasp_state="success" if refusal is None else refused_goal(refusal).grasp_state)

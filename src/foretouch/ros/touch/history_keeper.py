@@ -83,12 +83,8 @@ class HistoryKeeper:
         except FileError as err:
             self._warn(f"history: {err}; renamed to {file.set_aside().name}")
             history = file.read(model)  # one that was set aside before
-        if history is None:
-            info(f"history: {file.path}: does not exist yet, the hand starts anew")
-        else:
-            read = history.tracker.evidence(self._now_ns())
-            age = "none" if read.reading_age_s is None else f"{read.reading_age_s / 3600.0:.1f} h ago"
-            info(f"history: {file.path}: {read.readings} readings, the last one {age}")
+        known = f"{history.tracker.evidence(self._now_ns()).readings} readings" if history else "does not exist yet"
+        info(f"history: {file.path}: {known}")
         return history
 
     def _run(self, file: HistoryFile) -> None:

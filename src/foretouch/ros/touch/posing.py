@@ -9,7 +9,7 @@ import numpy as np
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
-from foretouch.grasp.messages import decode_grasp, decode_grasps, has_orientation, require_rotation, surely_sound
+from foretouch.grasp.messages import decode_grasp, has_orientation, require_rotation, surely_sound
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.requests import GraspArrays, RefusalError
@@ -26,12 +26,12 @@ def posed_grasps(
     posing: GeoGraspConfig | None,
 ) -> list[Grasp | Refusal]:
     """The grasps of a request, posed as by `Pipeline.grasp_between` where they have no orientation, or why there is none."""
-    known, decide = _of_arrays(grasps) if isinstance(grasps, GraspArrays) else _of_messages(grasps)
+    read = _reader_of_arrays(grasps) if isinstance(grasps, GraspArrays) else lambda k: _read(grasps[k])
     axis: Float64 | None = None
     found: list[Grasp | Refusal] = []
-    for k, (sound, oriented) in enumerate(known):
+    for k in range(len(grasps)):
         try:
-            grasp = decide(k) if sound is None else sound
+            grasp, oriented = read(k)
             if not oriented:
                 if posing is None:
                     raise GraspError("pose: no orientation, and no table to compute it with")
@@ -44,29 +44,26 @@ def posed_grasps(
     return found
 
 
-_Known = list[tuple[Grasp | None, bool]]  # grasps, None where only `decide` can, and whether they have an orientation
+def _read(message: GraspMsg) -> tuple[Grasp, bool]:
+    """A grasp, and whether it has an orientation."""
+    oriented = has_orientation(message)
+    return decode_grasp(message, None if oriented else np.eye(3)), oriented
 
 
-def _of_messages(messages: Sequence[GraspMsg]) -> tuple[_Known, Callable[[int], Grasp]]:
-    decoded = zip(decode_grasps(messages), messages, strict=True)
-    known = [(grasp, grasp is not None or has_orientation(message)) for grasp, message in decoded]
-    return known, lambda k: decode_grasp(messages[k], None if known[k][1] else np.eye(3))
-
-
-def _of_arrays(grasps: GraspArrays) -> tuple[_Known, Callable[[int], Grasp]]:
+def _reader_of_arrays(grasps: GraspArrays) -> Callable[[int], tuple[Grasp, bool]]:
+    """As `_read`, by number; most grasps are found to be sound all at once."""
     oriented = grasps.rotations is not None
     turned = np.broadcast_to(np.eye(3), (len(grasps), 3, 3)) if grasps.rotations is None else grasps.rotations
-    rest = [(math.nan, f"{grasps.id}/{k}" if grasps.id else "", grasps.object_id) for k in range(len(grasps))]
     sound = surely_sound(grasps.contacts, turned).tolist()
-    rows = zip(sound, grasps.contacts, turned, rest, strict=True)
-    known = [(Grasp.checked(g1, g2, one, *more) if fine else None, oriented) for fine, (g1, g2), one, more in rows]
 
-    def decide(k: int) -> Grasp:
+    def read(k: int) -> tuple[Grasp, bool]:
+        (g1, g2), rest = grasps.contacts[k], (math.nan, f"{grasps.id}/{k}" if grasps.id else "", grasps.object_id)
+        if sound[k]:
+            return Grasp.checked(g1, g2, turned[k], *rest), oriented
         require_rotation(turned[k])
-        g1, g2 = grasps.contacts[k]
-        return Grasp(g1, g2, turned[k], *rest[k])
+        return Grasp(g1, g2, turned[k], *rest), oriented
 
-    return known, decide
+    return read
 
 
 def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:

@@ -83,7 +83,7 @@ class Predictor:
     def _around(
         self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
     ) -> dict[int, float]:
-        """By number of grasps, the time of their messages: what `array` takes beyond the prediction, as processor time [s]."""
+        """By number of grasps, the time of their messages: what `answer` takes beyond the prediction, as processor time [s]."""
         from foretouch.models.budget import PAUSE_S
 
         cloud, grasps = scene
@@ -96,7 +96,7 @@ class Predictor:
                 model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
                 time.sleep(PAUSE_S)
                 middle = time.thread_time()
-                _ = self.array([target], messages[:count], Header(), config, model=model).message
+                _ = self.answer([target], messages[:count], Header(), config, model=model).message
                 beyond.append(time.thread_time() - middle - (middle - start))
             around[count] = max(0.0, statistics.median(beyond))
         return around
@@ -116,10 +116,10 @@ class Predictor:
             return message.reply
         return made
 
-    def array(
+    def answer(
         self,
         targets: Sequence[FoundObject],
-        grasps: Sequence[GraspMsg],
+        grasps: Sequence[GraspMsg] | GraspArrays,
         header: Header,
         config: TouchPredictorConfig,
         posing: GeoGraspConfig | None = None,
@@ -129,13 +129,28 @@ class Predictor:
 
         Args:
             targets: The objects; features are computed once for each that has grasps.
-            grasps: Each on the object that it names, or on the only one.
+            grasps: Messages, each on the object that it names, or on the only one; or arrays, which are all on one.
             header: Header of the cloud.
             config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
             model: The model in a reduced form; by default the model itself.
+
+        Raises:
+            RefusalError: If none of the targets is the object of arrays.
         """
         model = model or self.model
+        sensor = None if model is None else model.sensor
+        if isinstance(grasps, GraspArrays):
+            try:
+                target = targets[_target_of(grasps.object_id, targets)]
+            except GraspError as err:
+                raise RefusalError(Status.BAD_GRASP, str(err)) from err
+            posed = posed_grasps(grasps, target, config, posing)
+            rotations = None
+            if grasps.rotations is None:
+                rotations = np.array([np.zeros((3, 3)) if isinstance(one, Refusal) else one.rotation for one in posed])
+            found = self._on_target(model, target.cloud, posed, config)
+            return TouchAnswer(header, posed, found, sensor=sensor, arrays=True, rotations=rotations)
         outcomes: list[Prediction | Refusal] = [Refusal(Status.BAD_GRASP, "")] * len(grasps)
         by_target: dict[int, list[int]] = {}
         for i, grasp in enumerate(grasps):
@@ -150,30 +165,7 @@ class Predictor:
                 outcomes[i] = outcome
         if posing is not None:
             grasps = [_as_predicted(*pair) for pair in zip(grasps, outcomes, strict=True)]
-        return TouchAnswer(header, grasps, outcomes, sensor=model.sensor if model is not None else None)
-
-    def batch(
-        self,
-        targets: Sequence[FoundObject],
-        grasps: GraspArrays,
-        header: Header,
-        config: TouchPredictorConfig,
-        posing: GeoGraspConfig | None = None,
-        model: TouchModel | None = None,
-    ) -> TouchAnswer:
-        """As `array`, for the grasps of a request that holds arrays; a `RefusalError` if none of the targets is its object."""
-        model = model or self.model
-        try:
-            target = targets[_target_of(grasps.object_id, targets)]
-        except GraspError as err:
-            raise RefusalError(Status.BAD_GRASP, str(err)) from err
-        posed = posed_grasps(grasps, target, config, posing)
-        outcomes = self._on_target(model, target.cloud, posed, config)
-        none, rotations = np.zeros((3, 3)), None
-        if grasps.rotations is None:
-            rotations = np.array([none if isinstance(one, Refusal) else one.rotation for one in posed])
-        sensor = model.sensor if model is not None else None
-        return TouchAnswer(header, posed, outcomes, sensor=sensor, arrays=True, rotations=rotations)
+        return TouchAnswer(header, grasps, outcomes, sensor=sensor)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
         """Add the model, the age of its input [s] and the resulting flags to each prediction.
