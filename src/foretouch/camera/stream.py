@@ -43,7 +43,7 @@ class FrameStream:
         except BaseException:
             self.close()
             raise
-        self._queue.capacity = (
+        queue.capacity = (
             1  # of a live camera only the newest is kept: a late reader skips frames, as their numbers show
         )
 

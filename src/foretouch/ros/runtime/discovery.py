@@ -11,13 +11,8 @@ from typing import Any
 
 from rclpy.node import Node
 
-_GRAPH = (
-    "segmentation",
-    "grasp",
-    "touch_predictor",
-    "replay",
-    "monitor",
-)  # nodes that answer clouds, or show the answers
+# Nodes that answer clouds, or show the answers.
+_GRAPH = ("segmentation", "grasp", "touch_predictor", "replay", "monitor")
 
 
 def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
