@@ -282,11 +282,12 @@ class ContactPredictor:
         """The model fitted to all training samples."""
         return self.fit(np.arange(len(self._train)))
 
-    def fit(self, chosen: Indices) -> ContactEstimator:
-        """A model fitted to some of the training samples, at the rest level of all of them."""
+    def fit(self, chosen: Indices, config: ContactTrainingConfig | None = None) -> ContactEstimator:
+        """A model fitted to some of the training samples, at the rest level of all of them; by other settings, if given."""
+        config = config or self._config
         objects = [self._train[k].object for k in chosen]
-        thinned = None if self._thinned is None else self._thinned[chosen]
-        return fit_contact(self.rows[chosen], self._resting[chosen], objects, self._config, thinned, self._ranges)
+        thinned = None if self._thinned is None or config.thinned == 1.0 else self._thinned[chosen]
+        return fit_contact(self.rows[chosen], self._resting[chosen], objects, config, thinned, self._ranges)
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
         """(S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""
