@@ -8,25 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from every_case import every_case
 
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.models.network.config import ModelConfig
 from foretouch_lab.experiments import find_experiment, run_sweep
-from foretouch_lab.experiments.framework.manifest import RESULTS_FILE, read_results
+from foretouch_lab.experiments.framework.manifest import RESULTS_FILE
 from foretouch_lab.experiments.label_ratio import LabelRatioSettings
 from foretouch_lab.experiments.label_ratio.training import (
     MODELS,
-    READINGS,
     PointnetTrainer,
     PresampledSet,
     configured,
     load_scene,
 )
 from foretouch_lab.experiments.shared.simulated_data import simulate_store
-from foretouch_lab.experiments.shared.tables import select
 from foretouch_lab.learning.data import Dataset
-from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch_lab.simulation.scene import load_scene as read_scene
@@ -55,17 +51,6 @@ def data(store: Path) -> Dataset:
 
 def settings_of(preset: str = "smoke", **changes: Any) -> LabelRatioSettings:
     return find_experiment("label_ratio").resolve(preset, changes)
-
-
-def test_no_test_sample_is_trained_on(data: Dataset) -> None:
-    def check(ratio: int) -> None:
-        split = data.partition(f"labels/T{ratio}")
-        test = set(split.test.tolist())
-        assert len(test) == 16
-        assert test.isdisjoint([*split.train, *split.unlabelled])
-        assert len(split.unlabelled) == round(64 * ratio / 100)
-
-    every_case(RATIOS, check)
 
 
 def test_both_models_take_as_many_updates_in_every_cell(data: Dataset) -> None:
@@ -158,29 +143,6 @@ def test_a_run_may_be_extended_by_ratios_modalities_and_trials(store: Path, tmp_
     again = run_sweep(experiment, both, cut, source=store, resume=True)
     assert (again.reused, again.cells) == (6, 10)
     assert (out / RESULTS_FILE).read_bytes() == (cut / RESULTS_FILE).read_bytes()
-
-
-def test_the_preset_holds_what_tuning_chose() -> None:
-    rows = read_results(ROOT / "docs" / "results" / "label_ratio_tuning" / RESULTS_FILE)
-    chosen = {(row["model"], row["kind"], row["ratio"]): row["trial"] for row in rows if row["chosen"]}
-    settings = settings_of("quick")
-    for (model, kind, ratio), trial in chosen.items():
-        assert settings.chosen(model, ratio, {"pressure": "PDC_TH", "electrodes": "E_MF"}[kind]) == trial
-    for preset in ("quick", "paper"):
-        model = settings_of(preset).model
-        assert (model.feature_size, model.tnet, model.head_size, model.channels) == (1024, True, 1039, "xyz+normals")
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_each_reading_of_the_losses_is_compared_with_the_same_pointnet(store: Path, tmp_path: Path) -> None:
-    experiment = find_experiment("label_ratio")
-    settings = settings_of(**{**TINY, "updates": 2, "ratios": [50, 90], "seeds": [0], "readings": list(READINGS)})
-    result = run_sweep(experiment, settings, tmp_path / "out", source=store)
-    own = len({settings.chosen("srgan", 50, "PDC_TH"), *READINGS})  # a reading that was chosen is trained once
-    assert (result.failures, result.cells) == ({}, 2 * (1 + 1 + own))
-    assert [row["srgan"] for row in select(result.rows, ratio=50)] == ["chosen", *READINGS]
-    assert [row["srgan_trial"] for row in select(result.rows, ratio=50)][1:] == list(READINGS)
-    assert len({row["pointnet_rmse"] for row in select(result.rows, ratio=50)}) == 1
 
 
 POINTS = 16

@@ -178,10 +178,9 @@ class PointnetTrainer(SrganTrainer):
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self._set_mode()
-        for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
+        for batch in shuffled_batches(self._labelled, self.config.batch_size, self.rng):
             error = self.net(self._clouds(batch), self._grasps(batch)) - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
-            self.require_finite({"labeled": loss}, number, batch, error)
             self.optimisers["net"].step(loss)
             yield {"labeled": float(loss.detach())}
 
@@ -197,9 +196,7 @@ def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganC
     """
     kind = PointnetTrainer if model == POINTNET else SrganTrainer
     trainer = kind(data, split.train, split.unlabelled, config)
-    while trainer.epoch < trainer.epochs:
-        trainer.run_epoch()
-    return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
+    return predict_set(trainer.train(), data, split.test), trainer.epochs * trainer.batch_count
 
 
 def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:

@@ -19,7 +19,6 @@ from foretouch.tactile.description import named_taxels, with_sensor
 from foretouch.types import Float64
 from foretouch_lab.learning.data import Dataset, make_folds
 from foretouch_lab.learning.data.folds import SPLITS, Fold
-from foretouch_lab.learning.data.training_set import duplicate_labels
 from foretouch_lab.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
 from foretouch_lab.learning.evaluation.metrics import mean_skill
 from foretouch_lab.learning.training.calibration import GUESSED, calibration_folds, guarantee
@@ -166,11 +165,10 @@ def _missing_grasps(learner: Learner) -> str:
 def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
     """`summary`, `data`, `split`, `limits` and `version` of the card."""
     config, count = learner.config, len(learner.samples)
-    duplicates = [list(pair) for pair in duplicate_labels(learner.samples)]
     facts = {
         "summary": f"{', '.join(learner.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
-            "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
+            "name": data.name, "sha256": data.sha256, "samples": len(data.samples),
             "sample_hashes": "".join(sorted(data.hashes(learner.split.train))),
             **{key: value for key, value in data.origin.items() if key != "limits"},
             "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",

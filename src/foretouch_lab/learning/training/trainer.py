@@ -7,7 +7,7 @@ its results agree with each other and with a CPU's only up to rounding.
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -184,13 +184,26 @@ class Trainer(ABC):
         Gives the mean of each loss over the batches.
 
         Raises:
-            DatasetError: If a loss or a weight becomes infinite or NaN; names epoch, batch and sample.
+            DatasetError: If a loss or a weight becomes infinite or NaN; names it and the epoch.
         """
         with self._own_randomness():
             batches = list(self._epoch())
-        self._require_finite_weights()
+        means = {name: float(np.mean([batch[name] for batch in batches])) for name in batches[0]}
+        weights = {
+            f"{name}.{key}": v for name, module in self.modules.items() for key, v in module.state_dict().items()
+        }
+        bad = [name for name, mean in means.items() if not np.isfinite(mean)]
+        bad += [name for name, value in weights.items() if not bool(torch.isfinite(value).all())]
+        if bad:
+            raise DatasetError(f"training: {bad[0]}: is not finite in epoch {self.epoch}; lower learning_rate")
         self.epoch += 1
-        return {name: float(np.mean([batch[name] for batch in batches])) for name in batches[0]}
+        return means
+
+    def train(self, done: Callable[[dict[str, float]], None] = lambda _: None) -> TouchNet:
+        """Run the epochs that are left; `done` is called with the losses of each. Returns the network for prediction."""
+        while self.epoch < self.epochs:
+            done(self.run_epoch())
+        return self.net.cpu().eval()
 
     def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Copies of all tensors by name and the rest as plain data: all that `restore` requires."""
@@ -208,37 +221,18 @@ class Trainer(ABC):
         """Continue from a snapshot, bit for bit.
 
         Raises:
-            ModelError: If it is of another architecture or damaged; names the first tensor that does not fit.
+            ModelError: If it is of another architecture or damaged.
         """
         try:
             for name, module in self.modules.items():
-                own = under(f"{name}/", tensors)
-                _require_shapes(name, module.state_dict(), own)
-                module.load_state_dict(own)
+                module.load_state_dict(under(f"{name}/", tensors))
             for name, optimiser in self.optimisers.items():
                 optimiser.restore(under(f"{name}-steps/", tensors), plain["steppers"][name])
             self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
             self.rng.bit_generator.state = plain["rng"]
             self.epoch = int(plain["epoch"])
         except (RuntimeError, KeyError, TypeError, ValueError) as err:
-            raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())}") from err
-
-    def require_finite(self, losses: Mapping[str, Tensor], number: int, batch: Indices, *rows: Tensor) -> None:
-        """Raise `DatasetError` before a step that would ruin the weights.
-
-        It names the loss, the epoch, the number of the batch, and of its (B,) samples the first for which one of some
-        (B, ...) values is not finite, or else the most extreme.
-        """
-        bad = [name for name, loss in losses.items() if not bool(torch.isfinite(loss.detach()))]
-        if not bad:
-            return
-        size = torch.stack([row.detach().abs().flatten(1).amax(dim=1) for row in rows]).amax(dim=0)
-        # argmax treats NaN as the largest value.
-        sample = self.data.ids[int(batch[int(size.argmax())])]
-        raise DatasetError(
-            f"training: {bad[0]}: the loss is not finite in epoch {self.epoch}, batch {number}, sample {sample}; "
-            "lower learning_rate"
-        )
+            raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())[:200]}") from err
 
     @abstractmethod
     def _count_batches(self) -> int: ...
@@ -265,15 +259,6 @@ class Trainer(ABC):
             if cuda is not None:
                 self._randomness[_CUDA_RNG] = torch.cuda.get_rng_state(cuda)
 
-    def _require_finite_weights(self) -> None:
-        for name, module in self.modules.items():
-            for key, value in module.state_dict().items():
-                if not bool(torch.isfinite(value).all()):
-                    raise DatasetError(
-                        f"training: {name}.{key}: holds a value that is not finite after the last batch of epoch "
-                        f"{self.epoch}; lower learning_rate"
-                    )
-
     def _points(self, batch: Indices) -> Tensor:
         """Points of a batch of clouds, not yet on the device."""
         return torch.from_numpy(self.data.points(batch, self.rng, self._drawn_points))
@@ -298,16 +283,6 @@ def shuffled_batches(
         batch = shuffled[start : start + size]
         if len(batch) == size or (partial and len(batch) > 1):
             yield batch
-
-
-def _require_shapes(name: str, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
-    """Check names and shapes of a module's tensors, and name the first mismatch; torch would list all of them."""
-    for key, value in wanted.items():
-        if key not in found:
-            raise ModelError(f"{name}/{key}: is missing, so it is of another architecture")
-        if found[key].shape != value.shape:
-            shapes = f"{tuple(found[key].shape)} is not {tuple(value.shape)}"
-            raise ModelError(f"{name}/{key}: {shapes}, so it is of another architecture")
 
 
 def _prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

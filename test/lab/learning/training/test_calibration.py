@@ -12,7 +12,6 @@ from foretouch_lab.learning.training.calibration import (
     COVERAGE,
     HeldOutPredictions,
     conformal_level,
-    coverage_by_object,
     fit_group,
     make_calibration,
 )
@@ -148,45 +147,6 @@ def test_the_covariance_is_positive_and_touches_never_blow_up(objects: int, each
     assert np.linalg.eigvalsh(regime.between)[0] > 0.0
     assert (np.diag(regime.between) >= 0.05 * regime.within - 1e-9).all()
     Calibration.from_tensors(Calibration(BIOTAC, np.zeros(SIZE), {"known": regime, "new": regime}).to_tensors(), BIOTAC)
-
-
-def test_sessions_of_one_sample_tell_nothing_of_what_lasts_and_objects_count() -> None:
-    rng = np.random.default_rng(7)
-    labels = 20.0 * rng.normal(size=(30, SIZE))
-    names = np.array([f"{k:02}" for k in range(30)])
-    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names, BIOTAC))
-    assert_allclose(regime.within, regime.spread)
-    assert_allclose(np.diag(regime.between), 0.05 * regime.within, rtol=1e-9)  # the least that is allowed
-    assert_allclose(regime.difference_shrinkage, 1.0)
-    # Offsets of each stretch of a recording last for the stretch; the cut is that of ten objects.
-    rng = np.random.default_rng(8)
-    objects = np.repeat([f"o{k}" for k in range(10)], 50)
-    stretches = np.array([f"{name}/{k // 10 % 5}" for k, name in enumerate(objects)])
-    offset = {name: 30.0 * rng.normal(size=SIZE) for name in np.unique(stretches)}
-    labels = np.array([offset[name] for name in stretches]) + 10.0 * rng.normal(size=(500, SIZE))
-    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, objects, stretches, BIOTAC))
-    assert_allclose(regime.within, 100.0, rtol=0.35)
-    assert np.diag(regime.between).mean() == pytest.approx(900.0, rel=0.1)
-
-
-def test_coverage_is_told_by_intervals_of_the_other_objects_and_one_alone_has_none() -> None:
-    rng = np.random.default_rng(9)
-    held = population(rng, lasting(rng), 6, 10)
-    found = coverage_by_object(held)
-    assert list(found) == list(MODALITIES)
-    for k in range(6):
-        mine = held.objects == f"object{k}"
-        half = fit_group(held.take(~mine)).half_width
-        inside = np.abs(held.labels[mine] - held.predicted[mine]) <= half
-        for modality in MODALITIES:
-            assert found[modality][f"object{k}"] == pytest.approx(
-                inside[:, BIOTAC.columns([modality])].mean(), abs=5e-4
-            )
-    for shares in found.values():
-        assert shares["mean"] == pytest.approx(np.mean([shares[f"object{k}"] for k in range(6)]), abs=1e-3)
-    one = population(rng, lasting(rng), 1, 20)
-    assert coverage_by_object(one) == {}
-    assert np.isfinite(after_touches(fit_group(one), one, 3)).all()
 
 
 def test_the_card_s_facts_name_what_the_promise_rests_on_whatever_the_order_of_samples() -> None:

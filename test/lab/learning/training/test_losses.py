@@ -2,7 +2,6 @@
 """Losses against numbers worked by hand, finite differences, and the hazards they were seen to have."""
 
 import math
-from itertools import product
 
 import pytest
 import torch
@@ -101,16 +100,3 @@ def test_gradients_agree_with_finite_differences() -> None:
         assert torch.autograd.gradcheck(total, (labels, *features))
 
     every_case(("as_printed", "contrast", "batch_means", "srgan"), check)
-
-
-def test_the_contrast_stays_bounded_for_huge_features() -> None:
-    def check(variant: str, size: float) -> None:
-        config = SrganLossConfig(loss_variant=variant, weight_unlabeled=0.0)
-        fake = torch.full((5, 4), size, requires_grad=True)
-        total = discriminator_loss(ZERO, (torch.zeros(5, 4), torch.zeros(5, 4), fake), config)["total"]
-        total.backward()
-        assert torch.isfinite(fake.grad).all()
-        assert float(fake.grad.abs().sum()) <= 0.1 + 1e-6  # w_F times a slope of at most one, shared out
-        assert math.isfinite(float(total.detach()))
-
-    every_case(product(("contrast", "batch_means", "srgan"), (0.0, 1.0, 1e6, 1e18, 1e30)), check)

@@ -5,18 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 from calibrated_models import REST
-from contact_model_builders import FEW_TREES
-from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
 from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
-from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch_lab.learning.training.contact import ContactPredictor
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
 
 DAY = 86400.0
@@ -63,12 +59,6 @@ def test_the_fit_finds_the_drift(rng) -> None:
     assert tared["tare"] < 8.0
 
 
-def test_without_drift_the_state_is_small(rng) -> None:
-    found = deviations(fitted(campaign(rng, 0.0)))
-    assert found["slow"] < 10.0
-    assert 12.0 < found["object"] < 28.0
-
-
 def test_the_fit_finds_the_slopes_over_the_temperature(rng) -> None:
     """And leaves everything else as it is, so that readings without TDC are predicted as before."""
     plain = campaign(rng, 20.0)
@@ -100,16 +90,6 @@ def test_on_another_campaign_it_beats_the_memory_and_its_intervals_cover(rng) ->
     assert errors[0] < 0.9 * errors[1]
     assert abs(np.mean(np.abs(played.counts - second.readings) <= played.half) - 0.9) < 0.03
     assert sum(map(bool, played.restarted)) <= 3  # limits at the 99th of 192 touches: about one in three campaigns
-
-
-def test_a_calibration_of_samples_with_stamps_has_a_tracker() -> None:
-    samples = make_samples(4, 8)
-    calibration, _ = ContactPredictor(samples, labels_of(samples), FEW_TREES).calibration
-    assert calibration.tracker is not None
-    assert_array_equal(calibration.tracker.difference_shrinkage[NEW], calibration.groups["new"].difference_shrinkage)
-    undated = [replace(sample, stamp_ns=0) for sample in samples]
-    other, _ = ContactPredictor(undated, labels_of(undated), FEW_TREES).calibration
-    assert other.tracker is None
 
 
 def placed(rng: np.random.Generator, recording: TimedReadings) -> TimedReadings:
