@@ -63,15 +63,6 @@ def test_an_unlabelled_grasp_is_predicted_and_not_remembered(rng) -> None:
     assert [level.evidence.readings for level in played.levels] == [0, 1, 1, 2, 3, 4]
 
 
-def test_without_the_sensors_each_object_begins_as_the_first(rng) -> None:
-    made = recording(rng)
-    played = replay(tracker(), made, keep_sensors=False)
-    for run in range(3):
-        alone = replay(tracker(), made.take(made.runs() == run))
-        assert_array_equal(played.counts[made.runs() == run], alone.counts)
-        assert_array_equal(played.half[made.runs() == run], alone.half)
-
-
 def test_recordings_without_stamps_or_with_one_object_are_refused(rng) -> None:
     with pytest.raises(DatasetError, match="has no stamp"):
         TimedReadings(np.array([0, 5]), np.array(["a", "b"]), *np.zeros((2, 2, 50))).ordered()

@@ -78,10 +78,11 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]
         if not runs:
             continue
         first, trees = runs[0][0], found.get((ratio, name, TREES, 0))
-        if any(
-            _samples(one, "reference") != _samples(first, "reference")
+        tested = [
+            {name: own["reference"] for name, own in one["objects"].items()}
             for one in [*chain.from_iterable(runs), trees or first]
-        ):
+        ]
+        if any(one != tested[0] for one in tested):
             raise DatasetError("label_ratio: the compared models were not tested on the same samples")
         sizes = [len(first["objects"][name]["squared"]) for name in sorted(first["objects"])]
         row: Row = {"modality": name, "ratio": ratio, "runs": len(runs), "samples": sum(sizes)}

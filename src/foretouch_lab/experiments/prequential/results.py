@@ -171,7 +171,7 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     rows: list[Row] = []
     for regime, (low, high) in REGIMES.items():
         chosen = (scored.touches >= low) & (scored.touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
-        names, readings, reference = (one[chosen] for one in (scored.objects, scored.readings, scored.reference))
+        names, readings, reference = scored.objects[chosen], scored.readings[chosen], scored.reference[chosen]
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
                 ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference, BIOTAC)

@@ -188,10 +188,11 @@ def fit_contact(
     Raises:
         DatasetError: If there are fewer than five samples or more than `MOST_SAMPLES`, or a tared value of the labels is constant.
     """
-    if not FEWEST_SAMPLES <= len(rows) <= MOST_SAMPLES:
-        more = f": {FEWEST_SAMPLES - len(rows)} more grasps are needed" * (len(rows) < FEWEST_SAMPLES)
-        rule = f"{len(rows)} samples are not between {FEWEST_SAMPLES} and {MOST_SAMPLES}, whose pairs its kernel holds"
-        raise DatasetError(f"contact model: {rule}{more}")
+    if (missing := FEWEST_SAMPLES - len(rows)) > 0:
+        rule = f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {missing} more grasps are needed"
+        raise DatasetError(f"contact model: {rule}")
+    if len(rows) > MOST_SAMPLES:
+        raise DatasetError(f"contact model: {len(rows)} samples exceed {MOST_SAMPLES}, whose pairs its kernel holds")
     ranges = ranges or config.ranges.ranges
     channels = ranges.channels
     mean, deviation = labels.mean(axis=0), _deviation(labels, channels)

@@ -97,22 +97,3 @@ def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path,
     assert train(config, folder, "train.epochs=1", "--compare", "random") == 0
     assert "geometry_trees" in capsys.readouterr().out
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_known_failures_are_one_line_and_no_folder_is_wrong_usage(folder: Path, config: Path, tmp_path, capsys) -> None:
-    assert train(config, tmp_path / "absent", "--compare", "random") == 1
-    assert f"{tmp_path / 'absent'}: " in capsys.readouterr().err
-    for words, message in (
-        (["train.epoch=2"], "train.epoch: unknown setting"),
-        (["model.outputs=[PDC_TH]", "release=true"], "release: model.outputs: ['PDC_TH'] are not all"),
-        (["split=random/random 0", "release=true"], "release: trains on all samples"),
-        (["method=trees"], "method: 'trees' is not one of supervised, srgan, contact"),
-    ):
-        assert train(config, folder, *words, "-o", tmp_path / "out") == 1
-        assert message in capsys.readouterr().err
-    assert train(config, folder, "--compare", "blocks") == 1
-    assert "split: 'blocks' is not one of random, time, object" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-    with pytest.raises(SystemExit) as stopped:
-        train(config, folder)
-    assert stopped.value.code == 2

@@ -13,7 +13,7 @@ import torch
 import yaml
 from every_case import every_refusal
 from run_builders import MODEL, quiet, run_config, stop_after
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.tactile import P2_RANGES
@@ -110,14 +110,6 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
             read_state(file)
     file.write_bytes(content[:-40])
     with pytest.raises(FileError, match="is not a state of training"):
-        read_state(file)
-    file.unlink()
-    os.mkfifo(file)
-    with pytest.raises(FileError, match="is a FIFO"):
-        read_state(file)
-    file.unlink()
-    save_file({"a": torch.ones(1)}, file, {"foretouch-training": "[" * 100_000 + "]" * 100_000})
-    with pytest.raises(FileError, match="is not a state of training: more than 64 nested levels"):
         read_state(file)
 
 

@@ -7,18 +7,11 @@ import torch
 from numpy.testing import assert_allclose
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
-from foretouch.errors import DatasetError
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.preparation import LengthRangeCheck, prepare_grasps
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import BIOTAC
 from foretouch.types import Grasp
-from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
-from foretouch_lab.learning.evaluation.baselines import object_mean, training_mean
-from foretouch_lab.learning.evaluation.evaluate import cross_validate
-from foretouch_lab.learning.training.run import make_learner
-from foretouch_lab.learning.training.run_config import RunConfig
 from foretouch_lab.learning.training.supervised import (
     SupervisedTrainer,
     TrainConfig,
@@ -76,23 +69,6 @@ def test_the_last_smaller_batch_is_used_if_asked_for(samples, small) -> None:
         assert [len(batch) for batch, *_ in trainer.batches()] == sizes
         assert trainer.batch_count == len(sizes)
         assert np.isfinite(trainer.run_epoch()["loss"])
-
-
-def test_cross_validation_scores_network_and_baselines_on_the_same_folds(samples, small) -> None:
-    train = QUICK.replace(epochs=40).to_mapping()
-    config = RunConfig.from_mapping({"model": small.to_mapping(), "train": train, "calibrate": True})
-    learner = make_learner(config, Dataset("boxes", tuple(samples), "sha", {}))
-    quick = {"training_mean": training_mean, "object_mean": object_mean}
-    folds = make_folds(samples, "random", 0)
-    scores, predicted = cross_validate(
-        samples, labels_of(samples), learner.predict_fold, folds, learner.config.ranges(BIOTAC), baselines=quick
-    )
-    assert set(scores) == {"model", "training_mean", "object_mean"}
-    assert_allclose([one.skill for one in scores["training_mean"].values()], 0.0, atol=1e-12)
-    assert scores["model"]["E_TH"].skill > 0.2
-    assert_allclose(predicted[folds[2].test], learner.predict_fold(folds[2]))
-    with pytest.raises(DatasetError, match="'blocks' is not one of random, time, object"):
-        make_folds(samples, "blocks", 0)
 
 
 def test_turning_commutes_with_preparation(samples, small, rng) -> None:
