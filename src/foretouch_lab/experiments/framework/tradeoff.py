@@ -3,9 +3,8 @@
 
 An area is a list of variants, a function that measures a skill of all of them, and one that makes a variant ready to be
 timed. Each skill is a cell, in its own process; then all variants are timed in one process and in one random order. The
-table, `tradeoff.csv`, has a row for each variant and size of request, with the state of the machine, idle or loaded; a
-variant that cannot run here has one row with the reason. To add an area, add a module `tradeoff_<area>` to
-`foretouch_lab.experiments` that holds an `EXPERIMENT`.
+table, `tradeoff.csv`, has a row for each variant and size of request, with the state of the machine, idle or loaded. To
+add an area, add a module `tradeoff_<area>` to `foretouch_lab.experiments` that holds an `EXPERIMENT`.
 
 On the frontier of skill and time are the variants that no other beats in both. Those that do not differ significantly
 from the most skilful one count as equal to it: of these, the fastest is on it.
@@ -13,13 +12,14 @@ from the most skilful one count as equal to it: of these, the fastest is on it.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, ForetouchError, none_of
+from foretouch.errors import ConfigError, none_of
 from foretouch.models.timing import MachineLoad, cpu_name, time_calls
 from foretouch.report.panels import Axes, new_figure, save_small
 from foretouch_lab.experiments.framework.experiment import (
@@ -76,7 +76,6 @@ class Area(Experiment):
     Attributes:
         variants: All variants; of those without a skill only the time is measured.
         timed: (variant, settings, data) to a call that is timed, and the factor of its time; called once for each.
-            Raises a `ForetouchError` if the variant cannot run here, such as for a library that is not installed.
         panels: Diagrams of the picture.
     """
 
@@ -106,12 +105,9 @@ class Area(Experiment):
         ]
 
     def facts(self, rows: Sequence[Row], /) -> dict[str, Any]:
-        """Variants that could not run, with the reasons, and those on the frontier of each panel."""
-        return {
-            "area": self.area,
-            "skipped": {row["variant"]: row["skipped"] for row in rows if row["skipped"]},
-            "frontier": {one.title: [row["variant"] for row in frontier(rows, one)] for one in self.panels},
-        }
+        """Variants on the frontier of each panel."""
+        lines = {one.title: [row["variant"] for row in frontier(rows, one)] for one in self.panels}
+        return {"area": self.area, "frontier": lines}
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
         """What the area summarises, frontiers with a `*` at the shipped variant, and the machine."""
@@ -200,30 +196,21 @@ def _time_variants(
     """Make each variant ready, then time all together: a row for each variant and size."""
     from threadpoolctl import threadpool_limits
 
-    ready: dict[str, Timed] = {}
-    skipped: dict[str, str] = {}
+    sizes = sorted(settings.requests)
     with threadpool_limits(1):
-        for variant in area.variants:
-            try:
-                ready[variant.name] = area.timed(variant, settings, data)
-            except ForetouchError as err:
-                skipped[variant.name] = str(err)
+        ready = {one.name: area.timed(one, settings, data) for one in area.variants}
         load = MachineLoad()
         calls = {name: call for name, (call, _) in ready.items()}
-        times = time_calls(calls, sorted(settings.requests), settings.timing_s, progress, settings.pause_s)
+        times = time_calls(calls, sizes, settings.timing_s, progress, settings.pause_s)
     state = load.row()
     machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
     rows: list[tuple[Variant, Row]] = []
-    for variant in area.variants:
-        facts = {**machine, "skipped": skipped.get(variant.name)}
-        if variant.name in skipped:
-            rows.append((variant, {**dict.fromkeys(("request", "calls", *_TIMES)), **facts}))
-        for request in sorted(settings.requests):
-            if (own := times.get((variant.name, request))) is not None:
-                values = [*np.percentile(own[:, 0], (50, 95, 99)), np.median(own[:, 1])]
-                measured = 1e3 * ready[variant.name][1] * np.array(values)
-                row = {"request": request, "calls": len(own), **dict(zip(_TIMES, measured.tolist(), strict=True))}
-                rows.append((variant, {**row, **facts}))
+    for variant, request in product(area.variants, sizes):
+        if (own := times.get((variant.name, request))) is not None:
+            measured = [*np.percentile(own[:, 0], (50, 95, 99)), np.median(own[:, 1])]
+            values = (1e3 * ready[variant.name][1] * np.array(measured)).tolist()
+            row = {"request": request, "calls": len(own), **dict(zip(_TIMES, values, strict=True))}
+            rows.append((variant, {**row, **machine}))
     return rows
 
 
@@ -267,12 +254,11 @@ def interval(row: Row, name: str) -> str:
 
 
 def _machine(rows: Sequence[Row]) -> Table:
-    """Which settings could not run, and on what machine the others were timed."""
-    first, wall = rows[0], time_column([row for row in rows if not row["skipped"]]) == "ms_p50"
+    """On what machine the variants were timed."""
+    first, wall = rows[0], time_column(rows) == "ms_p50"
     machine = f"{first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores"
-    skipped = [f"Skipped: {row['variant']}: {row['skipped']}." for row in rows if row["skipped"]]
-    notes = [*skipped, f"Measured on {machine}. Frontiers are of the median {'wall' if wall else 'processor'} time."]
-    return Table("Machine", [], [], notes)
+    note = f"Measured on {machine}. Frontiers are of the median {'wall' if wall else 'processor'} time."
+    return Table("Machine", [], [], [note])
 
 
 def _draw_panel(axes: Axes, panel: Panel, rows: Sequence[Row]) -> None:

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Score touch models and baselines on the same samples.
 
-`cross_validate` trains a model and the baselines on each fold. `evaluate_model` takes a trained model and fits only the
-baselines, to the training side of each part of a split. Samples that the model was trained on, which it recognises by
+`evaluate_model` takes a trained model and fits only the baselines, to the training side of each part of a split. Samples that the model was trained on, which it recognises by
 their hashes in its card, are left out and counted.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,56 +19,14 @@ from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch_lab.learning.data.dataset import Dataset
-from foretouch_lab.learning.data.folds import Fold, HoldOut, Indices, fold_workers, predict_folds
+from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.splits import SplitPart
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
-from foretouch_lab.learning.evaluation.metrics import Score, score
+from foretouch_lab.learning.evaluation.metrics import score
 
 MODEL: Final = "model"
 """Key of the model itself, beside the names of the baselines."""
-
-
-def cross_validate(
-    samples: Sequence[GraspSample],
-    labels: Float64,
-    model: HoldOut,
-    folds: Sequence[Fold],
-    ranges: Ranges,
-    *,
-    seed: int = 0,
-    workers: int = 1,
-    baselines: Mapping[str, Baseline] = BASELINES,
-    valid: Bool | None = None,
-) -> tuple[dict[str, dict[str, Score]], Float64]:
-    """Score a model and the baselines on the same folds.
-
-    Args:
-        samples: All samples.
-        labels: (S, D) [counts].
-        model: Must be picklable where there are several workers.
-        folds: Together they test each sample once.
-        ranges: Ranges for the normalised error.
-        seed: Seed of the baselines.
-        workers: Number of processes; the scores do not depend on it.
-        baselines: By name.
-        valid: (D,) values to score, by default all.
-
-    Returns:
-        Scores of `MODEL` and of each baseline, by modality; (S, D) held-out predictions of the model [counts].
-    """
-    others = {name: partial(_baseline, samples, labels, baseline, seed) for name, baseline in baselines.items()}
-    predictors: dict[str, HoldOut] = {MODEL: model, **others}
-    with fold_workers(workers) as run:
-        predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
-    reference = predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
-    scores = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
-    return scores, predicted[MODEL]
-
-
-def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
-    train, tested = fold.sides(samples)
-    return baseline(train, labels[fold.train], tested, seed)
 
 
 def evaluate_model(
@@ -141,7 +97,7 @@ def evaluate_model(
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for name, value in values.items():
         scored = score(value, labels, reference, found.ranges, found.modalities, valid)
-        scores[name] = {key: {**asdict(one), "coverage90": None} for key, one in scored.items()}
+        scores[name] = {key: {**one, "coverage90": None} for key, one in scored.items()}
     if found.half_width is not None:
         inside = np.abs(labels - found.counts) <= found.half_width
         for key, row in scores[MODEL].items():

@@ -43,14 +43,13 @@ from foretouch.tactile import Ranges
 from foretouch.types import Bool, Float64
 from foretouch.types.channels import Channels
 
+Score = dict[str, float]
+"""Errors of one modality:
 
-@dataclass(frozen=True)
-class Score:
-    """Errors of one modality."""
-
-    rmse: float  # root of the mean squared error over all samples and electrodes [counts]
-    nrmse: float  # `rmse` over the width of the modality's range, as published in the papers
-    skill: float  # 1 - MSE / MSE of the training mean, per value, averaged over the modality's values
+    rmse   root of the mean squared error over all samples and electrodes [counts]
+    nrmse  `rmse` over the width of the modality's range, as published in the papers
+    skill  1 - MSE / MSE of the training mean, per value, averaged over the modality's values
+"""
 
 
 def score(
@@ -90,13 +89,13 @@ def score(
         low, high = ranges.of(name)
         rmse = float(np.sqrt(squared[:, column].mean()))
         skill = float(np.mean(1.0 - squared[:, scored].mean(axis=0) / baseline[scored]))
-        result[name] = Score(rmse, rmse / (high - low), skill)
+        result[name] = {"rmse": rmse, "nrmse": rmse / (high - low), "skill": skill}
     return result
 
 
-def mean_skill(scores: dict[str, Score]) -> float:
+def mean_skill(scores: Mapping[str, Mapping[str, float]]) -> float:
     """Skill averaged over the modalities: the number by which models are selected."""
-    return float(np.mean([one.skill for one in scores.values()]))
+    return float(np.mean([one["skill"] for one in scores.values()]))
 
 
 LEAST_OBJECTS: Final = 6

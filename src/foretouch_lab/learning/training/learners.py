@@ -91,10 +91,10 @@ class Learner(ABC):
         learner.fit(fold.train)
         return learner.predict(fold.test)
 
-    def calibrate(self, predicted: Mapping[str, Float64] | None = None, *, workers: int = 1) -> CardCalibration:
+    def calibrate(self, workers: int = 1) -> CardCalibration:
         """See `calibrate_on_folds`; the fitted model stays as it is."""
         how: Any = {"where": self.where, "workers": workers}
-        return calibrate_on_folds(self.samples, self.labels, self.predict_fold, self.config.seed, predicted, **how)
+        return calibrate_on_folds(self.samples, self.labels, self.predict_fold, self.config.seed, **how)
 
 
 class ContactLearner(Learner):

@@ -47,15 +47,15 @@ def test_pools_as_the_metrics_do_and_those_agree_with_scikit_learn(rng) -> None:
         for k in rng.permutation(30)
     ]
     ours, theirs = skills(ObjectErrors.of_rows(rows, BIOTAC)), score(predicted, actual, mean, P2_RANGES.ranges)
-    assert_allclose([ours[name].value for name in MODALITIES], [theirs[name].skill for name in MODALITIES])
+    assert_allclose([ours[name].value for name in MODALITIES], [theirs[name]["skill"] for name in MODALITIES])
     assert ours[MEAN].value == pytest.approx(mean_skill(theirs))
-    assert ObjectErrors.of_rows(rows, BIOTAC).rmse()["E_TH"] == pytest.approx(theirs["E_TH"].rmse)
+    assert ObjectErrors.of_rows(rows, BIOTAC).rmse()["E_TH"] == pytest.approx(theirs["E_TH"]["rmse"])
     for name in MODALITIES:
         column = BIOTAC.columns([name])
-        assert theirs[name].skill == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
+        assert theirs[name]["skill"] == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
         pooled = root_mean_squared_error(actual[:, column].ravel(), predicted[:, column].ravel())
-        assert theirs[name].rmse == pytest.approx(pooled)
-        assert theirs[name].nrmse == pytest.approx(pooled / np.ptp(P2_RANGES.ranges.of(name)))
+        assert theirs[name]["rmse"] == pytest.approx(pooled)
+        assert theirs[name]["nrmse"] == pytest.approx(pooled / np.ptp(P2_RANGES.ranges.of(name)))
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:

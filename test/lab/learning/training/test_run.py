@@ -73,7 +73,7 @@ def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(dat
     train, test = (labels[data.index(ids)] for ids in (part.train, part.test))
     mean = np.tile(train.mean(0), (len(test), 1))
     assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(
-        score(mean, test, mean, P2_RANGES.ranges)["PDC_TH"].rmse
+        score(mean, test, mean, P2_RANGES.ranges)["PDC_TH"]["rmse"]
     )
     assert card["skill"]["labels/T30"] == result["scores"]["model"]
     assert card["data"]["sha256"] == data.sha256
