@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.config import setting
 from foretouch.models.budget import PAUSE_S, levels_of
 from foretouch.models.card import read_card
 from foretouch.models.contact.estimator import ContactEstimator, fewer_trees
@@ -33,7 +32,6 @@ from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, 
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.baselines import object_mean
-from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
@@ -46,6 +44,7 @@ _MEAN, _OBJECT = "mean of labels", "mean of the object"
 _READINGS: Final = " + readings"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out"}
 _BUDGET_MS: Final = 10.0  # of the answer
+_REQUESTS: Final = (1, 10, 100, 1000)  # grasps on a cloud
 VARIANTS: Final = (
     Variant(_MEAN, "part"),
     Variant(_OBJECT, "part"),
@@ -58,20 +57,6 @@ VARIANTS: Final = (
     Variant(_PAPERS, "reference"),
 )
 """In the order of the table of models."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SkillSettings(TradeoffSettings):
-    """Settings of areas whose skills are of held-out grasps."""
-
-    bootstrap: BootstrapConfig = BootstrapConfig()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelSettings(SkillSettings):
-    """Settings of the area."""
-
-    requests: tuple[int, ...] = setting((1, 10, 100, 1000), "Grasps per cloud that are timed", minimum=1)
 
 
 @lru_cache(maxsize=1)
@@ -89,7 +74,7 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
     return replace(estimator, surroundings=False) if "part" in values else estimator
 
 
-def _accuracy(split: str, settings: ModelSettings, data: Dataset) -> dict[str, Row]:
+def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str, Row]:
     """Errors on the folds of a split; touchnet-v1 has the skills of its card."""
     samples = labelled(data)
     folds = make_folds(samples, split, 0)
@@ -143,7 +128,7 @@ def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[t
         yield name + _READINGS, counts[fold.test]
 
 
-def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
+def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed:
     """See `Area.timed`: predicts the touch of K grasps on a cloud of median size, (K, 50) counts."""
     sample, grasps = _scene(data, max(settings.requests))
     models = {one.name: one.model for one in levels_of(load_model(SHIPPED))}
@@ -251,8 +236,10 @@ EXPERIMENT = make_area(
     name="tradeoff_model",
     question="How good a prediction of touch can I have in 10 ms?",
     module=__name__,
-    settings=ModelSettings,
-    presets={"small": {"timing_s": 45.0, "pause_s": PAUSE_S}, "full": {"timing_s": 420.0, "pause_s": PAUSE_S}},
+    presets={
+        "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
+        "full": {"timing_s": 420.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
+    },
     load=load,
     summarise=_summarise,
     data_folder="vision2tactile",

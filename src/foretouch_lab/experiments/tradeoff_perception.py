@@ -28,7 +28,6 @@ from foretouch_lab.learning.evaluation.metrics import ScoreEstimate
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, random_scene
 
 _NOISE_M: Final = 0.001  # standard deviation of the depth at 1 m
-_DRAWS: Final = 1000  # of the bootstrap
 _TIMED: Final = 8  # clouds that are timed in turn
 _STEPS: Final = {"iou": "segmentation", "score": "grasp"}  # by the skill: the step that is measured, and its settings
 
@@ -113,7 +112,7 @@ def _scores(pipeline: Pipeline, data: Scenes) -> Iterator[tuple[int, float]]:
                 yield number, score
 
 
-def _accuracy(skill: str, _settings: PerceptionSettings, data: Scenes) -> Mapping[str, Row]:
+def _accuracy(skill: str, settings: PerceptionSettings, data: Scenes) -> Mapping[str, Row]:
     found = {}
     for variant in (one for one in VARIANTS if one.values["skill"] == skill):
         pipeline = _pipeline(variant)
@@ -123,15 +122,15 @@ def _accuracy(skill: str, _settings: PerceptionSettings, data: Scenes) -> Mappin
             labels = [pipeline.segment(cloud).segmentation.labels for cloud, _ in data.images]
             pairs = [overlaps(mine, truth) for mine, (_, truth) in zip(labels, data.images, strict=True)]
             values = [(number, iou) for number, own in enumerate(pairs) for iou in own]
-        found[variant.name] = interval_columns(skill, _mean(values))
+        found[variant.name] = interval_columns(skill, _mean(values, settings.bootstrap.draws))
     return found
 
 
-def _mean(values: Sequence[tuple[int, float]]) -> ScoreEstimate:
+def _mean(values: Sequence[tuple[int, float]], draws: int) -> ScoreEstimate:
     """Mean over objects, each with the number of its scene, and its 95 % interval by drawing scenes."""
     numbers, scene = np.unique([number for number, _ in values], return_inverse=True)
     sums, counts = np.bincount(scene, [value for _, value in values]), np.bincount(scene)
-    drawn = np.random.default_rng(0).integers(0, len(numbers), (_DRAWS, len(numbers)))
+    drawn = np.random.default_rng(0).integers(0, len(numbers), (draws, len(numbers)))
     low, high = np.percentile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), (2.5, 97.5))
     return ScoreEstimate(float(sums.sum() / counts.sum()), float(low), float(high))
 

@@ -23,7 +23,7 @@ from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.learning.data import labels_of
-from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, skills
+from foretouch_lab.learning.evaluation.metrics import MEAN, ObjectErrors, skills
 from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
@@ -37,7 +37,6 @@ EVERYTHING: Final = "everything"
 
 _FOLDER: Final = Path("config/scenes")
 _TIMED: Final = 16  # samples that are timed in turn
-_BOOTSTRAP: Final = BootstrapConfig(draws=500)
 _FINEST: Final = 64  # cells a side of the finest layer
 _LEVELS: Final = (("winkler", 12), ("winkler", 24), *(("layer", cells) for cells in (8, 12, 16, 24, 32)))
 
@@ -141,7 +140,7 @@ def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[st
         train = _samples(data.changed(variant), settings.train)
         predictor = ContactPredictor(train, labels_of(train), ContactTrainingConfig(trees=settings.trees))
         errors = ObjectErrors.of_predictions(names, predictor.predict(test), labels_of(test), mean, BIOTAC)
-        found[variant.name] = interval_columns(skill, skills(errors, _BOOTSTRAP)[MEAN])
+        found[variant.name] = interval_columns(skill, skills(errors, settings.bootstrap)[MEAN])
     return found
 
 

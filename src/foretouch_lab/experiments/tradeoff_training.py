@@ -12,11 +12,11 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, Variant, make_area
+from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.predictors import network
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_rows
 from foretouch_lab.experiments.shared.simulated_data import beside, simulate_store
-from foretouch_lab.experiments.tradeoff_model import SkillSettings, described
+from foretouch_lab.experiments.tradeoff_model import described
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.training.contact import ContactTrainingConfig
 
@@ -49,7 +49,7 @@ VARIANTS: Final = tuple(_variants())
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingSettings(SkillSettings):
+class TrainingSettings(TradeoffSettings):
     """Settings of the area."""
 
     trees: int = setting(60, "Trees of each forest of the contact model", bounds=(1, 1000))

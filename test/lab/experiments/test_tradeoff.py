@@ -17,7 +17,7 @@ from foretouch.pipeline import Pipeline
 from foretouch_lab.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.manifest import read_results
-from foretouch_lab.experiments.framework.tradeoff import Area, Panel, find_area, frontier, list_areas
+from foretouch_lab.experiments.framework.tradeoff import Area, Panel, TradeoffSettings, find_area, frontier, list_areas
 from foretouch_lab.experiments.shared.scores import skill_rows
 from foretouch_lab.learning.data import make_folds
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
@@ -168,7 +168,7 @@ def test_the_frontier_holds_what_nothing_beats_and_of_equals_of_the_best_the_fas
 
 def test_models_are_measured_on_each_split_and_timed() -> None:
     area = tradeoff_model.EXPERIMENT
-    settings = tradeoff_model.ModelSettings(requests=(1, 2), bootstrap=QUICK)
+    settings = TradeoffSettings(requests=(1, 2), bootstrap=QUICK)
     rows = area.run(area.cells(settings, GRASPS)[1], settings, GRASPS)
     found = {row["variant"]: row for row in rows}
     assert found.keys() == {one.name for one in area.variants} - {"mean of the object", "papers' four networks"}

@@ -30,6 +30,7 @@ from foretouch_lab.experiments.framework.experiment import (
     find_experiment,
     list_experiments,
 )
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 _PREFIX: Final = "tradeoff_"
 _TIMES: Final = {"ms_p50": "p50 [ms]", "ms_p95": "p95 [ms]", "ms_p99": "p99 [ms]", "cpu_ms": "CPU [ms]"}
@@ -46,6 +47,7 @@ class TradeoffSettings(Settings):
         0.0, "Time asleep before each call, as in a graph that waits for clouds", bounds=(0.0, 10.0)
     )
     requests: tuple[int, ...] = setting((1,), "Sizes of the requests that are timed", minimum=1)
+    bootstrap: BootstrapConfig = BootstrapConfig()
 
 
 class Variant(NamedTuple):
