@@ -46,7 +46,6 @@ class HoldOutSettings(Settings):
     seeds: tuple[int, ...] = setting(
         (0, 1, 2, 3, 4), "Seeds of splits and predictors; errors are pooled over them", minimum=0
     )
-    network_seeds: int = setting(1, "Number of seeds that the slow networks are trained with", minimum=1)
     training_fraction: float = setting(
         1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
     )
@@ -73,7 +72,7 @@ def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], lis
 
 
 def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
-    """A cell for each seed, predictor and fold; the slow networks run with the first seeds only."""
+    """A cell for each seed, predictor and fold; the slow networks run with the first seed only."""
     table = "" if split == _OBJECT else split
     return [
         Cell(
@@ -83,7 +82,7 @@ def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
         for number, seed in enumerate(settings.seeds)
         for _, folds in [_folds(split, data, seed)]
         for name in settings.predictors
-        if name not in NETWORKS or number < settings.network_seeds
+        if name not in NETWORKS or number == 0
         for fold in folds
     ]
 
@@ -168,7 +167,7 @@ def _experiment(
         run=partial(_run, split),
         tabulate=partial(_tabulate, split),
         # No cell depends on these; its predictor and seed are among its values.
-        resumable_settings=("predictors", "seeds", "network_seeds", "references", "bootstrap"),
+        resumable_settings=("predictors", "seeds", "references", "bootstrap"),
         data_folder="vision2tactile",
         settings=HoldOutSettings,
         **{"summarise": skill_tables, **others},

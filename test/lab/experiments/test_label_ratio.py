@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
 from foretouch_lab.experiments import find_experiment, run_sweep
 from foretouch_lab.experiments.framework.manifest import RESULTS_FILE
@@ -19,13 +19,12 @@ from foretouch_lab.experiments.label_ratio.training import (
     PointnetTrainer,
     PresampledSet,
     configured,
-    load_scene,
+    load_labelled,
 )
 from foretouch_lab.experiments.shared.simulated_data import simulate_store
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch_lab.simulation.scene import load_scene as read_scene
 
 ROOT = Path(__file__).parents[3]
 SCENE = ROOT / "config" / "scenes" / "deformables_wide.yaml"
@@ -46,7 +45,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(store: Path) -> Dataset:
-    return load_scene(find_experiment("label_ratio").resolve("smoke", {}), store)
+    return load_labelled(find_experiment("label_ratio").resolve("smoke", {}), store)
 
 
 def settings_of(preset: str = "smoke", **changes: Any) -> LabelRatioSettings:
@@ -82,9 +81,6 @@ def test_settings_that_cannot_be_are_refused(data: Dataset, store: Path) -> None
     settings = settings_of(**{**TINY, **TWO, "readings": ["fast"]})
     with pytest.raises(ConfigError, match="srgan 'fast' is not one of batch_means"):
         experiment.run(experiment.cells(settings, data)[-1], settings, data)
-    assert settings_of("quick").scene_sha256 == read_scene(SCENE).sha256()
-    with pytest.raises(DatasetError, match="is not abc, the required scene's"):
-        load_scene(settings_of(scene_sha256="abc"), store)
 
 
 def test_a_store_is_made_once_and_refused_for_another_scene(tmp_path: Path, store: Path) -> None:

@@ -123,7 +123,6 @@ class ContactTrainingConfig(Settings):
         "Share of the points in copies of the training clouds, to which the forests are fitted as well; 1 fits to no copies",
         bounds=(0.1, 1.0),
     )
-    depth: int | None = setting(None, "Most levels of a tree; not limited by default", bounds=(1, 100))
     feature_share: float = setting(0.5, "Share of the features tried at each split", bounds=(0.01, 1.0))
     seed: int = setting(0, "Seed of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
@@ -235,7 +234,6 @@ def _forest(rows: Float64, scaled: Float64, config: ContactTrainingConfig) -> Fo
     fitted = ExtraTreesRegressor(
         config.trees,
         min_samples_leaf=config.leaf,
-        max_depth=config.depth,
         max_features=config.feature_share,
         random_state=config.seed,
         n_jobs=1,

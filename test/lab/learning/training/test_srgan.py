@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
+from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.network.pointnet import freeze
 from foretouch_lab.learning.training.losses import SrganLossConfig
@@ -82,18 +82,6 @@ def test_statistics_are_those_of_real_clouds_when_frozen_and_of_labelled_ones_pe
         trainer.net.train()
         trainer._regressor_step(LABELLED[:5], real)
     assert torch.equal(one.net.features.layers[0].norm.running_mean, two.net.features.layers[0].norm.running_mean)
-
-
-def test_a_few_labels_are_learned_by_heart(samples, small) -> None:
-    data = TrainingSet.build(samples, small.replace(outputs=("PDC_TH",), head_widths=(64, 32)))
-    long = QUICK.replace(epochs=400, learning_rate=3e-3, batch_size=10, points=48)
-    config = long.replace(target_scaling="standardised", loss=SRGAN.replace(weight_unlabeled=1.0))
-    trainer = SrganTrainer(data, np.arange(10), UNLABELLED, config)
-    first = trainer.run_epoch()["labeled"]
-    steps(trainer, 399)
-    error = predict_set(trainer.net.eval(), data, np.arange(10))[:, 0] - data.labels[:10, 0]
-    assert first > 0.7
-    assert float(np.sqrt(np.mean(error**2))) < 0.35 * data.labels[:10, 0].std()
 
 
 def test_the_seed_decides_everything_and_unlabelled_labels_nothing(data, samples, small) -> None:
