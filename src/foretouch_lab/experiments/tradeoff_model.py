@@ -19,15 +19,7 @@ from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud, Float64, Grasp, GraspSample
 from foretouch_lab.experiments.framework.experiment import Row, Table
-from foretouch_lab.experiments.framework.tradeoff import (
-    Panel,
-    Timed,
-    TradeoffSettings,
-    Variant,
-    interval,
-    make_area,
-    time_column,
-)
+from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area, times_text
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_rows
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold
@@ -197,38 +189,20 @@ def _scene(data: Dataset, count: int) -> tuple[GraspSample, list[Grasp]]:
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
-    """The answer, and the skills and times of all models."""
-    requests = sorted({row["request"] for row in rows if row["request"]})
-    found = {(row["variant"], row["request"]): row for row in rows}
-    wall = time_column(rows) == "ms_p50"
-    keys = ("ms_p50", "ms_p95", "ms_p99") if wall else ("cpu_ms",)
-
-    def times(name: str, count: int) -> str:
-        row = found.get((name, count))
-        return "–" if row is None else ", ".join(f"{float(f'{row[key]:.2g}'):g}" for key in keys)
-
-    shipped = [found[SHIPPED, count] for count in requests if (SHIPPED, count) in found]
-    most = max((row["request"] for row in shipped if row["ms_p95"] <= _BUDGET_MS), default=0)
-    each = [times(SHIPPED, row["request"]).split(", ") for row in shipped]
+    """How many grasps the default model answers within a time."""
+    shipped = [row for row in rows if row["variant"] == SHIPPED]
     sizes = f"{', '.join(str(row['request']) for row in shipped)} grasps on a cloud"
-    p95, p99 = (", ".join(one[k] for one in each) for k in (min(1, len(keys) - 1), -1))
-    text = (
-        f"In {_BUDGET_MS:g} ms you get the default model, {SHIPPED}, for up to {most} grasps: {sizes} take {p95} ms "
-        f"in 95 of 100 calls and {p99} ms in 99 (idle machine)."
-        if wall
-        else f"{SHIPPED}, the default model, takes {p99} ms of processor time for {sizes}; the machine was loaded, so that "
-        "nothing is promised of the time of an answer."
-    )
-    skills = [split for split in _SPLITS if split in rows[0]]
-    body = [
-        [name, *(interval(row, one) or "–" for one in skills), *(times(name, count) for count in requests)]
-        for name, *_ in VARIANTS
-        if (row := found.get((name, requests[0]))) is not None
-    ]
-    grasps = (f"{count} grasp{'s' * (count > 1)} [ms]" for count in requests)
-    head = ["", *(f"skill, {_SPLITS[one]}" for one in skills), *grasps]
-    note = f"Times: {'p50, p95, p99 of the wall time' if wall else 'medians of the processor time'}."
-    return [Table("In short", [], [], [text]), Table("Models", head, body, [note])]
+    texts = [times_text(row, rows).split(", ") for row in shipped]
+    if len(texts[0]) == 1:
+        loaded = "the machine was loaded, so that nothing is promised of the time of an answer"
+        times = ", ".join(one for (one,) in texts)
+        text = f"{SHIPPED}, the default model, takes {times} ms of processor time for {sizes}; {loaded}."
+    else:
+        most = max((row["request"] for row in shipped if row["ms_p95"] <= _BUDGET_MS), default=0)
+        _, p95, p99 = (", ".join(one) for one in zip(*texts, strict=True))
+        answer = f"In {_BUDGET_MS:g} ms you get the default model, {SHIPPED}, for up to {most} grasps"
+        text = f"{answer}: {sizes} take {p95} ms in 95 of 100 calls and {p99} ms in 99 (idle machine)."
+    return [Table("In short", [], [], [text])]
 
 
 EXPERIMENT = make_area(

@@ -33,7 +33,7 @@ from foretouch_lab.experiments.framework.experiment import (
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 _PREFIX: Final = "tradeoff_"
-_TIMES: Final = {"ms_p50": "p50 [ms]", "ms_p95": "p95 [ms]", "ms_p99": "p99 [ms]", "cpu_ms": "CPU [ms]"}
+_TIMES: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
 _LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
 
 
@@ -112,21 +112,30 @@ class Area(Experiment):
         return {"area": self.area, "frontier": lines}
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
-        """What the area summarises, frontiers with a `*` at the shipped variant, and the machine."""
+        """What the area summarises, and a table of the skills and times of all variants."""
         rows = _best_state(rows)
-        found = list(self.summarise(rows))
-        for panel in self.panels:
-            if line := frontier(rows, panel):
-                body = [
-                    [
-                        row["variant"] + " *" * (row["factor"] == "shipped"),
-                        interval(row, panel.skill),
-                        *(f"{row[name]:.3g}" for name in _TIMES),
-                    ]
-                    for row in line
-                ]
-                found.append(Table(panel.title, ["frontier", "skill", *_TIMES.values()], body))
-        return [*found, _machine(rows)]
+        skills = list(dict.fromkeys(one.skill for one in self.panels if one.skill in rows[0]))
+        lines = {one: {row["variant"] for panel in self.panels if panel.skill == one for row in frontier(rows, panel)}
+                 for one in skills}  # fmt: skip
+        requests = sorted({row["request"] for row in rows if row["request"]})
+        times = {(row["variant"], row["request"]): times_text(row, rows) for row in rows}
+        body = [
+            [
+                row["variant"] + " *" * (row["factor"] == "shipped"),
+                *("• " * (row["variant"] in lines[one]) + (_interval(row, one) or "–") for one in skills),
+                *(times.get((row["variant"], request), "–") for request in requests),
+            ]
+            for row in {row["variant"]: row for row in rows}.values()
+        ]
+        first, wall = rows[0], time_column(rows) == "ms_p50"
+        machine = f"{first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores"
+        notes = [
+            f"Times of requests of these sizes: {'p50, p95, p99 of the wall time' if wall else 'median of the processor time'}.",
+            "*: as shipped; •: on the frontier of this skill and the time of a request.",
+            f"Measured on {machine}.",
+        ]
+        head = ["", *skills, *(f"{request} [ms]" for request in requests)]
+        return [*self.summarise(rows), Table("Variants", head, body, notes)]
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
         """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier."""
@@ -247,20 +256,18 @@ def frontier(rows: Sequence[Row], panel: Panel) -> list[Row]:
     return result
 
 
-def interval(row: Row, name: str) -> str:
+def times_text(row: Row, rows: Sequence[Row]) -> str:
+    """Percentiles of the wall time, or the median of the processor time if the machine was loaded, with two digits."""
+    keys = ("ms_p50", "ms_p95", "ms_p99") if time_column(rows) == "ms_p50" else ("cpu_ms",)
+    return ", ".join("–" if row[key] is None else f"{float(f'{row[key]:.2g}'):g}" for key in keys)
+
+
+def _interval(row: Row, name: str) -> str:
     """A skill with its interval, such as `-0.021 [-0.05, 0.01]`; nothing where it was not measured."""
     if row.get(name) is None:
         return ""
     low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
     return f"{row[name]:.3f}" + ("" if low is None or high is None else f" [{low:.2f}, {high:.2f}]")
-
-
-def _machine(rows: Sequence[Row]) -> Table:
-    """On what machine the variants were timed."""
-    first, wall = rows[0], time_column(rows) == "ms_p50"
-    machine = f"{first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores"
-    note = f"Measured on {machine}. Frontiers are of the median {'wall' if wall else 'processor'} time."
-    return Table("Machine", [], [], [note])
 
 
 def _draw_panel(axes: Axes, panel: Panel, rows: Sequence[Row]) -> None:
