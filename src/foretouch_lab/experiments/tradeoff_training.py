@@ -4,7 +4,6 @@
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +14,6 @@ from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.predictors import network
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_rows
-from foretouch_lab.experiments.shared.simulated_data import beside, simulate_store
 from foretouch_lab.experiments.tradeoff_model import described
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.training.contact import ContactTrainingConfig
@@ -25,7 +23,6 @@ _SPLITS: Final = {
     "new": "object",
     "one_block": "time",
 }  # folds of each skill; the last: the first alone
-_SCENE: Final = Path("config/scenes/deformables.yaml")  # of the grasps where no recordings are given
 _PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
 
@@ -53,12 +50,6 @@ class TrainingSettings(TradeoffSettings):
     """Settings of the area."""
 
     trees: int = setting(60, "Trees of each forest of the contact model", bounds=(1, 1000))
-    samples: int = setting(200, "Grasps to simulate where no recordings are given", bounds=(100, 100_000))
-
-
-def _prepare(settings: TrainingSettings, source: Path | None, out: Path) -> Path:
-    """Recordings, or else a simulated store beside `out`."""
-    return simulate_store(_SCENE, settings.samples, beside(out)) if source is None else source
 
 
 def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str, Row]:
@@ -164,7 +155,6 @@ EXPERIMENT = make_area(
     module=__name__,
     settings=TrainingSettings,
     presets={"small": {"skills": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
-    prepare=_prepare,
     load=load,
     data_folder="vision2tactile",
     variants=VARIANTS,

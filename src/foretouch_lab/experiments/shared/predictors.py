@@ -127,7 +127,6 @@ PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "object_time_trees": lambda training_fraction: _trees(baselines.object_time_trees, training_fraction),
     "geometry_trees": lambda training_fraction: _trees(baselines.geometry_trees, training_fraction),
     "clock": lambda _: with_offset_correction(baselines.clock),
-    "clock_past": lambda _: with_offset_correction(partial(baselines.clock, past_only=True)),
     "contact": _contact,
     "p1_pointnet": lambda training_fraction: with_offset_correction(network("p1_pointnet", training_fraction)),
     "p2_pointnet": lambda training_fraction: with_offset_correction(network("p2_pointnet", training_fraction)),

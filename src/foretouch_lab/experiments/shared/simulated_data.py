@@ -28,12 +28,7 @@ def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
         return source
     if source.is_dir():
         raise ConfigError(f"--data: {source}: is neither a scene (.yaml) nor a store of simulated grasps")
-    return simulate_store(source, settings.samples, beside(out))
-
-
-def beside(out: Path) -> Path:
-    """Folder of the data that a sweep makes."""
-    return out.absolute().with_name(f"{out.absolute().name}.data")
+    return simulate_store(source, settings.samples, out.absolute().with_name(f"{out.absolute().name}.data"))
 
 
 def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:

@@ -202,24 +202,17 @@ def fit_contact(
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
     ridge, gain = choose_ridge(inputs, scaled, objects, channels)
-    forests, kernel = fit_forests(rows, labels, channels, config, thinned), _kernel(inputs, scaled, objects, ridge)
+    kernel = _kernel(inputs, scaled, objects, ridge)
+    grown, targets, leaf = inputs, scaled, config.leaf
+    if thinned is not None:
+        grown, targets = np.concatenate([inputs, thinned[:, len(CONDITIONS) :]]), np.concatenate([scaled, scaled])
+        leaf = 2 * leaf
+    columns = {TOGETHER: np.arange(channels.size), **channels.modality_columns}
+    forest_config = config.replace(leaf=leaf)
+    forests = {name: _forest(grown, targets[:, own], forest_config) for name, own in columns.items()}
     return ContactEstimator(
         forests, kernel, NoveltyDetector.fit(rows, objects), mean, deviation, generalisation_gain=gain, ranges=ranges
     )
-
-
-def fit_forests(
-    rows: Float64, labels: Float64, channels: Channels, config: ContactTrainingConfig, thinned: Float64 | None = None
-) -> dict[str, Forest]:
-    """The forests of `fit_contact` alone, by name, for labels of some channels; other arguments as there."""
-    first = len(CONDITIONS)
-    grown, leaf = rows[:, first:], config.leaf
-    targets = (labels - labels.mean(axis=0)) / _deviation(labels, channels)
-    if thinned is not None:
-        grown, targets, leaf = np.concatenate([grown, thinned[:, first:]]), np.concatenate([targets, targets]), 2 * leaf
-    forest_config = config.replace(leaf=leaf)
-    forests = {TOGETHER: np.arange(channels.size), **channels.modality_columns}
-    return {name: _forest(grown, targets[:, column], forest_config) for name, column in forests.items()}
 
 
 def _deviation(labels: Float64, channels: Channels) -> Float64:
