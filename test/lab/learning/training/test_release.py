@@ -5,10 +5,8 @@ import json
 from pathlib import Path
 
 import pytest
-from numpy.testing import assert_array_equal
 from recording_builders import read_folder
 from run_builders import write_store
-from safetensors.numpy import load_file
 
 from foretouch.cli.main import main
 from foretouch.dataset.samples import export_samples
@@ -72,21 +70,6 @@ def test_a_contact_model_is_released_with_its_calibration(folder: Path, config: 
     (prediction,) = model.predict(sample.cloud, [sample.grasp])
     assert (prediction.lower.values < prediction.value.values).all()
     assert (prediction.value.values < prediction.upper.values).all()
-
-
-@pytest.mark.slow
-def test_a_calibration_changes_no_weight_and_is_that_of_a_release(folder: Path, config: Path, tmp_path: Path) -> None:
-    runs = {"plain": (), "calibrated": ("calibrate=true", "--workers", 2), "released": ("release=true",)}
-    for name, words in runs.items():
-        assert train(config, folder, *words, "-o", tmp_path / name, "--json") == 0
-    weights = {name: (tmp_path / name / "toy.safetensors").read_bytes() for name in runs}
-    assert weights["plain"] == weights["calibrated"] == weights["released"]
-    one, two = (load_file(tmp_path / name / "toy.trust.safetensors") for name in ("calibrated", "released"))
-    assert set(one) == set(two)
-    for name, array in one.items():
-        assert_array_equal(array, two[name])
-    limits = load_model(tmp_path / "plain").card["limits"]
-    assert limits == ["Bounds are null: the model was trained with calibrate=false."]
 
 
 def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path, tmp_path, capsys) -> None:
