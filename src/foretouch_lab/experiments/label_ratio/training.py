@@ -178,7 +178,7 @@ class PointnetTrainer(SrganTrainer):
         for batch in shuffled_batches(self._labelled, self.config.batch_size, self.rng):
             error = self.net(self._clouds(batch), self._grasps(batch)) - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
-            self.optimisers["net"].step(loss)
+            self.step("net", loss)
             yield {"labeled": float(loss.detach())}
 
 

@@ -116,7 +116,7 @@ class SrganTrainer(Trainer):
         error = scaled - self.net.to_scaled(self._labels[labelled].to(self.device))
         labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes)
         losses = loss_terms.discriminator_loss(labeled, features, self.config.loss)
-        self.optimisers["net"].step(losses["total"])
+        self.step("net", losses["total"])
         return {name: float(value.detach()) for name, value in losses.items()}
 
     def _generator_step(self, real: Tensor) -> dict[str, float]:
@@ -125,7 +125,7 @@ class SrganTrainer(Trainer):
                 aim = self.net.features(real)
             made = self.net.features(self._fake(len(real)))
             loss = loss_terms.matching_loss(made, aim, self.config.loss)
-            self.optimisers["generator"].step(loss)
+            self.step("generator", loss)
         return {"generator": float(loss.detach())}
 
     def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> list[Tensor]:

@@ -86,7 +86,7 @@ class SupervisedTrainer(Trainer):
         for _, points, grasps, target in self.batches():
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
             loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.config.root_epsilon)
-            self.optimisers["net"].step(loss)
+            self.step("net", loss)
             yield {"loss": float(loss.detach())}
 
     def _count_batches(self) -> int:

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
+from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError, ModelError
@@ -79,47 +79,6 @@ def other_default(name: str, default: Any) -> Any:
     return dataclasses.field(default=default, metadata=EpochsConfig.__dataclass_fields__[name].metadata)
 
 
-class _ScheduledOptimiser:
-    """The optimiser of one network with its learning-rate schedule, which ends after `steps` steps."""
-
-    def __init__(self, module: nn.Module, config: EpochsConfig, steps: int) -> None:
-        # One kernel for all weights: the time of a small network's step is its number of calls.
-        options: dict[str, Any] = {"lr": config.learning_rate, "weight_decay": config.weight_decay, "fused": True}
-        self._optimiser = _OPTIMISERS[config.optimiser](list(module.parameters()), **options)
-        self._schedule: LRScheduler = (
-            CosineAnnealingLR(self._optimiser, T_max=steps)
-            if config.schedule == "cosine"
-            else ConstantLR(self._optimiser, factor=1.0)
-        )
-
-    def step(self, loss: Tensor) -> None:
-        """Differentiate a scalar loss and take one step."""
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        self._optimiser.step()
-        self._schedule.step()
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name and the rest as plain data, together all that `restore` requires."""
-        state = self._optimiser.state_dict()
-        tensors = {
-            f"{number}.{name}": value
-            for number, values in state["state"].items()
-            for name, value in values.items()
-            if isinstance(value, Tensor)  # SGD keeps None where it has no momentum, as an absent tensor is in `restore`
-        }
-        return tensors, {"groups": state["param_groups"], "schedule": self._schedule.state_dict()}
-
-    def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-        """Continue from the result of `state`, bit for bit."""
-        state: dict[int, dict[str, Tensor]] = {}
-        for key, value in tensors.items():
-            number, name = key.split(".", 1)
-            state.setdefault(int(number), {})[name] = value
-        self._optimiser.load_state_dict({"state": state, "param_groups": plain["groups"]})
-        self._schedule.load_state_dict(dict(plain["schedule"]))
-
-
 _TORCH_RNG = "torch_rng"
 _CUDA_RNG = "cuda_rng"
 
@@ -167,8 +126,16 @@ class Trainer(ABC):
         for module in self.modules.values():
             module.to(self.device)
             set_precision(module, config.precision)
-        steps = config.epochs * self.batch_count
-        self.optimisers = {name: _ScheduledOptimiser(module, config, steps) for name, module in self.modules.items()}
+        # One kernel for all weights: the time of a small network's step is its number of calls.
+        options: dict[str, Any] = {"lr": config.learning_rate, "weight_decay": config.weight_decay, "fused": True}
+        self.optimisers, self._schedules = {}, {}
+        for name, module in self.modules.items():
+            optimiser = self.optimisers[name] = _OPTIMISERS[config.optimiser](list(module.parameters()), **options)
+            self._schedules[name] = (
+                CosineAnnealingLR(optimiser, T_max=config.epochs * self.batch_count)
+                if config.schedule == "cosine"
+                else ConstantLR(optimiser, factor=1.0)
+            )
         self.sizes = [len(BIOTAC.columns([name])) for name in data.config.outputs]
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
         self._grasp_inputs = torch.from_numpy(data.grasps)
@@ -205,6 +172,14 @@ class Trainer(ABC):
             done(self.run_epoch())
         return self.net.cpu().eval()
 
+    def step(self, name: str, loss: Tensor) -> None:
+        """Differentiate a scalar loss, and take one step of the network of this name."""
+        optimiser = self.optimisers[name]
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        self._schedules[name].step()
+
     def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Copies of all tensors by name and the rest as plain data: all that `restore` requires."""
         tensors = dict(self._randomness)
@@ -212,8 +187,11 @@ class Trainer(ABC):
         for name, module in self.modules.items():
             tensors |= _prefixed(name, module.state_dict())
         for name, optimiser in self.optimisers.items():
-            moments, plain["steppers"][name] = optimiser.state()
-            tensors |= _prefixed(f"{name}-steps", moments)
+            state = optimiser.state_dict()
+            plain["steppers"][name] = {"groups": state["param_groups"], "schedule": self._schedules[name].state_dict()}
+            for number, values in state["state"].items():  # where SGD has no momentum, it keeps None
+                moments = {f"{number}.{key}": value for key, value in values.items() if isinstance(value, Tensor)}
+                tensors |= _prefixed(f"{name}-steps", moments)
         # To the CPU, so that a run may be resumed on another device; with `copy`, also from a CPU.
         return {name: value.detach().to("cpu", copy=True).contiguous() for name, value in tensors.items()}, plain
 
@@ -227,7 +205,13 @@ class Trainer(ABC):
             for name, module in self.modules.items():
                 module.load_state_dict(under(f"{name}/", tensors))
             for name, optimiser in self.optimisers.items():
-                optimiser.restore(under(f"{name}-steps/", tensors), plain["steppers"][name])
+                state: dict[int, dict[str, Tensor]] = {}
+                for key, value in under(f"{name}-steps/", tensors).items():
+                    number, moment = key.split(".", 1)
+                    state.setdefault(int(number), {})[moment] = value
+                stepper = plain["steppers"][name]
+                optimiser.load_state_dict({"state": state, "param_groups": stepper["groups"]})
+                self._schedules[name].load_state_dict(dict(stepper["schedule"]))
             self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
             self.rng.bit_generator.state = plain["rng"]
             self.epoch = int(plain["epoch"])
