@@ -14,7 +14,7 @@ from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
 from foretouch_lab.experiments import Experiment, find_experiment, list_experiments, run_sweep
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.experiments.framework.manifest import SUMMARY_FILE, read_results, write_summary
+from foretouch_lab.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
 
 ENVIRONMENT = "FORETOUCH_DATA"
 
@@ -122,6 +122,7 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
 
 def _redraw(experiment: Experiment, arguments: argparse.Namespace) -> int:
     """Write summary and figures of the table in a folder."""
+    require_experiment(arguments.out, experiment.name)
     file = arguments.out / experiment.results
     rows = read_results(file)
     if not rows:

@@ -81,6 +81,13 @@ def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = 
     return {**manifest, **fixed}
 
 
+def require_experiment(out: Path, name: str) -> None:
+    """Raise `ConfigError` for the folder of another experiment; one without a manifest is accepted."""
+    file = out / MANIFEST_FILE
+    if file.exists() and (found := _read_manifest(file).get("experiment")) != name:
+        raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
+
+
 def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     """Replace the manifest atomically."""
     write_text(out / MANIFEST_FILE, json.dumps(manifest, indent=1, ensure_ascii=False) + "\n")

@@ -100,9 +100,9 @@ class Area(Experiment):
     ) -> list[Row]:
         """Time all variants: rows with their skills."""
         skills = {row["variant"]: row for row in rows}
-        names = list(dict.fromkeys(name for row in rows for name in row))
+        names = [name for name in dict.fromkeys(name for row in rows for name in row) if name != "variant"]
         return [
-            dict.fromkeys(names) | {"variant": one.name, "factor": one.factor} | skills.get(one.name, {}) | row
+            {"variant": one.name, "factor": one.factor, **dict.fromkeys(names), **skills.get(one.name, {}), **row}
             for one, row in _time_variants(self, settings, data, progress)
         ]
 

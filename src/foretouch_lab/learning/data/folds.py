@@ -11,7 +11,6 @@ Three splits answer three questions:
   object was recorded on different days.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -91,8 +90,9 @@ def make_folds(samples: Sequence[GraspSample | SampleFacts], split: str, seed: i
         return group_folds(objects)
     if split not in SPLITS:
         raise DatasetError(f"split: {none_of(split, SPLITS)}")
-    smallest = [("", len(objects))] if split == "random" else list(Counter(objects.tolist()).items())
-    for name, count in smallest:
+    names, counts = np.unique(objects, return_counts=True)
+    least = {"": len(objects)} if split == "random" else dict(zip(names.tolist(), counts.tolist(), strict=True))
+    for name, count in least.items():
         if count < FOLDS:
             raise DatasetError(f"folds: {count} samples{f' of {name}' * bool(name)} are fewer than {FOLDS} folds")
     if split == "random":  # shuffled samples, in parts whose sizes differ by at most one
@@ -100,7 +100,7 @@ def make_folds(samples: Sequence[GraspSample | SampleFacts], split: str, seed: i
         return _folds(len(objects), tests, [f"random {k}" for k in range(FOLDS)])
     # Consecutive blocks of each object's recording; fold k tests the block k of every object.
     order = np.argsort([sample.stamp_ns for sample in samples], kind="stable")
-    recordings = [np.array_split(order[objects[order] == name], FOLDS) for name in np.unique(objects)]
+    recordings = [np.array_split(order[objects[order] == name], FOLDS) for name in names]
     blocks = [np.concatenate(block) for block in zip(*recordings, strict=True)]
     return _folds(len(objects), blocks, [f"block {k}" for k in range(FOLDS)])
 
