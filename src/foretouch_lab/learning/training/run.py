@@ -128,7 +128,7 @@ def compare_splits(
         reference, valid = predicted[training_mean.__name__], learner.sensor.valid_values
         results[split] = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
         for name, one in results[split].items():
-            skills = {modality: round(score["skill"], 3) for modality, score in one.items()}
+            skills = {modality: round(row["skill"], 3) for modality, row in one.items()}
             report({"split": split, "who": name, "mean_skill": round(mean_skill(one), 3), "skill": skills})
         report({"split": split, "seconds": round(time.monotonic() - start, 1)})
     return results
