@@ -56,7 +56,7 @@ def ray_results(
     has_head = True
     try:
         head = "" if address.startswith("ray://") else ray.get_runtime_context().gcs_address  # a client notices itself
-        task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": ONE_THREAD})(_call)
+        task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": ONE_THREAD})(outcome)
         waiting = list(reversed(items))
         running: dict[Any, _Item] = {}
         while waiting or running:
@@ -84,8 +84,11 @@ def ray_results(
                 ray.shutdown()
 
 
-def _call(function: Callable[[Any], Any], item: Any, version: str) -> tuple[Any, str]:
-    """On a node: the result and no error, or none and the error."""
+def outcome(function: Callable[[_Item], Any], item: _Item, version: str = __version__) -> tuple[Any, str]:
+    """In another process: the result and no error, or none and the error in one line.
+
+    `version` is that of the process that asks.
+    """
     if version != __version__:
         return None, f"node {socket.gethostname()} has foretouch {__version__}, not {version}"
     try:

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from corpus.outcome import nearly
 from experiment_samples import make_samples
 from run_builders import run_config
 
@@ -25,7 +24,6 @@ from foretouch.types import GraspSample
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import TouchNet, save_network
-from foretouch_lab.learning.training import losses
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, make_calibration
 from foretouch_lab.learning.training.run import train_run
 from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
@@ -35,38 +33,6 @@ Cases = Iterator[tuple[Any, ...]]
 _MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16]}
 _TRAIN = {"epochs": 2, "batch_size": 4, "device": "cpu"}
 _SRGAN = {"epochs": 2, "batch_size": 2, "generator": {"noise_length": 4, "stride": 2}, "device": "cpu"}
-
-
-def loss_cases() -> Cases:
-    """Losses in 16 bits, with their gradients; what they are is in test_losses.py."""
-    for dtype, far in (("bfloat16", 1e18), ("float16", 6e4)):  # whose square or sum is still finite
-        for size in (1e-4, 300.0):
-            yield f"losses: residuals of {size:g} in {dtype}", partial(_labeled, size, dtype), nearly(size, 0.01)
-        for variant in ("as_printed", "contrast", "srgan"):
-            yield f"losses: {variant} of fake features of {far:g} in {dtype}", partial(_srgan, variant, dtype, far)
-    for dtype in ("int8", "int64", "bool"):
-        yield f"losses: labels as {dtype}", partial(_labeled, 1.0, dtype), "dtype .* is not"
-    yield "losses: an empty batch", partial(_labeled, 1.0, "float32", count=0), "no sample"
-
-
-def _labeled(size: float, dtype: str, count: int = 35_000) -> Any:
-    """Loss of equal residuals, whose gradient is finite."""
-    number = getattr(torch, dtype)
-    scaled = torch.full((count, 2), size).to(number).requires_grad_(number.is_floating_point)
-    loss = losses.labeled_loss(scaled, torch.zeros_like(scaled), [2], "rmse")
-    loss.backward()
-    assert scaled.grad.isfinite().all()
-    return loss
-
-
-def _srgan(variant: str, dtype: str, far: float) -> list[Any]:
-    """Both losses and the gradients of labelled, unlabelled and fake features."""
-    config = losses.SrganLossConfig(loss_variant=variant)
-    parts = [torch.full((3, 4), size).to(getattr(torch, dtype)).requires_grad_() for size in (0.5, 0.5, 0.5 * far)]
-    discriminator = losses.discriminator_loss(torch.tensor(0.5), parts, config)
-    total = discriminator["total"] + losses.matching_loss(parts[2], parts[1].detach(), config)
-    total.backward()
-    return [total, *discriminator.values(), *(one.grad for one in parts if one.grad is not None)]
 
 
 def calibration_cases() -> Cases:

@@ -15,7 +15,6 @@ from foretouch.errors import ConfigError, FileError
 from foretouch_lab.experiments import Experiment, find_experiment, list_experiments, run_sweep
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
-from foretouch_lab.experiments.framework.sweep import CellResult
 
 ENVIRONMENT = "FORETOUCH_DATA"
 
@@ -96,7 +95,7 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
             resume=arguments.resume,
             workers=arguments.workers or len(os.sched_getaffinity(0)),
             address=arguments.address,
-            progress=_print_cell if arguments.json else lambda cell, *counts: update(*counts, cell.cell.key),
+            progress=_print_cell if arguments.json else lambda key, _seconds, _error, *counts: update(*counts, key),
             finishing=partial(update, description="times"),
         )
     summary = {
@@ -157,7 +156,7 @@ def _show(experiment: Experiment, rows: Sequence[dict[str, Any]], summary: dict[
     print(f"{cells}{summary['cells']} cells ({summary['reused']} reused{failed}); {written}")
 
 
-def _print_cell(result: CellResult, done: int, total: int) -> None:
+def _print_cell(key: str, seconds: float, error: str, done: int, total: int) -> None:
     """Print a finished cell as a JSON object."""
-    record = {"cell": result.cell.key, "status": "failed" if result.rows is None else "done", "error": result.error}
-    print_json({**record, "seconds": round(result.seconds, 3), "done": done, "cells": total})
+    record = {"cell": key, "status": "failed" if error else "done", "error": error}
+    print_json({**record, "seconds": round(seconds, 3), "done": done, "cells": total})

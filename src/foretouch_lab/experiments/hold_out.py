@@ -25,13 +25,14 @@ from foretouch.report.panels import Rows
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
-from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fitted, find_predictor
+from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, find_predictor
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, score_table
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, MODEL, select, skill_tables, unique
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
+_OBJECT: Final = "object"  # the split that is tested after touches, too
 _CORRECTION: Final = f"after n touches, predictors without adaptation add n / (n + {SHRINKAGE:g}) of their mean residual, as does the mean"
 
 
@@ -45,29 +46,22 @@ class HoldOutSettings(Settings):
     seeds: tuple[int, ...] = setting(
         (0, 1, 2, 3, 4), "Seeds of splits and predictors; errors are pooled over them", minimum=0
     )
-    network_seeds: int = setting(1, "Number of seeds that the slow networks are trained with", minimum=1)
     training_fraction: float = setting(
         1.0, "Fraction of trees and epochs; below 1 only for quick trials", bounds=(0.001, 1.0)
     )
     references: tuple[str, ...] = setting(
         ("geometry_trees",), "Predictors that the others are compared with", choices=tuple(PREDICTORS)
     )
+    touches: tuple[int, ...] = setting((0,), "Numbers of touches of the object, for unseen_object", bounds=(0, 1000))
+    draws: int = setting(20, "Number of random draws of the touched grasps", bounds=(1, 1000))
     bootstrap: BootstrapConfig = BootstrapConfig()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("predictors", "seeds", *(["touches"] if isinstance(self, TouchSettings) else [])):
+        for name in ("predictors", "seeds", "touches"):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
                 raise ConfigError(f"{name}: {list(values)} must contain at least one value and no duplicates")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TouchSettings(HoldOutSettings):
-    """Settings of `unseen_object`."""
-
-    touches: tuple[int, ...] = setting((0, 1, 3, 5), "Numbers of touches of the object", bounds=(0, 1000))
-    draws: int = setting(20, "Number of random draws of the touched grasps", bounds=(1, 1000))
 
 
 def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], list[Fold]]:
@@ -78,8 +72,8 @@ def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], lis
 
 
 def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
-    """A cell for each seed, predictor and fold; the slow networks run with the first seeds only."""
-    table = "" if isinstance(settings, TouchSettings) else split
+    """A cell for each seed, predictor and fold; the slow networks run with the first seed only."""
+    table = "" if split == _OBJECT else split
     return [
         Cell(
             "+".join(filter(None, (name, table, fold.name, f"seed{seed}"))).replace(" ", "_"),
@@ -88,7 +82,7 @@ def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
         for number, seed in enumerate(settings.seeds)
         for _, folds in [_folds(split, data, seed)]
         for name in settings.predictors
-        if name not in NETWORKS or number < settings.network_seeds
+        if name not in NETWORKS or number == 0
         for fold in folds
     ]
 
@@ -101,7 +95,7 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
     labels = labels_of(train)
     fitted = find_predictor(cell.values["predictor"], settings.training_fraction)(train, labels, cell.values["seed"])
     everything, mean = fitted.predict(tested), labels.mean(axis=0)  # at once: some baselines are fitted in each call
-    if not isinstance(settings, TouchSettings):
+    if split != _OBJECT:
         return error_rows(tested, everything, labels_of(tested), mean)
     rows = []
     for count in settings.touches:
@@ -113,7 +107,7 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
 
 
 def _predict_draws(
-    fitted: Fitted, samples: Sequence[GraspSample], count: int, settings: TouchSettings
+    fitted: Any, samples: Sequence[GraspSample], count: int, settings: HoldOutSettings
 ) -> Iterator[tuple[list[GraspSample], Float64]]:
     """For each draw, the scored grasps and their predictions after touches of the others."""
     for order in touch_draws(samples[0].object, len(samples), max(settings.touches), settings.draws):
@@ -137,8 +131,8 @@ def _table(count: int) -> str:
     return "no touch" if count == 0 else f"after {count} touch" + ("es" if count > 1 else "")
 
 
-def _tabulate(settings: HoldOutSettings, rows: Sequence[Row]) -> list[Row]:
-    columns = ("touches",) if isinstance(settings, TouchSettings) else ()
+def _tabulate(split: str, settings: HoldOutSettings, rows: Sequence[Row]) -> list[Row]:
+    columns = ("touches",) if split == _OBJECT else ()
     return score_table(rows, settings.predictors, settings.references, settings.bootstrap, columns)
 
 
@@ -171,11 +165,12 @@ def _experiment(
         load=load,
         cells=partial(_cells, split),
         run=partial(_run, split),
-        tabulate=_tabulate,
+        tabulate=partial(_tabulate, split),
         # No cell depends on these; its predictor and seed are among its values.
-        resumable_settings=("predictors", "seeds", "network_seeds", "references", "bootstrap"),
+        resumable_settings=("predictors", "seeds", "references", "bootstrap"),
         data_folder="vision2tactile",
-        **{"settings": HoldOutSettings, "summarise": skill_tables, **others},
+        settings=HoldOutSettings,
+        **{"summarise": skill_tables, **others},
     )
 
 
@@ -219,7 +214,6 @@ EXPERIMENTS: Final = (
             "quick": _TOUCHED,
             "smoke": {**_TOUCHED, "training_fraction": 0.1, "draws": 5},
         },
-        settings=TouchSettings,
         summarise=partial(skill_tables, notes=[_CORRECTION]),
         figure=_draw_touches,
     ),

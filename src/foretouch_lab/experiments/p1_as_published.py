@@ -55,6 +55,7 @@ PUBLISHED: Final[dict[str, dict[str, tuple[float, float | None]]]] = {
 
 P1: Final = "P1 (published)"  # its name among the predictors
 
+_TYPES: Final = {"p1_cylinders": ("coffee", "pringles"), "boxes": ("cheezit", "spam", "wood")}
 _RECIPE: Final = "p1_as_published"
 _SPLITS: Final = 5
 _SAMPLES_PER_SHARE: Final = 500  # test_size = samples / (folds * 100) in the public code
@@ -72,17 +73,14 @@ class P1Settings(Settings):
 
     modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
     epochs: int | None = setting(None, "Number of epochs; by default those of the recipe, 50", bounds=(1, 100_000))
-    cylinders: tuple[str, ...] = setting(("coffee", "pringles"), "Names of the cylinders")
-    boxes: tuple[str, ...] = setting(("cheezit", "spam", "wood"), "Names of the boxes")
 
 
-def _tables(settings: P1Settings, samples: Sequence[GraspSample]) -> dict[str, list[Fold]]:
+def _tables(samples: Sequence[GraspSample]) -> dict[str, list[Fold]]:
     """Train and test samples by table: five random splits within each type, and one type against the other."""
     from sklearn.model_selection import ShuffleSplit
 
-    types = {"p1_cylinders": settings.cylinders, "boxes": settings.boxes}
     indices = {
-        name: np.array([k for k, s in enumerate(samples) if s.object in own], np.intp) for name, own in types.items()
+        name: np.array([k for k, s in enumerate(samples) if s.object in own], np.intp) for name, own in _TYPES.items()
     }
     tables = {}
     for name, index in indices.items():
@@ -100,7 +98,7 @@ def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
     names = ("table", "part", "modality")
     return [
         Cell("+".join(one).replace(" ", "_"), dict(zip(names, one, strict=True)))
-        for table, folds in _tables(settings, labelled(data)).items()
+        for table, folds in _tables(labelled(data)).items()
         for one in product([table], [fold.name for fold in folds], settings.modalities)
     ]
 
@@ -111,7 +109,7 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     from foretouch_lab.learning.training.supervised import train_network
 
     samples = labelled(data)
-    (fold,) = (one for one in _tables(settings, samples)[cell.values["table"]] if one.name == cell.values["part"])
+    (fold,) = (one for one in _tables(samples)[cell.values["table"]] if one.name == cell.values["part"])
     modality: str = cell.values["modality"]
     recipe: Any = load_run_config(_RECIPE, [f"model.outputs=[{modality}]"])
     how = recipe.train if settings.epochs is None else recipe.train.replace(epochs=settings.epochs)

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Area `simulation`: level of contact, grid and effects of the simulator against the time of a sample.
 
-pattern      error of the drops of 24 electrodes against the finest layer, ‖drop - finest‖ / ‖finest‖, median
-force        error of the forces of both fingers against those of the finest layer, median
-counts       root mean square change of the readings when an effect is left out of the scene
+digits       correct decimal digits of the drops of 24 electrodes: -log10 of the median over grasps of the error against
+             the finest layer, ‖drop - finest‖ / ‖finest‖; the lower end is of the largest error
 trained      skill, on the finest level and with all effects, of a contact model that is trained on the variant
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import cycle
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,11 +19,11 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float64, GraspSample
-from foretouch_lab.experiments.framework.experiment import Cell, Row
-from foretouch_lab.experiments.framework.tradeoff import Area, Panel, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.scores import interval_columns
 from foretouch_lab.learning.data import labels_of
-from foretouch_lab.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
+from foretouch_lab.learning.evaluation.metrics import MEAN, ObjectErrors, skills
 from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
@@ -36,22 +34,11 @@ from foretouch_lab.simulation.world import SampleKey
 RIGID: Final = "rigid"
 SOFT: Final = "deformables"
 EVERYTHING: Final = "everything"
-SCENES: Final = (RIGID, SOFT, EVERYTHING)
 
 _FOLDER: Final = Path("config/scenes")
 _TIMED: Final = 16  # samples that are timed in turn
-_ERRORS: Final = ("pattern_error", "pattern_error_largest", "force_error", "counts")
-_BOOTSTRAP: Final = BootstrapConfig(draws=500)
-
-_LEVELS: Final = (
-    ("winkler", 12),
-    ("winkler", 24),
-    ("layer", 8),
-    ("layer", 12),
-    ("layer", 16),
-    ("layer", 24),
-    ("layer", 32),
-)
+_FINEST: Final = 64  # cells a side of the finest layer
+_LEVELS: Final = (("winkler", 12), ("winkler", 24), *(("layer", cells) for cells in (8, 12, 16, 24, 32)))
 
 # Effects by name, with the setting of the scene whose absence switches each off; the first six are of the camera.
 _EFFECTS: Final = {
@@ -70,8 +57,24 @@ _EFFECTS: Final = {
     "scan_hold": "fingers.scan",
 }
 
-# Changes of all variants of a scene: no training accepts readings with a dead electrode.
-_ALWAYS: Final = {RIGID: {}, SOFT: {}, EVERYTHING: {"fingers.dead": None}}
+
+def _variants() -> Iterator[Variant]:
+    """Those of a scene; the first of each is what the others are compared with, and is tested on."""
+    for scene in (RIGID, SOFT):
+        for name, cells in (("layer", _FINEST), *_LEVELS):
+            text = "finest layer" if cells == _FINEST else f"{name} {cells}x{cells}"
+            changes = {"fidelity": name, "fingers.pad.cells": cells}
+            factor = "reference" if cells == _FINEST else name
+            yield Variant(f"{scene}: {text}", factor, {"scene": scene, "changes": changes})
+        yield Variant(f"{scene} as shipped", "shipped", {"scene": scene, "changes": {}})
+    always = {"fingers.dead": None}  # no training accepts readings with a dead electrode
+    yield Variant(f"{EVERYTHING} as shipped", "shipped", {"scene": EVERYTHING, "changes": always})
+    for number, (name, field) in enumerate(_EFFECTS.items()):
+        factor = "camera" if number < 6 else "hand and sensor"
+        yield Variant(f"without {name}", factor, {"scene": EVERYTHING, "changes": {**always, field: None}})
+
+
+VARIANTS: Final = tuple(_variants())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,12 +86,11 @@ class SimulationSettings(TradeoffSettings):
         160, "Grasps that a model is trained on, and as many that it is tested on", bounds=(10, 10_000)
     )
     trees: int = setting(30, "Trees of each of its forests", bounds=(1, 1000))
-    finest_cells: int = setting(64, "Cells a side of the finest layer", bounds=(16, 256))
 
 
 @dataclass(frozen=True, eq=False)
 class Scenes:
-    """The scenes of the repository."""
+    """The scenes of the repository by name."""
 
     scenes: Mapping[str, SceneConfig]
 
@@ -97,16 +99,16 @@ class Scenes:
         """Hash of all."""
         return hashlib.sha256(" ".join(one.sha256() for one in self.scenes.values()).encode()).hexdigest()
 
-    def changed(self, values: Mapping[str, Any]) -> SceneConfig:
+    def changed(self, variant: Variant) -> SceneConfig:
         """The scene of a variant."""
-        scene = self.scenes[values["scene"]]
-        return scene.updated(values["changes"]) if values["changes"] else scene
+        scene, changes = self.scenes[variant.values["scene"]], variant.values["changes"]
+        return scene.updated(changes) if changes else scene
 
 
 def _prepare(_settings: SimulationSettings, source: Path | None, _out: Path) -> Path:
     """The folder of the scenes, which must be there."""
     folder = source or _FOLDER
-    for name in SCENES:
+    for name in (RIGID, SOFT, EVERYTHING):
         if not (folder / f"{name}.yaml").is_file():
             raise ConfigError(
                 f"--data: {folder}: holds no {name}.yaml; give the folder config/scenes of the repository"
@@ -115,116 +117,53 @@ def _prepare(_settings: SimulationSettings, source: Path | None, _out: Path) -> 
 
 
 def _load(_settings: SimulationSettings, path: Path) -> Scenes:
-    return Scenes({name: load_scene(path / f"{name}.yaml") for name in SCENES})
+    return Scenes({name: load_scene(path / f"{name}.yaml") for name in (RIGID, SOFT, EVERYTHING)})
 
 
-def _shipped(scene: str) -> str:
-    return f"{scene} as shipped"
-
-
-def _finest(scene: str) -> str:
-    """Name of the variant that simulates a scene at the finest level; scenes of effects have no other level."""
-    return _shipped(scene) if scene == EVERYTHING else f"{scene}: finest layer"
-
-
-def _variants(settings: SimulationSettings) -> Iterator[Variant]:
-    def variant(name: str, factor: str, scene: str, changes: Mapping[str, Any]) -> Variant:
-        return Variant(name, factor, {"scene": scene, "changes": {**_ALWAYS[scene], **changes}})
-
-    for scene in (RIGID, SOFT):
-        yield variant(_shipped(scene), "shipped", scene, {})
-        finest = {"fidelity": "layer", "fingers.pad.cells": settings.finest_cells}
-        yield variant(_finest(scene), "reference", scene, finest)
-        for name, cells in _LEVELS:
-            changes = {"fidelity": name, "fingers.pad.cells": cells}
-            yield variant(f"{scene}: {name} {cells}x{cells}", name, scene, changes)
-    yield variant(_shipped(EVERYTHING), "shipped", EVERYTHING, {})
-    for number, (name, field) in enumerate(_EFFECTS.items()):
-        yield variant(f"without {name}", "camera" if number < 6 else "hand and sensor", EVERYTHING, {field: None})
-
-
-@lru_cache(maxsize=8)
-def _touched(scene: SceneConfig, count: int) -> dict[int, tuple[Float64, Float64, Float64]]:
-    """By slot, what its first try reads; those that fail are left out.
-
-    (2, 24) drops of the electrodes of both fingers before sensor effects [counts], their (2,) forces [N], and (50,) whole
-    readings [counts].
-    """
-    engine = Engine(scene, EFFECTS, ("readings", "contacts", "touch"))
-    found = {}
-    for slot in range(count):
-        try:
-            state = engine.run(SampleKey(scene.seed, slot))
-        except SimulationError:
-            continue
-        rest, pressed = state.readings
-        forces = np.array([contact.force_n for contact in state.contacts])
-        found[slot] = ((rest - pressed)[:, 1:], forces, state.touch.values)
+def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[str, Row]:
+    """All variants of the scene that the column names, against the first of them."""
+    kind, _, name = skill.partition("_")
+    variants = [one for one in VARIANTS if one.values["scene"] == name]
+    found: dict[str, Row] = {}
+    if kind == "digits":
+        best = _drops(data.changed(variants[0]), settings.compared)
+        for variant in variants[1:]:
+            mine = _drops(data.changed(variant), settings.compared)
+            misses = [np.linalg.norm(mine[k] - best[k]) / np.linalg.norm(best[k]) for k in mine.keys() & best.keys()]
+            digits, least = (-float(np.log10(one)) for one in (np.median(misses), max(misses)))
+            found[variant.name] = {skill: digits, f"{skill}_low": least, f"{skill}_high": digits}
+        return found
+    finest = _samples(data.changed(variants[0]), 2 * settings.train)
+    test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
+    names = np.array([one.id for one in test])  # each grasp counts alone
+    for variant in variants:
+        train = _samples(data.changed(variant), settings.train)
+        predictor = ContactPredictor(train, labels_of(train), ContactTrainingConfig(trees=settings.trees))
+        errors = ObjectErrors.of_predictions(names, predictor.predict(test), labels_of(test), mean, BIOTAC)
+        found[variant.name] = interval_columns(skill, skills(errors, settings.bootstrap)[MEAN])
     return found
 
 
-def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
-    """The row of a variant."""
-    name, scene = cell.values["scene"], data.changed(cell.values)
-    best = data.changed(next(one.values for one in _variants(settings) if one.name == _finest(name)))
-    mine, others = _touched(scene, settings.compared), _touched(best, settings.compared)
-    both = [(mine[k], others[k]) for k in sorted(mine.keys() & others.keys())]
-    row: Row = {**dict.fromkeys(_ERRORS), "refused": settings.compared - len(mine)}
-    if name == EVERYTHING:
-        row["counts"] = float(np.sqrt(np.mean([(one[2] - other[2]) ** 2 for one, other in both])))
-    else:
-        drops, forces = (
-            [float(np.linalg.norm(one[k] - other[k]) / np.linalg.norm(other[k])) for one, other in both] for k in (0, 1)
-        )
-        row |= {
-            "pattern_error": float(np.median(drops)),
-            "pattern_error_largest": float(max(drops)),
-            "force_error": float(np.median(forces)),
-        }
-    errors, best_errors = _errors(scene, best, settings), _errors(best, best, settings)
-    row |= interval_columns(f"trained_{name}", skills(errors, _BOOTSTRAP)[MEAN])
-    return [row | interval_columns("trained_change", compare(errors, best_errors, _BOOTSTRAP)[MEAN])]
+def _drops(scene: SceneConfig, count: int) -> dict[int, Float64]:
+    """(2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; those that fail are left out."""
+    engine, found = Engine(scene, EFFECTS, ("readings",)), {}
+    for slot in range(count):
+        try:
+            rest, pressed = engine.run(SampleKey(scene.seed, slot)).readings
+        except SimulationError:
+            continue
+        found[slot] = (rest - pressed)[:, 1:]
+    return found
 
 
-@lru_cache(maxsize=4)
 def _samples(scene: SceneConfig, count: int) -> list[GraspSample]:
     return list(Simulation(scene).samples(count))
 
 
-@lru_cache(maxsize=4)
-def _errors(scene: SceneConfig, best: SceneConfig, settings: SimulationSettings) -> ObjectErrors:
-    """Of a model that is trained on a scene and tested on later grasps of the finest one; each grasp counts alone."""
-    finest = _samples(best, 2 * settings.train)
-    train = finest[: settings.train] if scene == best else _samples(scene, settings.train)
-    test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
-    predictor = ContactPredictor(train, labels_of(train), ContactTrainingConfig(trees=settings.trees))
-    return ObjectErrors.of_predictions(
-        np.array([one.id for one in test]), predictor.predict(test), labels_of(test), mean, BIOTAC
-    )
-
-
-def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
-    """A row for each variant; the skill of a pattern is its number of correct decimal digits."""
-    result = []
-    for row in rows:
-        found: Row = {"variant": row["variant"]}
-        for name in (RIGID, SOFT):
-            own = row["scene"] == name and row["pattern_error"]
-            digits, least = (
-                -float(np.log10(row[key])) if own else None for key in ("pattern_error", "pattern_error_largest")
-            )
-            found |= {f"digits_{name}": digits, f"digits_{name}_low": least, f"digits_{name}_high": digits}
-        for name in (*(f"trained_{scene}" for scene in SCENES), "trained_change"):
-            found |= {f"{name}{end}": row.get(f"{name}{end}") for end in ("", "_low", "_high")}
-        result.append(found | {name: row[name] for name in (*_ERRORS, "refused")})
-    return result
-
-
 def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
     """See `Area.timed`: simulates the first grasps that do not fail, one after the other."""
-    scene = data.changed(variant.values)
-    engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
-    kept = []
+    scene = data.changed(variant)
+    engine, kept = Engine(scene, EFFECTS, SAMPLE_KEYS), []
     for slot in range(2 * _TIMED):
         try:
             engine.run(SampleKey(scene.seed, slot))
@@ -235,31 +174,25 @@ def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Tim
     return lambda _: engine.run(next(keys)), 1.0
 
 
-EXPERIMENT = Area(
+def _panels() -> Iterator[Panel]:
+    for scene, objects in ((RIGID, "Rigid objects"), (SOFT, "Deformable objects")):
+        pattern = f"{objects}: correct digits of the electrodes' pattern"
+        yield Panel(f"digits_{scene}", 1, pattern, "correct decimal digits")
+        yield Panel(f"trained_{scene}", 1, f"{objects}: skill of a model trained on it, on the finest level")
+    effects = "Effects left out: skill of a model trained without, with all effects"
+    yield Panel(f"trained_{EVERYTHING}", 1, effects)
+
+
+EXPERIMENT = make_area(
+    _accuracy,
     name="tradeoff_simulation",
     question="How exact must the simulator be, and what does a sample cost?",
     module=__name__,
     settings=SimulationSettings,
-    presets={
-        "small": {"compared": 16, "train": 60, "trees": 10, "finest_cells": 48, "timing_s": 25.0},
-        "full": {"timing_s": 120.0},
-    },
+    presets={"small": {"compared": 16, "train": 60, "trees": 10, "timing_s": 25.0}, "full": {"timing_s": 120.0}},
     prepare=_prepare,
     load=_load,
-    cells=variant_cells(_variants),
-    run=_run,
-    tabulate=_tabulate,
-    variants=_variants,
+    variants=VARIANTS,
     timed=_timed,
-    skills={
-        **{f"digits_{name}": "correct decimal digits" for name in (RIGID, SOFT)},
-        **{f"trained_{name}": "mean skill, 95 % interval" for name in SCENES},
-    },
-    panels=(
-        Panel("digits_rigid", 1, "Rigid objects: correct digits of the electrodes' pattern"),
-        Panel("digits_deformables", 1, "Deformable objects: correct digits of the electrodes' pattern"),
-        Panel("trained_rigid", 1, "Rigid objects: skill of a model trained on it, on the finest level"),
-        Panel("trained_deformables", 1, "Deformable objects: skill of a model trained on it, on the finest level"),
-        Panel("trained_everything", 1, "Effects left out: skill of a model trained without, with all effects"),
-    ),
+    panels=tuple(_panels()),
 )

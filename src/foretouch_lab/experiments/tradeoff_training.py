@@ -1,48 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Area `training`: grasps, objects, trees, epochs, points and precision against the time of a training and of the robot."""
+"""Area `training`: grasps, objects, trees and epochs against the time of a training and of the robot."""
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from foretouch.config import setting
 from foretouch.types import Float64, GraspSample
-from foretouch_lab.experiments.framework.experiment import Cell, Row
-from foretouch_lab.experiments.framework.tradeoff import Area, Panel, Timed, TradeoffSettings, Variant
+from foretouch_lab.experiments.framework.experiment import Row
+from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.predictors import network
-from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_columns
-from foretouch_lab.experiments.shared.simulated_data import beside, simulate_store
-from foretouch_lab.experiments.shared.tables import grouped, select
-from foretouch_lab.experiments.tradeoff_model import describe
+from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_rows
+from foretouch_lab.experiments.tradeoff_model import described
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
-from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
-from foretouch_lab.learning.training.contact import ContactTrainingConfig, fit_contact
+from foretouch_lab.learning.training.contact import ContactTrainingConfig
 
-CONTACT: Final = "contact model as shipped"
-NETWORK: Final = "network as shipped"
-MEAN: Final = "mean of labels"
-
-_SPLITS: Final = {"known": "time", "new": "object"}  # column of the skill, and the folds that it is measured on
-_ONE_BLOCK: Final = "one_block"  # column of the skill on the first block of time, all that networks are trained for
-_FIRST: Final = "block 0"  # its name
-_SCENE: Final = Path("config/scenes/deformables.yaml")  # of the grasps where no recordings are given
-_ENDLESS: Final = 100_000  # epochs of a trainer that is timed epoch by epoch
+_SPLITS: Final = {
+    "known": "time",
+    "new": "object",
+    "one_block": "time",
+}  # folds of each skill; the last: the first alone
 _PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
-# Name, factor, and the values of each variant; the shipped models use all grasps (40 of 50 in a block of time) and objects.
-_VARIANTS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
-    (CONTACT, "shipped", {}),
-    (MEAN, "part", {"kind": "mean"}),
-    *((f"{count} grasps an object", "labels", {"grasps": count}) for count in (5, 10, 20)),
-    *((f"{count} objects", "objects", {"objects": count}) for count in (2, 4)),
-    *((f"{count} trees", "trees", {"changes": {"trees": count}}) for count in (5, 15, 120)),
-    ("no thinned copies", "copies", {"changes": {"thinned": 1.0}}),
-)
-_EPOCHS: Final = (10, 30, 60, 240)  # of networks; the shipped one has 120
+
+def _variants() -> Iterator[Variant]:
+    """The shipped models use all grasps (40 of 50 in a block of time) and objects."""
+    yield Variant("contact model as shipped", "shipped")
+    yield Variant("mean of labels", "part", {"mean": True})
+    for count in (5, 10, 20):
+        yield Variant(f"{count} grasps an object", "labels", {"grasps": count})
+    for count in (2, 4):
+        yield Variant(f"{count} objects", "objects", {"objects": count})
+    for count in (5, 15, 120):
+        yield Variant(f"{count} trees", "trees", {"trees": count})
+    yield Variant("no thinned copies", "copies", {"thinned": 1.0})
+    yield Variant("network as shipped", "shipped", {"epochs": 120})
+    for count in (10, 30, 60, 240):
+        yield Variant(f"network, {count} epochs", "epochs", {"epochs": count})
+
+
+VARIANTS: Final = tuple(_variants())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,54 +50,34 @@ class TrainingSettings(TradeoffSettings):
     """Settings of the area."""
 
     trees: int = setting(60, "Trees of each forest of the contact model", bounds=(1, 1000))
-    splits: tuple[str, ...] = setting(tuple(_SPLITS), "Skills of contact models to measure", choices=tuple(_SPLITS))
-    networks: bool = setting(True, "Train networks on the first block of time")
-    samples: int = setting(200, "Grasps to simulate where no recordings are given", bounds=(100, 100_000))
-    bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-def _prepare(settings: TrainingSettings, source: Path | None, out: Path) -> Path:
-    """Recordings, or else a simulated store beside `out`."""
-    return simulate_store(_SCENE, settings.samples, beside(out)) if source is None else source
+def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str, Row]:
+    """Errors on all folds, or for networks, which take a minute a fold, on the first one.
 
-
-def _variants(settings: TrainingSettings) -> Iterator[Variant]:
-    for name, factor, values in _VARIANTS:
-        yield Variant(name, factor, {"kind": "contact", **values})
-    if settings.networks:
-        yield Variant(NETWORK, "shipped", {"kind": "network", "changes": {}})
-        for count in _EPOCHS:
-            yield Variant(f"network, {count} epochs", "epochs", {"kind": "network", "changes": {"train.epochs": count}})
-
-
-def _cells(settings: TrainingSettings, _data: Dataset) -> list[Cell]:
-    """A cell for each variant and split; networks are trained once, for the first block of time."""
-    made = []
-    for number, one in enumerate(_variants(settings)):
-        columns = [
-            name for name in settings.splits if name == "new" or "objects" not in one.values
-        ]  # fewer objects: new ones
-        if one.values["kind"] == "network":
-            columns = [_ONE_BLOCK]
-        values = {"variant": one.name, **one.values}
-        made += [Cell(f"{number:03}_{column}", {**values, "column": column}) for column in columns]
-    return made
-
-
-def _run(cell: Cell, settings: TrainingSettings, data: Dataset) -> list[Row]:
-    """Errors on all folds of the split, or on the first one."""
+    `robot_h_<skill>` are the hours that a robot needs for the training grasps.
+    """
     samples = labelled(data)
-    folds = make_folds(samples, _SPLITS.get(cell.values["column"], "time"), 0)
+    errors: dict[str, list[Row]] = {}
+    counts: dict[str, list[int]] = {}
+    folds = make_folds(samples, _SPLITS[skill], 0)[: 1 if skill == "one_block" else None]
+    for variant in VARIANTS:
+        if ("epochs" in variant.values and skill != "one_block") or ("objects" in variant.values and skill != "new"):
+            continue
+        rows = []
+        for fold in folds:
+            train, test = fold.sides(samples)
+            chosen = _chosen(variant.values, train)
+            counts.setdefault(variant.name, []).append(len(chosen))
+            predicted = _predict(variant.values, settings, data, chosen, test)
+            rows += [
+                {"part": fold.name, **row}
+                for row in error_rows(test, predicted, labels_of(test), labels_of(train).mean(axis=0))
+            ]
+        errors[variant.name] = rows
     hours = _robot_seconds(samples) / 3600.0
-    rows: list[Row] = []
-    for fold in folds[:1] if cell.values["column"] == _ONE_BLOCK else folds:
-        train, test = fold.sides(samples)
-        chosen = _chosen_samples(cell.values, train)
-        predicted = _predict(cell.values, settings, data, chosen, test)
-        head = {"part": fold.name, "train": len(chosen), "robot_h": len(chosen) * hours}
-        mean = labels_of(train).mean(axis=0)
-        rows += [{**head, **row} for row in error_rows(test, predicted, labels_of(test), mean)]
-    return rows
+    found = skill_rows(skill, errors, settings.bootstrap)
+    return {name: row | {f"robot_h_{skill}": hours * float(np.mean(counts[name]))} for name, row in found.items()}
 
 
 def _by_object(samples: Sequence[GraspSample]) -> dict[str, list[GraspSample]]:
@@ -106,18 +86,26 @@ def _by_object(samples: Sequence[GraspSample]) -> dict[str, list[GraspSample]]:
     return {name: [sample for sample in samples if sample.object == name] for name in names}
 
 
-def _chosen_samples(values: Mapping[str, Any], train: Sequence[GraspSample]) -> list[GraspSample]:
-    """The training samples of a variant, drawn at random; all if it has fewer than it asks for. Smaller draws are part of larger ones."""
+def _robot_seconds(samples: Sequence[GraspSample]) -> float:
+    """Median time from one grasp of an object to the next, as they were recorded [s]."""
+    gaps = [np.diff(sorted(one.stamp_ns for one in own)) for own in _by_object(samples).values()]
+    return float(np.median(np.concatenate(gaps))) / 1e9
+
+
+def _chosen(values: Mapping[str, Any], train: Sequence[GraspSample]) -> list[GraspSample]:
+    """The training samples of a variant, drawn at random; smaller draws are part of larger ones."""
     groups = _by_object(train)
-    if (grasps := values.get("grasps")) is not None:
-        orders = {
-            name: np.random.default_rng([zlib.crc32(name.encode()), 0]).permutation(len(own))
+    if "objects" in values:
+        names = np.random.default_rng(0).permutation(list(groups))[: values["objects"]]
+        return [sample for name in names for sample in groups[name]]
+    if "grasps" in values:
+        most = min(values["grasps"], *map(len, groups.values()))
+        seeds = {name: [zlib.crc32(name.encode()), 0] for name in groups}
+        return [
+            own[k]
             for name, own in groups.items()
-        }
-        return [own[k] for name, own in groups.items() for k in orders[name][: min(grasps, *map(len, groups.values()))]]
-    if (count := values.get("objects")) is not None:
-        names = list(groups)
-        return [one for k in np.random.default_rng(0).permutation(len(names))[:count] for one in groups[names[k]]]
+            for k in np.random.default_rng(seeds[name]).permutation(len(own))[:most]
+        ]
     return list(train)
 
 
@@ -129,39 +117,15 @@ def _predict(
     test: Sequence[GraspSample],
 ) -> Float64:
     """(T, 50) predictions of test samples by a variant that is trained on some samples [counts]."""
-    if values["kind"] == "mean":
+    if "mean" in values:
         return np.tile(labels_of(train).mean(axis=0), (len(test), 1))
-    if values["kind"] == "network":
-        return network("touchnet_v1", 1.0, values["changes"])(train, labels_of(train), test, 0)
-    described = describe(data)
-    config = ContactTrainingConfig(trees=settings.trees).updated(values.get("changes", {}))
-    index = described.index(train)
-    thinned = None if config.thinned == 1.0 else described.rows(thinned=True)[index]
-    names = [one.object for one in train]
-    fitted = fit_contact(described.rows()[index], described.labels[index], names, config, thinned)
-    return fitted.predict_rows(described.rows()[described.index(test)])[0]
-
-
-def _robot_seconds(samples: Sequence[GraspSample]) -> float:
-    """Median time from one grasp of an object to the next, as they were recorded; 0 of simulated ones [s]."""
-    gaps = np.concatenate([np.diff(sorted(one.stamp_ns for one in own)) for own in _by_object(samples).values()])
-    return float(np.median(gaps / 1e9)) if len(gaps) else 0.0
-
-
-def _tabulate(settings: TrainingSettings, rows: Sequence[Row]) -> list[Row]:
-    """A row for each variant: skills, and for each the training grasps and the hours that a robot needs for them."""
-    result = []
-    for name, own in grouped(rows, "variant"):
-        parts = {column: select(own, column=column) for column in (*_SPLITS, _ONE_BLOCK)}
-        blocks = [one for one in [*parts["known"], *parts[_ONE_BLOCK]] if one["part"] == _FIRST]
-        row: Row = {"variant": name}
-        for column, part in {**parts, _ONE_BLOCK: blocks}.items():
-            row |= skill_columns(column, part, settings.bootstrap)
-        for column, part in parts.items():
-            row[f"grasps_{column}"] = round(float(np.mean([one["train"] for one in part]))) if part else None
-            row[f"robot_h_{column}"] = float(np.mean([one["robot_h"] for one in part])) if part else None
-        result.append(row)
-    return result
+    if "epochs" in values:
+        return network("touchnet_v1", 1.0, {"train.epochs": values["epochs"]})(train, labels_of(train), test, 0)
+    predictor, place = described(data)
+    changes = {name: values[name] for name in ("trees", "thinned") if name in values}
+    config = ContactTrainingConfig(trees=settings.trees).updated(changes)
+    known, asked = ([place[sample.id] for sample in side] for side in (train, test))
+    return predictor.fit(np.array(known), config).predict_rows(predictor.rows[asked])[0]
 
 
 def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed:
@@ -171,43 +135,33 @@ def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed
     predicts some test samples.
     """
     samples = labelled(data)
-    (fold,) = (one for one in make_folds(samples, "time", 0) if one.name == _FIRST)
-    train, test = fold.sides(samples)
-    chosen = _chosen_samples(variant.values, train)
-    if variant.values["kind"] != "network":
+    train, test = make_folds(samples, "time", 0)[0].sides(samples)
+    chosen = _chosen(variant.values, train)
+    if "epochs" not in variant.values:
         return lambda _: _predict(variant.values, settings, data, chosen, test[:_PREDICTED]), 1.0
     from foretouch_lab.learning.data.training_set import TrainingSet
     from foretouch_lab.learning.training.run_config import load_run_config
     from foretouch_lab.learning.training.supervised import SupervisedTrainer
 
-    recipe: Any = load_run_config("touchnet-v1").updated(variant.values["changes"])
-    endless = recipe.train.replace(epochs=_ENDLESS)
-    trainer = SupervisedTrainer(TrainingSet.build(chosen, recipe.model), np.arange(len(chosen)), endless)
-    return lambda _: trainer.run_epoch(), float(recipe.train.epochs)
+    recipe: Any = load_run_config("touchnet-v1", ["train.epochs=100000"])  # as many as are timed
+    trainer = SupervisedTrainer(TrainingSet.build(chosen, recipe.model), np.arange(len(chosen)), recipe.train)
+    return lambda _: trainer.run_epoch(), float(variant.values["epochs"])
 
 
-EXPERIMENT = Area(
+EXPERIMENT = make_area(
+    _accuracy,
     name="tradeoff_training",
     question="What does one more hour buy, of the robot that grasps or of the computer that trains?",
     module=__name__,
     settings=TrainingSettings,
-    presets={"small": {"networks": False, "splits": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
-    prepare=_prepare,
+    presets={"small": {"skills": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
     load=load,
-    cells=_cells,
-    run=_run,
-    tabulate=_tabulate,
     data_folder="vision2tactile",
-    variants=_variants,
+    variants=VARIANTS,
     timed=_timed,
-    skills={
-        "known": "mean skill, known objects in blocks of time",
-        "new": "mean skill, objects left out",
-        _ONE_BLOCK: "mean skill, the first block of time alone",
-    },
     panels=(
         Panel("known", 1, "Contact model: skill on known objects (blocks of time)"),
         Panel("new", 1, "Contact model: skill on new objects (left out)"),
-        Panel(_ONE_BLOCK, 1, "Networks and contact models: skill on the first block of time"),
+        Panel("one_block", 1, "Networks and contact models: skill on the first block of time"),
     ),
 )

@@ -129,12 +129,6 @@ class Replayed:
     levels: list[Level]  # (S,) levels of the tracker
     restarted: list[tuple[str, ...]]  # (S,) fingers that each reading restarted
 
-    def take(self, index: Bool) -> Self:
-        """Some of the grasps, by a mask."""
-        chosen = np.flatnonzero(index)
-        levels, restarted = [self.levels[k] for k in chosen], [self.restarted[k] for k in chosen]
-        return type(self)(self.counts[index], self.half[index], self.deviation[index], levels, restarted)
-
 
 def replay(tracker: SensorTracker, recording: TimedReadings, *, keep_sensors: bool = True) -> Replayed:
     """Predict each grasp, then add its reading to the tracker; one that is NaN is only predicted.

@@ -13,10 +13,10 @@ import pytest
 from every_case import every_case, every_refusal
 from own_experiments.counting import EXPERIMENT, CountingSettings
 
-from foretouch.errors import ConfigError, FileError
+from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch_lab.experiments import Cell, run_sweep
-from foretouch_lab.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
-from foretouch_lab.experiments.framework.sweep import SweepJob, run_cell
+from foretouch_lab.experiments.framework.manifest import read_results, write_results, write_summary
+from foretouch_lab.experiments.framework.sweep import run_cell
 
 TESTS = Path(__file__).parents[2]
 PATH = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])  # where workers find `own_experiments`
@@ -45,7 +45,7 @@ def starts(trace: Path) -> dict[str, int]:
 
 def test_table_manifest_and_cells(sweep, out) -> None:
     reported = []
-    result = sweep(workers=2, progress=lambda result, done, total: reported.append((result.cell.key, done, total)))
+    result = sweep(workers=2, progress=lambda key, _seconds, _error, *counts: reported.append((key, *counts)))
     assert [row["number"] for row in result.rows] == [k for k in range(6) for _ in range(2)]
     assert read_results(out / "results.csv") == result.rows
     assert sorted(key for key, *_ in reported) == [f"cell{k}" for k in range(6)]
@@ -56,7 +56,7 @@ def test_table_manifest_and_cells(sweep, out) -> None:
     assert manifest["data"] == {"sha256": result.data_sha256}
     assert manifest["cells"] == {"all": 6, "finished": 6, "failed": {}}
     (session,) = manifest["sessions"]
-    assert {"foretouch", "git", "python", "libraries", "cpu", "cores", "gpu", "workers"} <= set(session)
+    assert {"foretouch", "git", "python", "platform", "cpu", "workers"} <= set(session)
     assert str(out.parent) not in (out / "manifest.json").read_text()
 
 
@@ -105,10 +105,8 @@ def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -
     with pytest.raises(ConfigError, match="paus: unknown setting; known: cells"):
         EXPERIMENT.resolve("full", {"paus": 1})
     text = json.dumps(CountingSettings().to_mapping())
-    job = SweepJob("own_experiments.counting", text, str(numbers), "0" * 64)
-    result = run_cell(job, Cell("cell0", {"number": 0}))
-    assert result.rows is None
-    assert "with which the sweep started" in result.error
+    with pytest.raises(DatasetError, match="with which the sweep started"):
+        run_cell("own_experiments.counting", text, str(numbers), "0" * 64, Cell("cell0", {"number": 0}))
 
 
 def test_more_cells_keep_those_that_are_finished(sweep, out, trace, in_this_process) -> None:
@@ -144,20 +142,13 @@ def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_pro
     sweep(settings={"cells": 1})
     file = out / "manifest.json"
     whole = json.loads(file.read_text())
-    damaged = [("sessions", None), ("sessions", 5), ("cells", []), ("cells", 5), ("cells", {"all": 1})]
-    damaged += [("cells", {"all": "1"}), ("cells", {"all": 1, "finished": 1, "failed": []})]
 
     def check(name: str, value: object) -> None:
         file.write_text(json.dumps({**whole, name: value}))
-        for use in (
-            lambda: sweep(settings={"cells": 1}, resume=True),
-            lambda: write_summary(out, EXPERIMENT, []),
-            lambda: require_experiment(out, "counting"),
-        ):
-            with pytest.raises(FileError, match=rf"manifest\.json: {name}[.:]"):
-                use()
+        with pytest.raises(FileError, match=rf"manifest\.json: {name}[.:]"):
+            sweep(settings={"cells": 1}, resume=True)
 
-    every_case(damaged, check)
+    every_case([("sessions", 5), ("cells", {"all": "1"})], check)
 
 
 def test_results_are_rounded_and_read_back_as_they_were(tmp_path) -> None:
@@ -194,8 +185,8 @@ def test_ray_gives_the_same_bits_and_outlives_a_node(ray_cluster, tmp_path, swee
     settings = {"cells": 8, "pause_s": 1.0, "dies_once": (0,), "trace": str(trace)}
     seen = []
 
-    def kill(result, done, total) -> None:
-        seen.append(result.cell.key)
+    def kill(key, *_) -> None:
+        seen.append(key)
         if len(seen) == 2:
             ray_cluster.remove_node(lost, allow_graceful=False)
 

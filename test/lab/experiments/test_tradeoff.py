@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An area of one's own, measured from skill to picture; resumed, timed again, redrawn and refused."""
+"""An area of one's own from skill to picture, timed again and redrawn; and what the areas of the package measure."""
 
 import json
 import shutil
@@ -9,25 +9,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 from every_case import every_case
+from experiment_samples import make_collection
 
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
+from foretouch.pipeline import Pipeline
+from foretouch_lab.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.manifest import read_results
-from foretouch_lab.experiments.framework.tradeoff import Panel, find_area, frontier, frontier_tables, list_areas
-from foretouch_lab.experiments.shared.scores import equal_columns
+from foretouch_lab.experiments.framework.tradeoff import Area, Panel, TradeoffSettings, find_area, frontier, list_areas
+from foretouch_lab.experiments.shared.scores import skill_rows
+from foretouch_lab.learning.data import make_folds
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+
+ROOT = Path(__file__).parents[3]
+GRASPS = make_collection()
+QUICK = BootstrapConfig(draws=100)
 
 SOURCE = """
 import math
 import time
 from hashlib import sha256
 
-import numpy as np
-
-from foretouch.errors import MissingDependencyError
-from foretouch_lab.experiments import Cell
-from foretouch_lab.experiments.framework.tradeoff import Area, Panel, TradeoffSettings, Variant
+from foretouch_lab.experiments.framework.tradeoff import Panel, Variant, make_area
 
 TERMS = {"shipped": 8, "short": 2, "long": 12, "slow and bad": 1}
 
@@ -37,43 +41,28 @@ class Words:
         self.sha256 = sha256(path.read_bytes()).hexdigest()
 
 
-def variants(settings):
-    made = [Variant(name, "shipped" if name == "shipped" else "terms", {"terms": n}) for name, n in TERMS.items()]
-    return [*made, Variant("other library", "library", {})]
-
-
-def series(terms):
-    return 4.0 * sum((-1.0) ** k / (2 * k + 1) for k in range(terms))
+def closeness(terms):
+    return 1.0 - abs(4.0 * sum((-1.0) ** k / (2 * k + 1) for k in range(terms)) - math.pi)
 
 
 def timed(variant, settings, data):
-    if variant.factor == "library":
-        raise MissingDependencyError("fast_pi is not installed")
-    terms = variant.values["terms"]
-    naps = 2e-3 if variant.name == "slow and bad" else 1e-4 * terms
-
     def answer(count):
-        end = time.thread_time() + naps
+        end = time.thread_time() + (2e-3 if variant.name == "slow and bad" else 1e-4 * TERMS[variant.name])
         while time.thread_time() < end:
             pass
-        return np.full(count, series(terms))
 
     return answer, 1.0
 
 
-EXPERIMENT = Area(
+EXPERIMENT = make_area(
+    lambda skill, settings, data: {name: {skill: closeness(terms)} for name, terms in TERMS.items()},
     name="pi",
     question="How many digits in a millisecond?",
     module=__name__,
-    settings=TradeoffSettings,
     presets={"small": {"timing_s": 0.3, "requests": [1, 3], "pause_s": 0.001}, "full": {}},
     load=lambda settings, path: Words(path),
-    cells=lambda settings, data: [Cell(name.replace(" ", "_"), {"variant": name}) for name in TERMS],
-    run=lambda cell, settings, data: [{"skill": 1.0 - abs(series(TERMS[cell.values["variant"]]) - math.pi)}],
-    tabulate=lambda settings, rows: [{"skill_low": None, "skill_high": None, **row} for row in rows],
-    variants=variants,
+    variants=[Variant(name, "shipped" if name == "shipped" else "terms") for name in TERMS],
     timed=timed,
-    skills={"skill": "closeness to pi"},
     panels=(Panel("skill", 1, "One number"),),
 )
 """
@@ -86,56 +75,37 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_this_process: None) 
     (tmp_path / "pi_lab/pi.py").write_text(SOURCE)
     (tmp_path / "data.txt").write_text("3")
     monkeypatch.syspath_prepend(tmp_path)
+    for name in ("pi_lab", "pi_lab.pi"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     return tmp_path
 
 
-@pytest.fixture
-def run(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """Runs the command: exit status, and the last line on stdout as JSON, or what is on stderr."""
-
-    def command(*words: str) -> tuple[int, dict[str, object] | str]:
-        for name in ("pi_lab", "pi_lab.pi"):
-            monkeypatch.delitem(sys.modules, name, raising=False)
+def test_an_area_gives_table_and_picture_and_is_timed_again_with_its_skills(lab: Path, capsys) -> None:
+    def run(*words: str) -> tuple[int, dict[str, object] | str]:
         head = ["tradeoff", "pi_lab.pi", "-o", str(lab / "out"), "--data", str(lab / "data.txt"), "--workers", "1"]
         status = main([*head, "--json", *words])
         printed = capsys.readouterr()
         return status, json.loads(printed.out.splitlines()[-1]) if printed.out else printed.err
 
-    return command
-
-
-def test_an_area_gives_table_and_picture(lab: Path, run) -> None:
     status, last = run()
-    assert (status, last["cells"]) == (0, 4)
+    assert (status, last["cells"]) == (0, 1)
     assert last["frontier"] == {"One number": ["short", "shipped", "long"]}
-    assert last["skipped"] == {"other library": "fast_pi is not installed"}
-    *rows, other = read_results(lab / "out/tradeoff.csv")
-    assert {(row["variant"], row["request"]) for row in rows} == {(v, n) for v in (
-        "shipped", "short", "long", "slow and bad") for n in (1, 3)}  # fmt: skip
-    assert (other["variant"], other["request"], other["ms_p50"]) == ("other library", None, None)
+    table, summary = lab / "out/tradeoff.csv", lab / "out/summary.md"
+    rows = read_results(table)
+    names = ("shipped", "short", "long", "slow and bad")
+    assert {(row["variant"], row["request"]) for row in rows} == {(name, n) for name in names for n in (1, 3)}
     for row in rows:
         assert row["ms_p50"] <= row["ms_p95"] <= row["ms_p99"]
         assert row["calls"] >= 5
         assert row["state"] in ("idle", "loaded")
     short, long = (next(row for row in rows if row["variant"] == one) for one in ("short", "long"))
     assert long["cpu_ms"] / short["cpu_ms"] == pytest.approx(6.0, rel=0.3)
-    summary = (lab / "out/summary.md").read_text()
-    for text in (
-        "| short | ", "| shipped * | ", "| long | ", "Skipped: other library: fast_pi is not installed.", "other processes used",
-    ):  # fmt: skip
-        assert text in summary
+    assert "| shipped * | " in summary.read_text()
     assert (lab / "out/tradeoff.png").stat().st_size > 10_000
 
-
-def test_skills_are_kept_and_times_are_measured_again(lab: Path, run) -> None:
-    assert run()[0] == 0
-    table = lab / "out/tradeoff.csv"
     first = table.read_text()
-    status, message = run()
-    assert status == 1
-    assert "--resume" in message
-    assert run("--resume")[1]["reused"] == 4  # no cell was run
-    summary = lab / "out/summary.md"
+    assert "--resume" in run()[1]
+    assert run("--resume")[1]["reused"] == 1  # no cell was run
     origin = summary.read_text().splitlines()[2]
     assert origin.startswith("`foretouch tradeoff pi --preset small`; foretouch ")
     shutil.rmtree(lab / "out/cells")  # as published results are
@@ -144,67 +114,144 @@ def test_skills_are_kept_and_times_are_measured_again(lab: Path, run) -> None:
     assert again != first
     assert run("--redraw")[1]["figures"] == ["tradeoff.png"]
     assert summary.read_text().splitlines()[2] == origin
-    assert table.read_text() == again
     assert {row["skill"] for row in read_results(table) if row["variant"] == "short"} == {0.52507}
+    (lab / "out/tradeoff.csv").unlink()
+    assert "skills: 'taste' is not one of skill" in run("skills=[taste]", "--resume")[1]
 
 
-def test_a_wrong_area_is_refused(lab: Path, run) -> None:
-    (lab / "pi_lab/pi.py").write_text(SOURCE.replace("return [*made,", "return [*made, *made,"))
-    status, message = run("--resume")
-    assert status == 1
-    assert "occurs twice" in message
-
-
-def test_areas_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+def test_areas_of_the_package_and_their_committed_tables(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     areas = list_areas()
     assert [one.area for one in areas] == ["model", "perception", "simulation", "training"]
 
-    def check(area, preset: str) -> None:
+    def check(area: Area) -> None:
         assert find_area(area.area) is area
-        assert [one for one in area.variants(area.resolve(preset, {})) if one.factor == "shipped"]
+        names = [one.name for one in area.variants]
+        assert len(set(names)) == len(names)
+        assert [one for one in area.variants if one.factor == "shipped"]
+        folder = ROOT / "docs/results/tradeoff" / area.area
+        rows = read_results(folder / "tradeoff.csv")
+        summary = (folder / "summary.md").read_text()
+        for one in area.tables(rows):
+            assert all(" | ".join(line) in summary for line in one.rows)
+            assert all(note in summary for note in one.notes)
+        assert area.draw(rows, tmp_path)[0].stat().st_size > 10_000
 
-    every_case({f"{one.area} {preset}": (one, preset) for one in areas for preset in one.presets}, check)
+    every_case({one.area: one for one in areas}, check)
     with pytest.raises(ConfigError, match=r"'nothing' is not one of model, perception"):
         find_area("nothing")
     assert main(["tradeoff", "list", "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[0])["name"] == "model"
 
 
-def test_of_variants_that_do_not_differ_significantly_the_fastest_is_on_the_frontier() -> None:
+def test_the_frontier_holds_what_nothing_beats_and_of_equals_of_the_best_the_fastest() -> None:
     errors = np.array([[100.0] * 8, [60.0] * 8, [57.0, 62.0] * 4, [20.0] * 8, [19.0, 21.1] * 4])  # of each object
     names = ("mean", "quick", "slow", "best", "fast")
     made = {
         name: [
-            {"object": str(k), "count": 1, "squared": [one] * 50, "reference": [100.0] * 50, "part": "all", "seed": 0}
-            for k, one in enumerate(own)
+            {"object": str(k), "count": 1, "squared": [e] * 50, "reference": [100.0] * 50} for k, e in enumerate(own)
         ]
         for name, own in zip(names, errors, strict=True)
     }
-    found = equal_columns("skill", made, BootstrapConfig(draws=500))
+    found = skill_rows("skill", made, BootstrapConfig(draws=500))
     equals = {name: row["skill_equals"] for name, row in found.items()}
-    assert equals == {"mean": "mean", "quick": "slow", "slow": "slow", "best": "best", "fast": "best"}
-    assert found["slow"]["skill_behind"] == pytest.approx(-0.395)
-    assert found["slow"]["skill_behind_low"] < -0.395 < found["slow"]["skill_behind_high"] < 0.0
+    assert equals == {"mean": None, "quick": None, "slow": None, "best": "best", "fast": "best"}
+    times: dict[str, float | None] = {"mean": 1.0, "quick": 2.0, "slow": 3.0, "best": 5.0, "fast": 4.0}
     rows: list[Row] = [
-        {"variant": name, "ms_p50": ms, "cpu_ms": ms, "state": "idle", "request": 1, "factor": "", "ms_p95": ms,
-         "ms_p99": ms, "skill": 1.0 - own.mean() / 100.0, **found[name]}
-        for name, own, ms in zip(names, errors, (1.0, 2.0, 3.0, 5.0, 4.0), strict=True)
-    ]  # fmt: skip
-    assert [row["variant"] for row in frontier(rows, "skill")] == ["mean", "quick", "fast"]
-    (told,) = frontier_tables([Panel("skill", 1, "All")], rows)
-    assert [line[0] for line in told.rows] == ["mean", "quick", "fast"]
+        {"variant": name, "ms_p50": ms, "cpu_ms": ms, "state": "idle", "request": 1, **found[name]}
+        for name, ms in times.items()
+    ]
+    late = {**rows[0], "ms_p50": 9.0, "state": "loaded"}  # of a table of both states of the machine the idle one counts
+    none = {**rows[0], "variant": "unknown", "skill": None}
+    panel = Panel("skill", 1, "All")
+    assert [row["variant"] for row in frontier([*rows, late, none], panel)] == ["mean", "quick", "slow", "fast"]
 
 
-def test_of_a_table_of_both_states_of_the_machine_the_idle_one_counts() -> None:
-    folder = Path(__file__).parents[3] / "docs/results/tradeoff/model"
-    rows, area = read_results(folder / "tradeoff.csv"), find_area("model")
-    assert {row["state"] for row in rows} == {"idle", "loaded"}
-    (note,) = area.tables(rows)[0].notes
-    assert note.startswith("In 10 ms you get the default model")
-    assert note in (folder / "summary.md").read_text()
+def test_models_are_measured_on_each_split_and_timed() -> None:
+    area = tradeoff_model.EXPERIMENT
+    settings = TradeoffSettings(requests=(1, 2), bootstrap=QUICK)
+    rows = area.run(area.cells(settings, GRASPS)[1], settings, GRASPS)
+    found = {row["variant"]: row for row in rows}
+    assert found.keys() == {one.name for one in area.variants} - {"mean of the object", "papers' four networks"}
+    assert found["mean of labels + readings"]["object"] > 0.1
+    assert found["mean of labels"]["object"] == 0.0
+    assert found["contact-v2"]["object_rmse_PDC_TH"] > 0.0
+    assert found["10 trees"]["object"] != found["contact-v2"]["object"]
+    assert found["touchnet-v1"]["object"] == pytest.approx(-0.005, abs=5e-4)  # of its card
+    made = {one.name: area.timed(one, settings, GRASPS)[0] for one in area.variants}
+    for name, answer in made.items():
+        assert answer(2).shape == (2, 50), name
+    assert not np.array_equal(made["contact-v2 + readings"](1), made["contact-v2"](1))
 
 
-def test_the_frontier_holds_what_nothing_beats() -> None:
-    points = [("a", 1.0, 0.1), ("b", 2.0, 0.3), ("c", 3.0, 0.3), ("d", 4.0, 0.2), ("e", 5.0, 0.9), ("f", 0.5, None)]
-    rows: list[Row] = [{"variant": n, "ms_p50": t, "cpu_ms": t, "state": "idle", "skill": s} for n, t, s in points]
-    assert [row["variant"] for row in frontier(rows, "skill")] == ["a", "b", "e"]
+def test_a_coarser_grid_loses_masks_and_both_steps_are_timed() -> None:
+    truth = np.array([[2, 2, 2, 2, 0, 3, 3, 0]], np.int32)
+    labels = np.array([[1, 1, 1, 2, 0, 3, 3, 3]], np.int32)
+    assert tradeoff_perception.overlaps(labels, truth) == [3 / 4, 2 / 3]
+    area, settings = tradeoff_perception.EXPERIMENT, tradeoff_perception.PerceptionSettings(scenes=2)
+    data = area.load(settings, Path("no recordings"))
+    found = {row["variant"]: row for cell in area.cells(settings, data) for row in area.run(cell, settings, data)}
+    assert found.keys() == {one.name for one in area.variants}
+    shipped = found["segmentation as shipped"]
+    assert found["grid rows 60"]["iou"] < shipped["iou"]
+    assert shipped["iou_low"] <= shipped["iou"] <= shipped["iou_high"]
+    assert found["GeoGrasp as shipped"]["score"] > found["max points 500"]["score"]
+    original = Pipeline().config.updated({"grasp.method": "original", "target.mode": "all"})
+    for one in area.variants:
+        assert (tradeoff_perception._pipeline(one).config == original) == (not one.values["changes"])
+    for one in area.variants[:2]:
+        answer, _ = area.timed(one, settings, data)
+        assert answer(1) is not answer(1)
+
+
+def test_springs_are_nearly_right_on_rigid_objects_and_effects_can_be_left_out(tmp_path: Path, monkeypatch) -> None:
+    area, settings = (
+        tradeoff_simulation.EXPERIMENT,
+        tradeoff_simulation.SimulationSettings(compared=4, train=10, trees=2),
+    )
+    data = area.load(settings, ROOT / "config/scenes")
+    every_case({one.name: (one,) for one in area.variants}, data.changed)
+    shown = ("finest", "winkler 12", "everything as shipped", "without noise")
+    fewer = tuple(one for one in area.variants if any(text in one.name for text in shown))
+    monkeypatch.setattr(tradeoff_simulation, "VARIANTS", fewer)
+    found: dict[str, Row] = {}
+    for cell in area.cells(settings, data):
+        if cell.key in ("digits_rigid", "digits_deformables", "trained_everything"):
+            found |= {row["variant"]: row for row in area.run(cell, settings, data)}
+    rigid, soft = found["rigid: winkler 12x12"], found["deformables: winkler 12x12"]
+    assert rigid["digits_rigid"] > 1.3
+    assert soft["digits_deformables"] < 1.0
+    assert rigid["digits_rigid_low"] <= rigid["digits_rigid"]
+    assert found["without noise"]["trained_everything"] != found["everything as shipped"]["trained_everything"]
+    answer, _ = area.timed(area.variants[0], settings, data)
+    one, two = answer(1).touch.values, answer(1).touch.values
+    assert one.shape == (50,)
+    assert not np.array_equal(one, two)
+    with pytest.raises(ConfigError, match=r"holds no rigid.yaml; give the folder config/scenes"):
+        area.prepare(settings, tmp_path, tmp_path)
+
+
+def test_more_grasps_are_more_skilful_take_the_robot_longer_and_fewer_are_part_of_all(monkeypatch) -> None:
+    area, settings = tradeoff_training.EXPERIMENT, tradeoff_training.TrainingSettings(trees=2, bootstrap=QUICK)
+    wanted = ("contact model as shipped", "mean of labels", "5 grasps an object", "2 objects", "network as shipped")
+    variants = {one.name: one for one in area.variants if one.name in wanted}
+    monkeypatch.setattr(tradeoff_training, "VARIANTS", tuple(variants.values()))
+    cells = area.cells(settings, GRASPS)
+    assert [cell.key for cell in cells] == ["known", "new", "one_block"]
+    found = {row["variant"]: row for row in area.run(cells[0], settings, GRASPS)}
+    assert found.keys() == set(wanted[:3])
+    shipped, mean, fewer = (found[name] for name in wanted[:3])
+    assert shipped["known"] > fewer["known"] > mean["known"] == 0.0
+    assert shipped["robot_h_known"] == pytest.approx(76.8 * 60.0 / 3600.0, abs=0.01)
+    assert shipped["known_low"] < shipped["known"] < shipped["known_high"]
+    train, _ = make_folds(GRASPS.samples, "time", 0)[0].sides(GRASPS.samples)
+    chosen = tradeoff_training._chosen
+    five = chosen({"grasps": 5}, train)
+    assert len(five) == 5 * 8
+    assert {one.id for one in five} < {one.id for one in chosen({"grasps": 8}, train)}
+    assert len({one.object for one in chosen({"objects": 3}, train)}) == 3
+    assert chosen({"grasps": 1000}, train) == chosen({"grasps": 9}, train)
+    fit, _ = area.timed(variants["contact model as shipped"], settings, GRASPS)
+    assert fit(1).shape == (10, 50)
+    epoch, epochs = area.timed(variants["network as shipped"], settings, GRASPS)
+    assert epochs == 120.0
+    assert epoch(1)["loss"] > 0.0

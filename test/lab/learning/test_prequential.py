@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibrated_models import REST, make_calibration
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from foretouch.errors import DatasetError
 from foretouch.models.tracker import SensorTracker
@@ -54,14 +54,6 @@ def test_a_prediction_does_not_depend_on_its_own_reading_or_later_ones(tares: bo
             assert (other.counts[k + 1] != whole.counts[k + 1]).all()
 
 
-def test_a_replay_may_be_continued(rng) -> None:
-    made = recording(rng, "aaabbbaab")
-    whole, one = replay(tracker(), made), tracker()
-    first = replay(one, made.take(np.arange(9) < 3))
-    second = replay(one, made.take(np.arange(9) >= 3))
-    assert_array_equal(np.concatenate([first.counts, second.counts]), whole.counts)
-
-
 def test_an_unlabelled_grasp_is_predicted_and_not_remembered(rng) -> None:
     made = recording(rng)
     readings = made.readings.copy()
@@ -69,20 +61,6 @@ def test_an_unlabelled_grasp_is_predicted_and_not_remembered(rng) -> None:
     played = replay(tracker(), replace(made, readings=readings))
     assert np.isfinite(played.counts).all()
     assert [level.evidence.readings for level in played.levels] == [0, 1, 1, 2, 3, 4]
-
-
-def test_without_the_sensors_each_object_begins_as_the_first(rng) -> None:
-    made = recording(rng)
-    played = replay(tracker(), made, keep_sensors=False)
-    for run in range(3):
-        alone = replay(tracker(), made.take(made.runs() == run))
-        assert_array_equal(played.counts[made.runs() == run], alone.counts)
-        assert_array_equal(played.half[made.runs() == run], alone.half)
-
-
-def test_the_reference_is_the_mean_of_other_objects(rng) -> None:
-    made = recording(rng)
-    assert_allclose(other_objects_mean(made)[0], made.readings[2:5].mean(axis=0))
 
 
 def test_recordings_without_stamps_or_with_one_object_are_refused(rng) -> None:

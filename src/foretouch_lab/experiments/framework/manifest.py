@@ -14,15 +14,12 @@ import csv
 import datetime as dt
 import io
 import json
-import os
 import platform
 import re
 import shlex
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,7 +36,6 @@ SUMMARY_FILE: Final = "summary.md"
 
 _CELLS: Final = "cells"
 _KEY: Final = re.compile(r"[\w.+-]{1,200}")
-_LIBRARIES: Final = ("numpy", "scipy", "scikit-learn", "torch", "ray")
 
 
 def environment(workers: int, address: str | None) -> dict[str, Any]:
@@ -49,11 +45,8 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
         "foretouch": __version__,
         "git": _git_commit(),
         "python": platform.python_version(),
-        "libraries": {name: version(name) for name in _LIBRARIES if find_spec(name.replace("scikit-learn", "sklearn"))},
         "platform": platform.platform(),
         "cpu": cpu_name(),
-        "cores": len(os.sched_getaffinity(0)),
-        "gpu": _gpus(),
         "workers": workers,
         "executor": "processes" if address is None else "ray",
     }
@@ -75,20 +68,16 @@ def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = 
         ConfigError: If its sweep has other settings or data; names the difference.
     """
     file, cells = out / MANIFEST_FILE, out / _CELLS
+    manifest: dict[str, Any] = {"sessions": []}
     if cells.is_symlink():
         raise FileError(cells, "is a link, and nothing is written through links")
-    if not file.exists():
-        with system_errors(out):
-            others = {path.name for path in out.iterdir()} - {_CELLS} if out.exists() else set()
-        if others:
+    with system_errors(out):
+        if file.exists():
+            manifest = _read_manifest(file)
+            _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
+        elif out.exists() and {path.name for path in out.iterdir()} - {_CELLS}:
             raise FileError(out, f"already exists and contains no {MANIFEST_FILE}")
-        with system_errors(cells):
-            cells.mkdir(parents=True, exist_ok=True)
-        return {**fixed, "sessions": []}
-    manifest = _read_manifest(file)
-    _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
-    with system_errors(cells):
-        cells.mkdir(exist_ok=True)
+        cells.mkdir(parents=True, exist_ok=True)
     return {**manifest, **fixed}
 
 
@@ -182,18 +171,15 @@ def _origin(out: Path, experiment: Experiment) -> list[str]:
         before = written.read_text(encoding="utf-8").splitlines()[2:] if written.exists() else []
         return before[: next((k for k, line in enumerate(before) if line.startswith("## ")), len(before))]
     manifest, lines = _read_manifest(file), []
-    if manifest["sessions"]:
-        data = f"sha256 of the data `{manifest['data']['sha256'][:16]}`"
-        lines += [f"`{_command(manifest, experiment)}`; {_version(manifest['sessions'][-1])}; {data}", ""]
+    for session in manifest["sessions"][-1:]:
+        version = f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}"
+        data = f"{session['cpu']}; sha256 of the data `{manifest['data']['sha256'][:16]}`"
+        lines += [f"`{_command(manifest, experiment)}`; {version}, {data}", ""]
     cells = manifest.get("cells", {})
     if cells and cells["finished"] != cells["all"]:
         finished = f"**{cells['finished']} of {cells['all']} cells are finished.**"
         lines += [f"{finished} The tables contain these alone.", ""]
     return lines
-
-
-def _version(session: Mapping[str, Any]) -> str:
-    return f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}, {session['cpu']}"
 
 
 def _command(manifest: Mapping[str, Any], experiment: Experiment) -> str:
@@ -228,14 +214,12 @@ _SCHEMA: Final = {
     "preset?": str,
     "settings?": dict,
     "data?": {"sha256": str},
+    "cells?": {"all": COUNT, "finished": COUNT, "failed": dict},
 }
 
 
 def _read_manifest(file: Path) -> dict[str, Any]:
-    """A manifest whose sessions can be continued and whose cells, if it was once written to the end, are counted."""
     manifest: dict[str, Any] = require_schema(file, read_json(file), _SCHEMA)
-    if manifest.get("cells", {}) != {}:
-        require_schema(file, manifest["cells"], {"all": COUNT, "finished": COUNT, "failed": dict}, "cells")
     return manifest
 
 
@@ -256,9 +240,3 @@ def _git_commit() -> str | None:
         done = subprocess.run(words, capture_output=True, text=True, timeout=10, check=True)  # noqa: S603 - fixed words
         return done.stdout.strip() or None
     return None
-
-
-def _gpus() -> list[str]:
-    """Models that the driver lists, read without loading a library."""
-    files = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
-    return [match[1] for file in files if (match := re.search(r"Model:\s*(.+)", file.read_text(encoding="utf-8")))]

@@ -2,7 +2,7 @@
 """Run the cells of an experiment, in processes or as tasks of a Ray cluster, store each as it finishes, and build the table.
 
 A cell takes plain data and returns plain data, so the rows do not depend on where it runs; an exception becomes a failed
-result with its reason. Each process has one thread, so that sums have a fixed order and cells share the cores.
+cell with its reason. Each process has one thread, so that sums have a fixed order and cells share the cores.
 """
 
 import json
@@ -14,33 +14,17 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from foretouch.config import Settings
-from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, described
+from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.processes import one_thread_each, process_pool
 from foretouch_lab.experiments.framework import manifest as manifests
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
-from foretouch_lab.ray_cluster import DIED, ray_results
+from foretouch_lab.ray_cluster import DIED, outcome, ray_results
 
-
-class SweepJob(NamedTuple):
-    """Parameters that all cells of a sweep share."""
-
-    experiment: str  # its module and name, as `find_experiment` takes them
-    settings: str  # resolved settings as JSON
-    data: str  # path of the data; the same on every machine that takes part
-    sha256: str  # hash of the data
-
-
-@dataclass(frozen=True)
-class CellResult:
-    """Result of one cell."""
-
-    cell: Cell  # the cell
-    rows: list[Row] | None  # its rows; None if it failed
-    error: str = ""  # reason of the failure in one line, or ""
-    seconds: float = 0.0  # processor time [s]
+Outcome = tuple[Cell, Any, str]
+"""A cell, its rows with the processor time that they took [s], and the reason of a failure: then there are no rows."""
 
 
 @dataclass(kw_only=True)
@@ -65,7 +49,7 @@ def run_sweep(
     resume: bool = False,
     workers: int = 1,
     address: str | None = None,
-    progress: Callable[[CellResult, int, int], None] = lambda *_: None,
+    progress: Callable[[str, float, str, int, int], None] = lambda *_: None,
     finishing: Callable[[int, int], None] = lambda *_: None,
 ) -> SweepResult:
     """Run the unfinished cells of an experiment and write its table.
@@ -79,7 +63,8 @@ def run_sweep(
         resume: Continue the sweep in `out`, if there is one.
         workers: Number of processes, or of cores of a local Ray node.
         address: None for processes, else the address of a Ray cluster (see `ray_results`).
-        progress: Called with each result, the number of finished cells and the number of all cells.
+        progress: Called with the key of each cell, its processor time [s], the reason of its failure or "", and the numbers
+            of finished and of all cells.
         finishing: Called with the number of steps done and of all by `Experiment.finish`, which follows.
 
     Returns:
@@ -104,15 +89,17 @@ def run_sweep(
         left = [cell for cell in cells if cell.key not in done]
         manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
         manifests.write_manifest(out, manifest)
-        name = f"{experiment.module}:{experiment.name}"
-        job = SweepJob(name, json.dumps(plain, sort_keys=True), str(path.absolute()), data.sha256)
-        found = in_processes(job, left, workers) if address is None else _on_ray(job, left, address, workers)
-        for number, one in enumerate(found if left else (), len(done) + 1):
-            if one.rows is None:
-                result.failures[one.cell.key] = one.error
+        name, text = f"{experiment.module}:{experiment.name}", json.dumps(plain, sort_keys=True)
+        run = partial(run_cell, name, text, str(path.absolute()), data.sha256)
+        found = in_processes(run, left, workers) if address is None else ray_results(run, left, address, workers)
+        for number, (cell, rows, error) in enumerate(found if left else (), len(done) + 1):
+            seconds = 0.0
+            if rows is None:
+                result.failures[cell.key] = error
             else:
-                manifests.write_cell(out, one.cell, one.rows, one.seconds)
-            progress(one, number, len(cells))
+                manifests.write_cell(out, cell, *rows)
+                seconds = rows[1]
+            progress(cell.key, seconds, error, number, len(cells))
         finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.finished = len(finished)
         rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
@@ -134,38 +121,33 @@ def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:
     return cells
 
 
-def run_cell(job: SweepJob, cell: Cell) -> CellResult:
-    """Run one cell; the process keeps the data for the next one."""
+def run_cell(experiment: str, settings: str, data: str, sha256: str, cell: Cell) -> tuple[list[Row], float]:
+    """Rows of one cell, and their processor time without that of reading the data, which the process keeps [s].
+
+    Args:
+        experiment: Its module and name, as `find_experiment` takes them.
+        settings: Resolved settings as JSON.
+        data: Path of the data; the same on every machine that takes part.
+        sha256: Hash of the data.
+        cell: The cell.
+    """
+    one, resolved, content = _loaded(experiment, settings, data, sha256)
     start = time.process_time()
-    try:
-        experiment, settings, data = _loaded(job)
-        start = time.process_time()  # reading the data does not count
-        return CellResult(cell, experiment.run(cell, settings, data), "", time.process_time() - start)
-    except ForetouchError as err:
-        error = str(err)
-    except Exception as err:  # noqa: BLE001 - a defect in one cell must not end the sweep; it is reported
-        error = described(err)
-    return CellResult(cell, None, error, time.process_time() - start)
+    return one.run(cell, resolved, content), time.process_time() - start
 
 
 @lru_cache(maxsize=1)
-def _loaded(job: SweepJob) -> tuple[Experiment, Any, Any]:
-    experiment = find_experiment(job.experiment)
-    settings = experiment.settings.from_mapping(json.loads(job.settings), experiment.name)
-    data = experiment.load(settings, Path(job.data))
-    if data.sha256 != job.sha256:
-        raise DatasetError(f"{job.data}: sha256: {data.sha256} is not {job.sha256}, with which the sweep started")
+def _loaded(name: str, text: str, path: str, sha256: str) -> tuple[Experiment, Any, Any]:
+    experiment = find_experiment(name)
+    settings = experiment.settings.from_mapping(json.loads(text), experiment.name)
+    data = experiment.load(settings, Path(path))
+    if data.sha256 != sha256:
+        raise DatasetError(f"{path}: sha256: {data.sha256} is not {sha256}, with which the sweep started")
     return experiment, settings, data
 
 
-def _on_ray(job: SweepJob, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
-    """Run cells as Ray tasks (see `ray_results`); the data of the job must have the same path on every node."""
-    for cell, result, error in ray_results(partial(run_cell, job), cells, address, workers):
-        yield result or CellResult(cell, None, error)
-
-
-def in_processes(job: SweepJob, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
-    """Run cells in processes of this machine and yield each result as it arrives.
+def in_processes(run: Callable[[Cell], Any], cells: Sequence[Cell], workers: int) -> Iterator[Outcome]:
+    """Run cells in processes of this machine and yield each outcome as it arrives, as `ray_results` does.
 
     If a process dies, the cells that were running are tried once more, each alone; one that kills its process again has
     failed.
@@ -173,23 +155,23 @@ def in_processes(job: SweepJob, cells: Sequence[Cell], workers: int) -> Iterator
     queue = deque(cells)
     with one_thread_each():
         while queue:
-            suspects = yield from _until_broken(job, queue, workers)
+            suspects = yield from _until_broken(run, queue, workers)
             for cell in suspects:
-                again = yield from _until_broken(job, deque([cell]), 1)
-                yield from (CellResult(failed, None, DIED) for failed in again)
+                again = yield from _until_broken(run, deque([cell]), 1)
+                yield from ((failed, None, DIED) for failed in again)
 
 
-def _until_broken(job: SweepJob, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
+def _until_broken(run: Callable[[Cell], Any], queue: deque[Cell], workers: int) -> Generator[Outcome, None, list[Cell]]:
     """Run cells until the queue is empty or a process dies; returns the cells that were running then."""
-    running: dict[Future[CellResult], Cell] = {}
+    running: dict[Future[tuple[Any, str]], Cell] = {}
     with process_pool(workers) as pool:
         try:
             while queue or running:
                 while queue and len(running) < workers:  # so that few have to be run again
-                    running[pool.submit(run_cell, job, queue[0])] = queue[0]
+                    running[pool.submit(outcome, run, queue[0])] = queue[0]
                     queue.popleft()
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
-                    yield done.result()
+                    yield running[done], *done.result()
                     del running[done]
         except BrokenProcessPool:
             return list(running.values())

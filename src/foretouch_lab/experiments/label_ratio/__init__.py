@@ -29,7 +29,7 @@ from foretouch_lab.experiments.label_ratio.training import (
     SRGAN,
     configured,
     error_row,
-    load_scene,
+    load_labelled,
     prepared,
     train_and_predict,
 )
@@ -47,10 +47,6 @@ class LabelRatioSettings(Settings):
     """Settings of `label_ratio`; the defaults are P2's sizes and recipe."""
 
     samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", bounds=(10, 1_000_000))
-    scene_sha256: str | None = setting(
-        "78fe2fae95d57cf214ec8a4e6fdfd9d20d37391ab4c0da783bbb2dd1ec93a50e",
-        "Hash of the required scene, config/scenes/deformables_wide.yaml; null accepts any scene",
-    )
     cached_points: int = setting(
         2048,
         "Points of each cloud that are kept in memory, drawn once; training draws from these each time. At least as many as the network takes",
@@ -161,7 +157,6 @@ _QUICK: Final[dict[str, Any]] = {
 # A network of 64 features on 64 points, for tests.
 _SMOKE: Final[dict[str, Any]] = {
     **_QUICK,
-    "scene_sha256": None,
     "updates": 40,
     "model": {"n_points": 64, "channels": "xyz+normals", "tnet": False, "trunk_widths": [32, 64], "head_widths": [64]},
     "training": {**_RECIPE, "batch_size": 16, "generator": {"noise_length": 1, "widths": [16], "stride": 8}},
@@ -182,7 +177,7 @@ EXPERIMENT: Final = Experiment(
         "p2_as_printed": {"recipe": "P2", "readings": ["P2, contrast", "P2, batch_means", "P2, srgan"]},
         "smoke": {**_SMOKE, **_RUNS, "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
     },
-    load=load_scene,
+    load=load_labelled,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,

@@ -18,7 +18,7 @@ P2's figures are for other objects: its lowest error and the differences in its 
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Final
 
@@ -72,44 +72,36 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]
     found = {(row["ratio"], row["modality"], row["model"], row["seed"]): row for row in rows}
     seeds = sorted(set(unique(rows, "seed")))
     result = []
-    for modality, ratio in sorted({(MODALITIES.index(row["modality"]), row["ratio"]) for row in rows}):
-        name = MODALITIES[modality]
-        pairs = [tuple(found.get((ratio, name, model, seed)) for model in MODELS) for seed in seeds]
-        runs = [(one, other) for one, other in pairs if one is not None and other is not None]
+    for name, ratio in product(MODALITIES, sorted(set(unique(rows, "ratio")))):
+        pairs = [[found.get((ratio, name, model, seed)) for model in MODELS] for seed in seeds]
+        runs = [[one for one in pair if one is not None] for pair in pairs if None not in pair]
         if not runs:
             continue
+        first, trees = runs[0][0], found.get((ratio, name, TREES, 0))
+        tested = [
+            {name: own["reference"] for name, own in one["objects"].items()}
+            for one in [*chain.from_iterable(runs), trees or first]
+        ]
+        if any(one != tested[0] for one in tested):
+            raise DatasetError("label_ratio: the compared models were not tested on the same samples")
+        sizes = [len(first["objects"][name]["squared"]) for name in sorted(first["objects"])]
+        row: Row = {"modality": name, "ratio": ratio, "runs": len(runs), "samples": sum(sizes)}
+        row |= {key: first[key] for key in ("labelled", "updates")}
+        pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
         low, high = ranges.of(name)
-        trees = found.get((ratio, name, TREES, 0))
-        _sizes([(runs[0][0], trees or runs[0][0])])
-        result.append(
-            {
-                "modality": name,
-                "ratio": ratio,
-                **_compared(runs, high - low, draws),
-                "p2_change": P2_CHANGES[name].get(ratio),
-                "mean_rmse": np.sqrt(np.mean(_samples(runs[0][0], "reference"))),
-                "trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None,
-            }
+        for model, squared, one in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
+            rmse = np.sqrt(squared.mean(axis=1))
+            deviation, percent = rmse.std(ddof=1) if len(runs) > 1 else None, 100.0 * rmse.mean() / (high - low)
+            values = {"trial": one["trial"], "rmse": rmse.mean(), "sd": deviation, "percent": percent}
+            row |= {f"{model}_{key}": value for key, value in values.items()}
+        change, least, most = _change(srgan, pointnet, sizes, draws)
+        verdict = (
+            None if least is None or most is None else "better" if most < 0.0 else "worse" if least > 0.0 else "tie"
         )
+        row |= {"change": change, "change_low": least, "change_high": most, "verdict": verdict}
+        row |= {"p2_change": P2_CHANGES[name].get(ratio), "mean_rmse": np.sqrt(np.mean(_samples(first, "reference")))}
+        result.append(row | {"trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None})
     return result
-
-
-def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int) -> Row:
-    """Both models in one cell; `width` is that of the range [counts]."""
-    pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
-    sizes = _sizes(runs)
-    result: Row = {"runs": len(runs), "samples": sum(sizes), **{k: runs[0][0][k] for k in ("labelled", "updates")}}
-    for name, squared, row in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
-        rmse = np.sqrt(squared.mean(axis=1))
-        result |= {
-            f"{name}_trial": row["trial"],
-            f"{name}_rmse": rmse.mean(),
-            f"{name}_sd": rmse.std(ddof=1) if len(runs) > 1 else None,
-            f"{name}_percent": 100.0 * rmse.mean() / width,
-        }
-    change, low, high = _change(srgan, pointnet, sizes, draws)
-    verdict = None if low is None or high is None else "better" if high < 0.0 else "worse" if low > 0.0 else "tie"
-    return result | {"change": change, "change_low": low, "change_high": high, "verdict": verdict}
 
 
 def _change(
@@ -134,15 +126,6 @@ def _change(
 def _samples(row: Row, what: str) -> list[float]:
     """Values of all test samples of one network, object by object."""
     return [value for name in sorted(row["objects"]) for value in row["objects"][name][what]]
-
-
-def _sizes(runs: Sequence[tuple[Row, Row]]) -> list[int]:
-    """Number of test samples of each object, which all networks must share."""
-    sizes = [{name: len(one["squared"]) for name, one in row["objects"].items()} for run in runs for row in run]
-    references = [_samples(row, "reference") for run in runs for row in run]
-    if any(one != sizes[0] for one in sizes) or any(one != references[0] for one in references):
-        raise DatasetError("label_ratio: the compared models were not tested on the same samples")
-    return [sizes[0][name] for name in sorted(sizes[0])]
 
 
 def summarise_models(rows: Sequence[Row]) -> list[Table]:
@@ -198,7 +181,7 @@ def _draw_errors(models: Sequence[str], axes: Axes, rows: Rows) -> None:
         own, name = (select(rows, srgan=model), "srgan") if number else (firsts, "pointnet")
         heights = [row[f"{name}_percent"] for row in own]
         spreads = [row[f"{name}_percent"] / row[f"{name}_rmse"] * (row[f"{name}_sd"] or np.nan) for row in own]
-        places = [_place(ratios.index(row["ratio"]), number, width) for row in own]
+        places = [ratios.index(row["ratio"]) + (number + 0.5) * width - _GROUP / 2.0 for row in own]
         label = f"SR-GAN, {model}" if number else model
         axes.bar(places, heights, width, yerr=spreads, capsize=2.0, color=_COLOURS[number % len(_COLOURS)], label=label)
     for (name, label, colour), (k, row) in product(_BASELINES, enumerate(firsts)):
@@ -211,16 +194,12 @@ def _draw_errors(models: Sequence[str], axes: Axes, rows: Rows) -> None:
     _ticks(axes, [f"T{ratio}" for ratio in ratios])
 
 
-def _place(group: int, number: int, width: float) -> float:
-    return group + (number + 0.5) * width - _GROUP / 2.0
-
-
 def _draw_changes(models: Sequence[str], axes: Axes, rows: Rows) -> None:
     """Draw the difference of each SR-GAN in each cell with its interval; P2's is given below where known."""
     ratios = unique(rows, "ratio")
     for row in rows:
         number = 1 + models.index(row["srgan"])
-        x = _place(ratios.index(row["ratio"]), number, _GROUP / (1 + len(models)))
+        x = ratios.index(row["ratio"]) + (number + 0.5) * _GROUP / (1 + len(models)) - _GROUP / 2.0
         colour = _COLOURS[number % len(_COLOURS)]
         axes.plot(x, row["change"], marker="o", markersize=4, color=colour)
         if row["change_low"] is not None:

@@ -36,7 +36,6 @@ from foretouch.models.network.preparation import finite_points, prepare_grasps, 
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Float64, GraspSample, Integer
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.experiments.shared.simulated_data import scene_of
 from foretouch_lab.learning.data import Dataset, labels_of, load_dataset
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
@@ -84,11 +83,9 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 READINGS: Final = tuple(f"{variant}, batch 0.001" for variant in ("batch_means", "as_printed", "srgan"))
 
 
-def load_scene(settings: Any, path: Path) -> Dataset:
-    """Read a store of the required scene; a `DatasetError` for another scene or an unlabelled sample."""
+def load_labelled(_settings: Any, path: Path) -> Dataset:
+    """Read a store of simulated grasps; a `DatasetError` for an unlabelled sample."""
     data = load_dataset(path)
-    if settings.scene_sha256 not in (None, found := scene_of(path).sha256()):
-        raise DatasetError(f"{path}: scene_sha256: {found} is not {settings.scene_sha256}, the required scene's")
     if unlabelled := [sample.id for sample in data.samples if sample.touch is None]:
         raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
     return data
@@ -178,11 +175,10 @@ class PointnetTrainer(SrganTrainer):
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self._set_mode()
-        for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
+        for batch in shuffled_batches(self._labelled, self.config.batch_size, self.rng):
             error = self.net(self._clouds(batch), self._grasps(batch)) - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
-            self.require_finite({"labeled": loss}, number, batch, error)
-            self.optimisers["net"].step(loss)
+            self.step("net", loss)
             yield {"labeled": float(loss.detach())}
 
 
@@ -197,9 +193,7 @@ def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganC
     """
     kind = PointnetTrainer if model == POINTNET else SrganTrainer
     trainer = kind(data, split.train, split.unlabelled, config)
-    while trainer.epoch < trainer.epochs:
-        trainer.run_epoch()
-    return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
+    return predict_set(trainer.train(), data, split.test), trainer.epochs * trainer.batch_count
 
 
 def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:

@@ -15,11 +15,10 @@ stands for it; `last temperature` takes that of the grasp before.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import compress
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.types import Float64, GraspSample
@@ -27,10 +26,12 @@ from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.prequential.results import (
     CONSTANT,
     draw_prequential,
-    prequential_rows,
+    predict_run,
+    score_sources,
     summarise_prequential,
+    tracker_parameters,
 )
-from foretouch_lab.experiments.shared.predictors import PREDICTORS, find_predictor
+from foretouch_lab.experiments.shared.predictors import PREDICTORS, Fit, find_predictor
 from foretouch_lab.experiments.shared.scores import labelled, load
 from foretouch_lab.experiments.shared.tables import grouped
 from foretouch_lab.learning.data import Dataset, labels_of
@@ -55,104 +56,66 @@ class PrequentialSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-def _ordered(data: Dataset) -> tuple[list[GraspSample], npt.NDArray[np.int_]]:
-    """Labelled samples in order of time, and the run of each (see `TimedReadings.runs`)."""
-    samples = sorted(labelled(data), key=lambda sample: sample.stamp_ns)
-    labels = labels_of(samples)
-    return samples, TimedReadings.of_samples(samples, labels, labels, labels[0]).ordered().runs()
+def ordered(data: Dataset) -> list[GraspSample]:
+    """Labelled samples in order of time."""
+    return sorted(labelled(data), key=lambda sample: sample.stamp_ns)
 
 
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
-    """A fit without each object and without each pair, and the fits before each run of grasps on an object but the first."""
-    samples, runs = _ordered(data)
-    objects = sorted({sample.object for sample in samples})
-    without = [(name,) for name in objects] + list(combinations(objects, 2))
-    fits: list[tuple[str, Row]] = [("-".join(out), {"without": list(out)}) for out in without]
-    fits += [(f"before{run}", {"before": run}) for run in range(1, 1 + runs[-1])]
-    predictors = settings.predictors
-    return [Cell(f"{one}+{name}", {"predictor": one, **values}) for one in predictors for name, values in fits]
+    """A cell for each predictor and object."""
+    objects = sorted({sample.object for sample in labelled(data)})
+    return [Cell(f"{one}+{name}", {"predictor": one, "name": name}) for one in settings.predictors for name in objects]
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
-    samples, runs = _ordered(data)
-
-    def predicted(train: Sequence[GraspSample], tested: Sequence[GraspSample]) -> Float64:
-        fit = find_predictor(cell.values["predictor"], settings.training_fraction)
-        return fit(train, labels_of(train), _SEED).predict(tested)
-
-    if "before" in cell.values:
-        return [{"expected": _before(samples, runs, cell.values["before"], predicted).tolist()}]
-    without = cell.values["without"]
-    train = [sample for sample in samples if sample.object not in without]
-    own = [[sample for sample in samples if sample.object == name] for name in without]
-    rows = [
-        {"object": name, "expected": predicted(train, one).tolist()} for name, one in zip(without, own, strict=True)
-    ]
-    if len(without) == 1:
-        rest, _ = rest_level(train)
-        known = TimedReadings.of_samples(own[0], labels_of(own[0]), labels_of(own[0]), rest)
-        fields = ("stamps_ns", "readings", "tares", "tdc", "tare_tdc")
-        rows[0] |= {name: None if (values := getattr(known, name)) is None else values.tolist() for name in fields}
+    """Readings of each run on the object, and predictions from each of the sources, but for the very first run."""
+    samples, target = ordered(data), cell.values["name"]
+    fit = find_predictor(cell.values["predictor"], settings.training_fraction)
+    whole = recording_without(samples, target, fit)
+    parameters, runs, rows = tracker_parameters(whole.take(whole.objects != target)), whole.runs(), []
+    for run in np.unique(runs[whole.objects == target]).tolist():
+        row: Row = {"run": run, "runs": int(runs[-1]) + 1, "readings": whole.readings[runs == run].tolist()}
+        if run > 0:
+            shown = replace(whole.take(runs <= run), expected=expected_before(samples, runs <= run, runs < run, fit))
+            found = predict_run(shown, *parameters)
+            row |= {what: {name: one.tolist() for name, one in own.items()} for what, own in found.items()}
+        rows.append(row)
     return rows
 
 
-def _before(samples: Sequence[GraspSample], runs: npt.NDArray[np.int_], run: int, predicted: Any) -> Float64:
-    """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it."""
-    past, shown = (samples[: int(np.searchsorted(runs, end))] for end in (run, run + 1))
-    names, target = np.array([sample.object for sample in shown]), shown[-1].object
-    found = np.tile(labels_of(past).mean(axis=0), (len(shown), 1))
+def recording_without(samples: Sequence[GraspSample], target: str, fit: Fit) -> TimedReadings:
+    """All readings with predictions that know neither the object of the reading nor the target."""
+    names, labels = np.array([sample.object for sample in samples]), labels_of(samples)
+    expected = np.empty_like(labels)
     for name in np.unique(names):
-        train = [sample for sample in past if sample.object not in (name, target)]
-        if len({sample.object for sample in train}) >= _FEWEST_OBJECTS:
-            found[names == name] = predicted(train, [sample for sample in shown if sample.object == name])
+        expected[names == name] = _predicted(samples, ~np.isin(names, [name, target]), names == name, fit)
+    rest, _ = rest_level([sample for sample in samples if sample.object != target])
+    return TimedReadings.of_samples(samples, labels, expected, rest).ordered()
+
+
+def _predicted(samples: Sequence[GraspSample], train: Any, tested: Any, fit: Fit) -> Float64:
+    """(T, 50) predictions of the samples of a mask, by a fit to those of another one."""
+    known, asked = (list(compress(samples, mask)) for mask in (train, tested))
+    return fit(known, labels_of(known), _SEED).predict(asked)
+
+
+def expected_before(samples: Sequence[GraspSample], shown: Any, past: Any, fit: Fit) -> Float64:
+    """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it.
+
+    `shown` and `past` are masks of the samples in order of time: up to the end of the run, and before it.
+    """
+    names = np.array([sample.object for sample in samples])
+    target, count = names[shown][-1], int(shown.sum())
+    found = np.tile(labels_of(list(compress(samples, past))).mean(axis=0), (count, 1))
+    for name in np.unique(names[shown]):
+        train = past & ~np.isin(names, [name, target])
+        if len(np.unique(names[train])) >= _FEWEST_OBJECTS:
+            found[names[shown] == name] = _predicted(samples, train, shown & (names == name), fit)
     return found
 
 
 def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:
-    fits = {}
-    for predictor, own in grouped([{"before": None, **row} for row in rows], "predictor"):
-        recordings = _recordings([row for row in own if row["before"] is None])
-        before = {row["before"]: np.array(row["expected"]) for row in own if row["before"] is not None}
-        if recordings and len(before) == next(iter(recordings.values())).runs()[-1]:
-            fits[predictor] = (recordings, before)
-    return prequential_rows(fits, settings.bootstrap)
-
-
-def _recordings(rows: Sequence[Row]) -> dict[str, TimedReadings]:
-    """For each object, all readings with predictions that know neither the object of the reading nor this one.
-
-    Nothing if a cell is missing.
-    """
-    found = {(tuple(row["without"]), row["object"]): row for row in rows}
-    objects = sorted({row["object"] for row in rows})
-    recordings = {}
-    for target in objects:
-        parts: list[dict[str, Any]] = []
-        for name in objects:
-            whole = found.get(((name,), name))
-            row = whole if name == target else found.get((tuple(sorted((name, target))), name))
-            if whole is None or row is None:
-                return {}
-            parts.append({"name": name, **whole, "expected": row["expected"]})
-        recordings[target] = _joined(parts)
-    return recordings
-
-
-def _joined(parts: Sequence[dict[str, Any]]) -> TimedReadings:
-    lengths = [len(part["stamps_ns"]) for part in parts]
-    names = np.repeat([part["name"] for part in parts], lengths).astype(np.str_)
-    stamps, readings, expected = (
-        np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
-    )
-    optional: dict[str, Any] = {}
-    for key, width in (("tares", readings.shape[1]), ("tdc", 2), ("tare_tdc", 2)):
-        rows = [
-            np.full((n, width), np.nan) if part[key] is None else np.array(part[key])
-            for n, part in zip(lengths, parts, strict=True)
-        ]
-        joined = np.concatenate(rows)
-        optional[key] = None if np.isnan(joined).all() else joined
-    return replace(TimedReadings(stamps, names, readings, expected), **optional).ordered()
+    return score_sources({name: list(own) for name, own in grouped(rows, "predictor")}, settings.bootstrap)
 
 
 EXPERIMENT = Experiment(

@@ -2,19 +2,20 @@
 """Scores of the sources of knowledge, as rows, tables and a figure."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
-from foretouch.types import Bool, Float64
+from foretouch.types import Bool, Float64, Int64
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.scores import interval_columns
@@ -29,7 +30,7 @@ from foretouch_lab.experiments.shared.tables import (
     with_notes,
 )
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
-from foretouch_lab.learning.prequential import TimedReadings, other_objects_mean, replay
+from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 
@@ -66,62 +67,68 @@ _COLUMNS: Final = (
 
 @dataclass(frozen=True, eq=False)
 class _Scored:
-    """Predictions of the grasps of all runs but the first."""
+    """Readings of all runs by one predictor, and predictions of them from each of the sources."""
 
-    recording: TimedReadings
-    counts: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50); NaN where nothing is predicted
-    half: dict[str, Float64] = field(default_factory=dict)  # by sources, (S, 50), of those with intervals
+    objects: npt.NDArray[np.str_]  # (S,) names
+    readings: Float64  # (S, 50) [counts]
+    touches: Int64  # (S,) touches of the object in its run before
+    reference: Float64  # (S, 50) mean of all readings of the other objects [counts]
+    counts: dict[str, Float64]  # by sources, (S, 50); NaN in the first run [counts]
+    half: dict[str, Float64]  # by sources, (S, 50) half widths of those with intervals [counts]
 
-    def add(self, sources: str, where: Bool, counts: Float64, half: Float64 | None = None) -> None:
-        for kept, values in ((self.counts, counts), (self.half, half)):
-            if values is not None:
-                kept.setdefault(sources, np.full(self.recording.readings.shape, np.nan))[where] = values
+    @classmethod
+    def of_rows(cls, rows: Sequence[Row]) -> Self:
+        """From the rows of all runs, in order of time."""
+        numbers = [len(row["readings"]) for row in rows]
+        objects = np.repeat([row["name"] for row in rows], numbers).astype(np.str_)
+        readings = np.concatenate([row["readings"] for row in rows])
+        touches = np.concatenate([np.arange(number) for number in numbers])
+        reference = np.empty_like(readings)
+        for name in np.unique(objects):
+            reference[objects == name] = readings[objects != name].mean(axis=0)
+        unknown = np.full((numbers[0], readings.shape[1]), np.nan)
+        found = ({name: np.concatenate([unknown, *(row[what][name] for row in rows[1:])]) for name in rows[-1][what]}
+                 for what in ("counts", "half"))  # fmt: skip
+        return cls(objects, readings, touches, reference, *found)
 
 
-def prequential_rows(
-    fits: Mapping[str, tuple[Mapping[str, TimedReadings], Mapping[int, Float64]]], config: BootstrapConfig
-) -> list[Row]:
+def score_sources(found: Mapping[str, Sequence[Row]], config: BootstrapConfig) -> list[Row]:
     """Rows of `results.csv`.
 
     Args:
-        fits: By name of a predictor by vision: by object, all readings with predictions that are not of the object; and
-            by run, (S, 50) predictions of all grasps up to its end, by fits to earlier readings.
+        found: By name of a predictor by vision, the rows of its cells; those of a predictor that lacks a run are left out.
         config: Configuration of the bootstrap.
     """
-    scored: dict[str, _Scored] = {}
-    rows: list[Row] = []
-    for predictor, (recordings, before) in fits.items():
-        whole = next(iter(recordings.values()))
-        fitted = {name: _parameters(name, recording) for name, recording in recordings.items()}
-        scored[predictor], runs = _Scored(whole), whole.runs()
-        for run, expected in before.items():
-            shown = replace(whole.take(runs <= run), expected=expected)
-            _score_run(scored[predictor], shown, runs == run, *fitted[str(whole.objects[runs == run][0])])
-        found = _score_rows(scored[predictor], scored.get(CONSTANT), config)
-        rows += [{"vision": predictor} | row for row in found]
+    complete = {name: rows for name, rows in found.items() if len(rows) == rows[0]["runs"]}
+    scored = {name: _Scored.of_rows(sorted(rows, key=lambda row: row["run"])) for name, rows in complete.items()}
+    rows = [
+        {"vision": name} | row for name, one in scored.items() for row in _score_rows(one, scored.get(CONSTANT), config)
+    ]
     return [{name: row.get(name) for name in _COLUMNS} for row in rows]
 
 
-def _parameters(name: str, recording: TimedReadings) -> tuple[TrackerParameters, TrackerParameters]:
-    """Of a tracker, and of one that ends with the object; fitted to the other objects."""
-    others = recording.take(recording.objects != name)
+def tracker_parameters(others: TimedReadings) -> tuple[TrackerParameters, TrackerParameters]:
+    """Of a tracker, and of one that ends with the object; fitted to readings of other objects."""
     held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects, BIOTAC)
     group = fit_group(held_out, new=True)
     ending = Calibration(BIOTAC, np.zeros(TOUCH_SIZE), {"new": group, "known": group}).tracker_parameters
     return fit_tracker(others, group, group), ending
 
 
-def _score_run(
-    scored: _Scored, shown: TimedReadings, where: Bool, tracker: TrackerParameters, ending: TrackerParameters
-) -> None:
-    """Add the predictions of the last run of a recording from each of the sources."""
+def predict_run(
+    shown: TimedReadings, tracker: TrackerParameters, ending: TrackerParameters
+) -> dict[str, dict[str, Float64]]:
+    """Predictions of the last run of a recording from each of the sources, and half widths of those with intervals.
+
+    Returns:
+        `counts` and `half`, both by sources, (S, 50) [counts].
+    """
     last = shown.runs() == shown.runs()[-1]
     cold = replace(shown, tares=None, tdc=None, tare_tdc=None)
-    scored.add(NOTHING, where, shown.expected[last])
     own = ~last & (shown.objects == shown.objects[-1])
     named = shown.readings[own].mean(axis=0) if own.any() else shown.expected[last]
-    scored.add("name", where, np.broadcast_to(named, shown.expected[last].shape))
-    scored.add("time", where, _clock(shown, last))
+    counts = {NOTHING: shown.expected[last], "name": np.broadcast_to(named, shown.expected[last].shape)}
+    counts["time"] = _clock(shown, last)
     untouched = np.where(last[:, None], np.nan, shown.readings)
     played = {
         HISTORY: (tracker, replace(cold, readings=untouched)),
@@ -136,13 +143,15 @@ def _score_run(
         known = np.isfinite(before) & ~last[:, None]
         mean = np.where(known, before, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         change = np.nan_to_num(before - np.where(known.any(axis=0), mean, np.nan))[:, BIOTAC.finger_of_value]
-        scored.add("temperature", where, (shown.expected + tracker.slope * change)[last])
+        counts["temperature"] = (shown.expected + tracker.slope * change)[last]
         played |= {"history + temperature": (tracker, replace(shown, readings=untouched)), EVERYTHING: (tracker, shown)}
         if shown.tare_tdc is None:
             played["history + touches + last temperature"] = (tracker, earlier)
+    half = {}
     for sources, (parameters, recording) in played.items():
         found = replay(SensorTracker(parameters), recording, keep_sensors=parameters is tracker)
-        scored.add(sources, where, found.counts[last], found.half[last])
+        counts[sources], half[sources] = found.counts[last], found.half[last]
+    return {"counts": counts, "half": half}
 
 
 def _clock(shown: TimedReadings, last: Bool) -> Float64:
@@ -159,15 +168,13 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
 
     `constant` is the predictor without vision, which the others are compared with.
     """
-    recording = scored.recording
-    reference, touches = other_objects_mean(recording), recording.touches()
     rows: list[Row] = []
     for regime, (low, high) in REGIMES.items():
-        chosen = (touches >= low) & (touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
-        names, readings = recording.objects[chosen], recording.readings[chosen]
+        chosen = (scored.touches >= low) & (scored.touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
+        names, readings, reference = scored.objects[chosen], scored.readings[chosen], scored.reference[chosen]
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
-                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference[chosen], BIOTAC)
+                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference, BIOTAC)
                 for one in (scored, constant or scored)
             )
             found = skills(errors, config)
@@ -181,7 +188,7 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
                     row["vs_constant_verdict"] = versus[modality].verdict
                 rows.append(row | _interval_scores(scored, sources, modality, chosen))
             for name in errors.objects if regime == "later" and sources == EVERYTHING else ():
-                skill, where = skills(errors.only(name), config), chosen & (recording.objects == name)
+                skill, where = skills(errors.only(name), config), chosen & (scored.objects == name)
                 for modality in MODALITIES:
                     row = {**place, "object": name, "modality": modality, "skill": skill[modality].value}
                     rows.append(row | _interval_scores(scored, sources, modality, where))
@@ -198,7 +205,7 @@ def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: Bool)
     if sources in scored.half:
         rows = np.ix_(chosen, BIOTAC.columns([modality]))
         half = scored.half[sources][rows]
-        beyond = np.abs(scored.recording.readings[rows] - scored.counts[sources][rows]) - half
+        beyond = np.abs(scored.readings[rows] - scored.counts[sources][rows]) - half
         score = 2.0 * half + 2.0 / MISS_RATE * np.maximum(beyond, 0.0)
         result |= {"coverage": float((beyond <= 0.0).mean()), "half_width": float(half.mean())}
         result["interval_score"] = float(score.mean())

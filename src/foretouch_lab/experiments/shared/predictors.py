@@ -12,7 +12,7 @@ modality.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -69,17 +69,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
 SHRINKAGE: Final = 2.0  # a of the offset correction, in touches
 
 
-class Fitted(Protocol):
-    """A fitted predictor."""
-
-    def predict(self, samples: Sequence[GraspSample]) -> Float64:
-        """(S, 50) predictions [counts]; labels of the samples are not used."""
-
-    def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
-        """(S, 50) predictions [counts] after touches of the same object that are not among the samples."""
-
-
-Fit: TypeAlias = Callable[[Sequence[GraspSample], Float64, int], Fitted]
+Fit: TypeAlias = Callable[[Sequence[GraspSample], Float64, int], "ContactPredictor | _OffsetCorrected"]
 """Fits a predictor to training samples and their (S, 50) labels [counts]; deterministic given the seed."""
 
 
@@ -96,12 +86,14 @@ class _OffsetCorrected:
         self._cache: dict[str, Float64] = {}  # by id: a baseline is fitted in each call
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
+        """(S, 50) predictions [counts]; labels of the samples are not used."""
         new = [sample for sample in samples if sample.id not in self._cache]
         if new:
             self._cache |= {s.id: row for s, row in zip(new, self._baseline(new, self._seed), strict=True)}
         return np.array([self._cache[sample.id] for sample in samples])
 
     def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
+        """(S, 50) predictions [counts] after touches of the same object that are not among the samples."""
         if not touched:
             return self.predict(samples)
         residuals = labels_of(touched) - self.predict(touched)
@@ -135,7 +127,6 @@ PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "object_time_trees": lambda training_fraction: _trees(baselines.object_time_trees, training_fraction),
     "geometry_trees": lambda training_fraction: _trees(baselines.geometry_trees, training_fraction),
     "clock": lambda _: with_offset_correction(baselines.clock),
-    "clock_past": lambda _: with_offset_correction(partial(baselines.clock, past_only=True)),
     "contact": _contact,
     "p1_pointnet": lambda training_fraction: with_offset_correction(network("p1_pointnet", training_fraction)),
     "p2_pointnet": lambda training_fraction: with_offset_correction(network("p2_pointnet", training_fraction)),

@@ -2,9 +2,7 @@
 """Squared errors of predictors by object, and the table of their skills with comparisons."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -133,52 +131,23 @@ def interval_columns(name: str, estimate: ScoreEstimate | None) -> Row:
     return dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))
 
 
-def skill_columns(name: str, rows: Sequence[Row], bootstrap: BootstrapConfig) -> Row:
-    """Mean skill with its interval, and skill and error by modality, of `error_rows`.
+def skill_rows(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: BootstrapConfig) -> dict[str, Row]:
+    """Columns of a skill, by variant: its mean over the modalities with its interval, and the errors by modality.
+
+    `<name>_equals` is the most skilful variant, where this one does not differ significantly from it, in pairs on the same
+    grasps.
 
     Args:
         name: Column of the mean skill, and beginning of the names of the others.
-        rows: Without any, all columns are None.
-        bootstrap: Of the interval.
-    """
-    own = [f"{name}{kind}_{one}" for kind in ("", "_rmse") for one in MODALITIES]
-    if not rows:
-        return interval_columns(name, None) | dict.fromkeys(own)
-    errors = ObjectErrors.of_rows(rows, BIOTAC)
-    found, rmse = skills(errors, bootstrap), errors.rmse()
-    values = [*(found[one].value for one in MODALITIES), *(rmse[one] for one in MODALITIES)]
-    return interval_columns(name, found[MEAN]) | dict(zip(own, values, strict=True))
-
-
-def equal_columns(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: BootstrapConfig) -> dict[str, Row]:
-    """Which variants are equally skilful, in pairs on the same grasps: columns of each variant.
-
-    `<name>_equals` is the most skilful variant from which this one does not differ significantly: the first is that of
-    all, the next that of those that are worse than it, and so on. `<name>_behind` with its interval is the skill less
-    that of the most skilful of all.
-
-    Args:
-        name: Column of the mean skill.
-        rows: By variant, of `error_rows` with the columns `part` and `seed`.
+        rows: By variant, of `error_rows` on the same grasps.
         bootstrap: Of the intervals.
     """
-    cells = {one: {(row["part"], row.get("seed")) for row in own} for one, own in rows.items() if own}
-
-    def errors(name: str, common: set[tuple[Any, Any]]) -> ObjectErrors:
-        return ObjectErrors.of_rows([row for row in rows[name] if (row["part"], row.get("seed")) in common], BIOTAC)
-
-    @cache
-    def less(one: str, other: str) -> ScoreEstimate:
-        common = cells[one] & cells[other]
-        return compare(errors(one, common), errors(other, common), bootstrap)[MEAN]
-
-    quick = bootstrap.replace(draws=100)  # of which only the mean is used
-    skill = {one: skills(ObjectErrors.of_rows(rows[one], BIOTAC), quick)[MEAN].value for one in cells}
-    left = best = sorted(skill, key=skill.__getitem__, reverse=True)
-    result: dict[str, Row] = {one: interval_columns(f"{name}_behind", less(one, best[0])) for one in left}
-    while left:
-        equal = [one for one in left if one == left[0] or less(one, left[0]).verdict in ("tie", "better")]
-        for one in equal:
-            result[one] |= {f"{name}_equals": left[0]}
-        left = [one for one in left if one not in equal]
+    errors = {one: ObjectErrors.of_rows(own, BIOTAC) for one, own in rows.items()}
+    found = {one: skills(own, bootstrap)[MEAN] for one, own in errors.items()}
+    best = max(found, key=lambda one: found[one].value)
+    result = {}
+    for one, own in errors.items():
+        equal = one == best or compare(own, errors[best], bootstrap)[MEAN].verdict == "tie"
+        rmse = {f"{name}_rmse_{modality}": value for modality, value in own.rmse().items()}
+        result[one] = interval_columns(name, found[one]) | rmse | {f"{name}_equals": best if equal else None}
     return result

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.dataset.store import Store, is_store
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import ConfigError
 from foretouch_lab.dataset.store_writer import StoreWriter
-from foretouch_lab.simulation.scene import SceneConfig, load_scene
+from foretouch_lab.simulation.scene import load_scene
 from foretouch_lab.simulation.simulate import Simulation
 
 
@@ -28,12 +28,7 @@ def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
         return source
     if source.is_dir():
         raise ConfigError(f"--data: {source}: is neither a scene (.yaml) nor a store of simulated grasps")
-    return simulate_store(source, settings.samples, beside(out))
-
-
-def beside(out: Path) -> Path:
-    """Folder of the data that a sweep makes."""
-    return out.absolute().with_name(f"{out.absolute().name}.data")
+    return simulate_store(source, settings.samples, out.absolute().with_name(f"{out.absolute().name}.data"))
 
 
 def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
@@ -50,14 +45,6 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
                 writer.write(sample)
         return path
     store = Store(path)
-    if len(store) != count or scene_of(path).sha256() != scene.sha256():
+    if len(store) != count or store.manifest.get("about", {}).get("scene_sha256") != scene.sha256():
         raise ConfigError(f"{path}: contains {len(store)} samples of another scene or size; remove it")
     return path
-
-
-def scene_of(path: Path) -> SceneConfig:
-    """The scene that a store was simulated from; a `DatasetError` if it names none."""
-    scene = Store(path).manifest.get("about", {}).get("scene")
-    if not isinstance(scene, dict):
-        raise DatasetError(f"{path}: about.scene: is missing; only simulated samples can be reproduced")
-    return SceneConfig.from_mapping(scene, str(path))

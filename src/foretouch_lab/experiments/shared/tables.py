@@ -74,16 +74,6 @@ def short(value: float | None) -> str:
     return f"{value:.2f}".replace("0.", ".", 1) if abs(value) < 1.0 else f"{value:.1f}"
 
 
-def listed(rows: Iterable[Mapping[str, Any]], column: str) -> str:
-    """Numbers of a column, such as those of the four modalities."""
-    return " ".join(short(row[column]) for row in rows)
-
-
-def findings(sentences: Sequence[str]) -> Table:
-    """Sentences above the tables."""
-    return Table("Findings", (), (), sentences)
-
-
 def with_notes(tables: Sequence[Table], notes: Sequence[str]) -> list[Table]:
     """Tables with notes below the last one."""
     return [*tables[:-1], replace(tables[-1], notes=notes)]

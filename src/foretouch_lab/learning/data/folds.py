@@ -3,11 +3,11 @@
 
 Three splits answer three questions:
 
-- `random_folds`: how well is another grasp of the same recording sessions predicted? P1's five folds. Neighbours in
+- `random`: how well is another grasp of the same recording sessions predicted? P1's five folds. Neighbours in
   time are in training and test, so the model has seen drift and session: the easiest question.
-- `time_folds`: how well is a later (or earlier) grasp of the same objects predicted? Each object's recording is
+- `time`: how well is a later (or earlier) grasp of the same objects predicted? Each object's recording is
   cut into consecutive blocks.
-- `group_folds`: how well is a new object predicted? In the public recordings this is also another day, since each
+- `object`: how well is a new object predicted? In the public recordings this is also another day, since each
   object was recorded on different days.
 """
 
@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
@@ -84,44 +85,29 @@ def make_folds(samples: Sequence[GraspSample | SampleFacts], split: str, seed: i
     Raises:
         DatasetError: If there is no such split, or there are too few samples for it.
     """
-    objects = [sample.object for sample in samples]
-    if split == "random":
-        return random_folds(len(samples), FOLDS, np.random.default_rng(seed))
-    if split == "time":
-        return time_folds(objects, [sample.stamp_ns for sample in samples], FOLDS)
+    objects = np.array([sample.object for sample in samples], np.str_)
     if split == "object":
         return group_folds(objects)
-    raise DatasetError(f"split: {none_of(split, SPLITS)}")
+    if split not in SPLITS:
+        raise DatasetError(f"split: {none_of(split, SPLITS)}")
+    names, counts = np.unique(objects, return_counts=True)
+    least = {"": len(objects)} if split == "random" else dict(zip(names.tolist(), counts.tolist(), strict=True))
+    for name, count in least.items():
+        if count < FOLDS:
+            raise DatasetError(f"folds: {count} samples{f' of {name}' * bool(name)} are fewer than {FOLDS} folds")
+    if split == "random":  # shuffled samples, in parts whose sizes differ by at most one
+        tests = np.array_split(np.random.default_rng(seed).permutation(len(objects)), FOLDS)
+        return _folds(len(objects), tests, [f"random {k}" for k in range(FOLDS)])
+    # Consecutive blocks of each object's recording; fold k tests the block k of every object.
+    order = np.argsort([sample.stamp_ns for sample in samples], kind="stable")
+    recordings = [np.array_split(order[objects[order] == name], FOLDS) for name in names]
+    blocks = [np.concatenate(block) for block in zip(*recordings, strict=True)]
+    return _folds(len(objects), blocks, [f"block {k}" for k in range(FOLDS)])
 
 
-def random_folds(count: int, folds: int, rng: np.random.Generator) -> list[Fold]:
-    """Shuffle the samples and cut them into `folds` parts, at least two, whose sizes differ by at most one."""
-    _check(count, folds, "samples")
-    return _folds(count, np.array_split(rng.permutation(count), folds), [f"random {k}" for k in range(folds)])
-
-
-def time_folds(groups: Sequence[str], stamps_ns: Sequence[int], folds: int) -> list[Fold]:
-    """Cut each group's samples, ordered by time, into consecutive blocks; fold k tests every group's block k.
-
-    Args:
-        groups: (S,) name of each sample's group: its object.
-        stamps_ns: (S,) time of recording [ns].
-        folds: Number of blocks.
-
-    Raises:
-        DatasetError: If a group has fewer samples than folds, or folds are fewer than two.
-    """
-    blocks: list[list[Indices]] = [[] for _ in range(folds)]
-    stamps = np.asarray(stamps_ns, np.int64)
-    for name, members in _by_group(groups).items():
-        _check(len(members), folds, f"samples of {name}")
-        ordered = members[np.argsort(stamps[members], kind="stable")]
-        for k, block in enumerate(np.array_split(ordered, folds)):
-            blocks[k].append(block)
-    return _folds(len(groups), [np.concatenate(block) for block in blocks], [f"block {k}" for k in range(folds)])
-
-
-def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.Generator | None = None) -> list[Fold]:
+def group_folds(
+    groups: Sequence[str] | npt.NDArray[np.str_], folds: int | None = None, rng: np.random.Generator | None = None
+) -> list[Fold]:
     """Keep each group on one side.
 
     Args:
@@ -131,21 +117,17 @@ def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.
         rng: Shuffles the groups; required with `folds`.
 
     Raises:
-        DatasetError: If there is only one group, there are fewer groups than folds, or fewer than two folds.
+        DatasetError: If there is only one group.
     """
-    members = _by_group(groups)
-    names = sorted(members)
-    if len(names) == 1:
+    groups = np.asarray(groups, np.str_)
+    names = np.unique(groups)
+    if len(names) < 2:
         raise DatasetError(f"folds: all samples are of {names[0]}; to keep groups apart takes 2")
-    _check(len(names), len(names) if folds is None else folds, "groups")
-    if folds is None:
-        parts = [[name] for name in names]
-    else:
-        if rng is None:
-            raise DatasetError("group_folds: folds needs an rng")
-        shuffled = [names[i] for i in rng.permutation(len(names))]
-        parts = [shuffled[k::folds] for k in range(folds)]
-    tests = [np.concatenate([members[name] for name in part]) for part in parts]
+    parts = [[name] for name in names]
+    if folds is not None and rng is not None:
+        shuffled = rng.permutation(len(names))
+        parts = [list(names[shuffled[k::folds]]) for k in range(folds)]
+    tests = [np.concatenate([np.flatnonzero(groups == name) for name in part]) for part in parts]
     return _folds(len(groups), tests, ["+".join(sorted(part)) for part in parts])
 
 
@@ -162,15 +144,3 @@ def _folds(count: int, tests: Sequence[Indices], names: Sequence[str]) -> list[F
         Fold(train=np.setdiff1d(everything, test), test=np.sort(test).astype(np.intp), name=name)
         for test, name in zip(tests, names, strict=True)
     ]
-
-
-def _by_group(groups: Sequence[str]) -> dict[str, Indices]:
-    names = np.asarray(groups, dtype=str)
-    return {str(name): np.flatnonzero(names == name) for name in np.unique(names)}
-
-
-def _check(count: int, folds: int, what: str) -> None:
-    if folds < 2:
-        raise DatasetError(f"folds: {folds} is fewer than 2")
-    if count < folds:
-        raise DatasetError(f"folds: {count} {what} are fewer than {folds} folds")

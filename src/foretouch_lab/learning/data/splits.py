@@ -67,8 +67,7 @@ def _label_ratios(
         members = rng.permutation(np.flatnonzero(names == name))
         if len(members) < 2:
             raise DatasetError(f"labels: {name} has {len(members)} sample, too few to test on one")
-        count = max(1, min(_TEST_PER_OBJECT, round(_TEST_SHARE * len(members))))
-        test.extend(members[:count])
+        test.extend(members[: max(1, min(_TEST_PER_OBJECT, round(_TEST_SHARE * len(members))))])
     rest = rng.permutation(np.setdiff1d(np.arange(len(names)), test))
     if len(rest) < 2:
         raise DatasetError(f"labels: {len(rest)} samples remain to train on")

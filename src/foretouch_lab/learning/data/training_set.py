@@ -148,18 +148,6 @@ def channels_of(samples: Sequence[GraspSample]) -> Channels:
     return channels
 
 
-def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
-    """Pairs of ids whose labels are all equal: with sensor noise next to impossible, so one label is wrong."""
-    seen: dict[bytes, str] = {}
-    pairs = []
-    for sample in samples:
-        key = _label(sample).tobytes()
-        if key in seen:
-            pairs.append((seen[key], sample.id))
-        seen.setdefault(key, sample.id)
-    return pairs
-
-
 def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
     """All points, the grasp and the lengths of one sample."""
     try:

@@ -103,30 +103,18 @@ def geometry_trees(
     return _forest(known, labels, asked, seed, trees)
 
 
-def clock(
-    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int, *, past_only: bool = False
-) -> Float64:
+def clock(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:
     """The level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
 
     The mean of a Gaussian process in time [Rasmussen and Williams 2006, eq. 2.25]: a level with a memory of 10 days, an
-    effect of each object and noise, with variances of 1, 1 and 1, around the mean of the labels.
-
-    With `past_only`, each sample is predicted from the recordings that were made before it, as a robot has to;
-    otherwise from those before and after it.
+    effect of each object and noise, with variances of 1, 1 and 1, around the mean of the labels. It knows the recordings
+    before and after each sample.
     """
     known, wanted = (np.array([sample.stamp_ns for sample in side]) / _DAY_NS for side in (train, test))
-    objects = np.array([sample.object for sample in train])
-    predicted = np.tile(labels.mean(axis=0), (len(test), 1))
-    for when in np.unique(wanted) if past_only else [np.inf]:
-        used = known < when
-        if not used.any():
-            continue
-        at = wanted == when if past_only else np.ones(len(test), np.bool_)
-        mean = labels[used].mean(axis=0)
-        covariance = _level(known[used], known[used]) + (objects[used][:, None] == objects[used])
-        weight = np.linalg.solve(covariance + np.eye(used.sum()), labels[used] - mean)
-        predicted[at] = mean + _level(wanted[at], known[used]) @ weight
-    return predicted
+    objects, mean = np.array([sample.object for sample in train]), labels.mean(axis=0)
+    covariance = _level(known, known) + (objects[:, None] == objects)
+    weight = np.linalg.solve(covariance + np.eye(len(known)), labels - mean)
+    return np.asarray(mean + _level(wanted, known) @ weight, np.float64)
 
 
 def _level(one: Float64, other: Float64) -> Float64:

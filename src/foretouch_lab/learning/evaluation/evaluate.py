@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Score touch models and baselines on the same samples.
 
-`cross_validate` trains a model and the baselines on each fold. `evaluate_model` takes a trained model and fits only the
-baselines, to the training side of each part of a split. Samples that the model was trained on, which it recognises by
+`evaluate_model` takes a trained model and fits only the baselines, to the training side of each part of a split. Samples that the model was trained on, which it recognises by
 their hashes in its card, are left out and counted.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,56 +18,14 @@ from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch_lab.learning.data.dataset import Dataset
-from foretouch_lab.learning.data.folds import Fold, HoldOut, Indices, fold_workers, predict_folds
+from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.splits import SplitPart
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
-from foretouch_lab.learning.evaluation.metrics import Score, score
+from foretouch_lab.learning.evaluation.metrics import score
 
 MODEL: Final = "model"
 """Key of the model itself, beside the names of the baselines."""
-
-
-def cross_validate(
-    samples: Sequence[GraspSample],
-    labels: Float64,
-    model: HoldOut,
-    folds: Sequence[Fold],
-    ranges: Ranges,
-    *,
-    seed: int = 0,
-    workers: int = 1,
-    baselines: Mapping[str, Baseline] = BASELINES,
-    valid: Bool | None = None,
-) -> tuple[dict[str, dict[str, Score]], Float64]:
-    """Score a model and the baselines on the same folds.
-
-    Args:
-        samples: All samples.
-        labels: (S, D) [counts].
-        model: Must be picklable where there are several workers.
-        folds: Together they test each sample once.
-        ranges: Ranges for the normalised error.
-        seed: Seed of the baselines.
-        workers: Number of processes; the scores do not depend on it.
-        baselines: By name.
-        valid: (D,) values to score, by default all.
-
-    Returns:
-        Scores of `MODEL` and of each baseline, by modality; (S, D) held-out predictions of the model [counts].
-    """
-    others = {name: partial(_baseline, samples, labels, baseline, seed) for name, baseline in baselines.items()}
-    predictors: dict[str, HoldOut] = {MODEL: model, **others}
-    with fold_workers(workers) as run:
-        predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
-    reference = predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
-    scores = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
-    return scores, predicted[MODEL]
-
-
-def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
-    train, tested = fold.sides(samples)
-    return baseline(train, labels[fold.train], tested, seed)
 
 
 def evaluate_model(
@@ -130,25 +85,26 @@ def evaluate_model(
         return {**facts, **_stored(card, str(model), split, parts[0].name)}
     tested = [data.masked[k] for k in chosen[kept]]
     plain_network = card["kind"] == "network" and card.get("calibration") is None
-    found = (_by_network if plain_network else _by_model)(path, tested)
+    counts, half, unfamiliar, ranges = (_by_network if plain_network else _by_model)(path, tested)
     labels = labels_of(tested)
     valid = sensor.valid_values & ~np.isnan(labels).any(axis=0)
     labels = np.nan_to_num(labels)  # of taxels that are not scored
     reference = _fitted(data, parts, training_mean, seed)[kept]
     # The columns that the model does not predict are not scored, but must be finite.
-    values = {MODEL: np.where(np.isnan(found.counts), reference, found.counts)}
+    modalities = [name for name, own in ranges.channels.modality_columns.items() if np.isfinite(counts[:, own]).all()]
+    values = {MODEL: np.where(np.isnan(counts), reference, counts)}
     values |= {name: _fitted(data, parts, baseline, seed)[kept] for name, baseline in baselines.items()}
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for name, value in values.items():
-        scored = score(value, labels, reference, found.ranges, found.modalities, valid)
-        scores[name] = {key: {**asdict(one), "coverage90": None} for key, one in scored.items()}
-    if found.half_width is not None:
-        inside = np.abs(labels - found.counts) <= found.half_width
+        scored = score(value, labels, reference, ranges, modalities, valid)
+        scores[name] = {key: {**one, "coverage90": None} for key, one in scored.items()}
+    if not np.isnan(half).any():
+        inside = np.abs(labels - counts) <= half
         for key, row in scores[MODEL].items():
-            columns = found.ranges.channels.columns([key])
+            columns = ranges.channels.columns([key])
             row["coverage90"] = float(inside[:, columns[valid[columns]]].mean())
     facts["not_scored"] = sensor.taxels_of(~valid)
-    return {"scores": scores, "samples": len(tested), "unfamiliar": found.unfamiliar, **facts}
+    return {"scores": scores, "samples": len(tested), "unfamiliar": unfamiliar, **facts}
 
 
 def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[str, Any]:
@@ -178,15 +134,8 @@ def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool
     return np.array([one in trained for one in data.hashes(index)], np.bool_)
 
 
-@dataclass(frozen=True, eq=False)
-class _Predictions:
-    """Predictions of a model for S samples."""
-
-    counts: Float64  # (S, D), NaN for modalities that it does not predict [counts]
-    half_width: Float64 | None  # (S, D) of its intervals [counts]
-    unfamiliar: int  # samples flagged as out of distribution
-    modalities: Sequence[str]
-    ranges: Ranges
+_Predictions = tuple[Float64, Float64, int, Ranges]
+"""(S, D) predictions, NaN for modalities without; (S, D) half widths of intervals, NaN without [counts]; how many are flagged."""
 
 
 def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
@@ -203,8 +152,7 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
         if one.lower is not None and one.upper is not None:
             half[k] = (one.upper.values - one.lower.values) / 2.0
         unfamiliar += "unfamiliar" in one.flags
-    half_width = None if np.isnan(half).any() else half
-    return _Predictions(counts, half_width, unfamiliar, model.sensor.channels.modalities, model.ranges)
+    return counts, half, unfamiliar, model.ranges
 
 
 def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
@@ -213,13 +161,11 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     from foretouch_lab.learning.network.networks import TouchNet
 
     config, tensors, _ = load_network(card_path)
-    net = TouchNet.of(config, tensors)
-    ranges = net.config.ranges.ranges
-    counts = np.full((len(samples), ranges.channels.size), np.nan)
-    prepared = TrainingSet.build(samples, net.config)
-    counts[:, ranges.channels.columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
-    modalities = [name for name in ranges.channels.modalities if name in net.config.outputs]
-    return _Predictions(counts, None, 0, modalities, ranges)
+    net, ranges = TouchNet.of(config, tensors), config.ranges.ranges
+    counts, half = np.full((2, len(samples), ranges.channels.size), np.nan)
+    prepared = TrainingSet.build(samples, config)
+    counts[:, ranges.channels.columns(config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
+    return counts, half, 0, ranges
 
 
 def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:

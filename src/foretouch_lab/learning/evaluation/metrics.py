@@ -43,16 +43,13 @@ from foretouch.tactile import Ranges
 from foretouch.types import Bool, Float64
 from foretouch.types.channels import Channels
 
-_MOST: Final = 1e12  # far beyond any reading
+Score = dict[str, float]
+"""Errors of one modality:
 
-
-@dataclass(frozen=True)
-class Score:
-    """Errors of one modality."""
-
-    rmse: float  # root of the mean squared error over all samples and electrodes [counts]
-    nrmse: float  # `rmse` over the width of the modality's range, as published in the papers
-    skill: float  # 1 - MSE / MSE of the training mean, per value, averaged over the modality's values
+    rmse   root of the mean squared error over all samples and electrodes [counts]
+    nrmse  `rmse` over the width of the modality's range, as published in the papers
+    skill  1 - MSE / MSE of the training mean, per value, averaged over the modality's values
+"""
 
 
 def score(
@@ -74,11 +71,12 @@ def score(
         valid: (D,) values to score, such as those of taxels that are not dead; by default all.
 
     Raises:
-        DatasetError: If a shape is wrong, there is no sample, a value is not finite or beyond 1e12, or the training
-            mean is exact, which leaves the skill undefined.
+        DatasetError: If there is no sample, a value is not finite, or the training mean is exact, which leaves the skill
+            undefined.
     """
     channels = ranges.channels
-    _check(channels.size, predicted=predicted, actual=actual, reference=reference)
+    if not len(actual) or not np.isfinite([predicted, actual, reference]).all():
+        raise DatasetError("scores: there is no sample, or a value is not finite")
     squared = (predicted - actual) ** 2
     baseline = ((reference - actual) ** 2).mean(axis=0)
     result = {}
@@ -91,27 +89,19 @@ def score(
         low, high = ranges.of(name)
         rmse = float(np.sqrt(squared[:, column].mean()))
         skill = float(np.mean(1.0 - squared[:, scored].mean(axis=0) / baseline[scored]))
-        result[name] = Score(rmse, rmse / (high - low), skill)
+        result[name] = {"rmse": rmse, "nrmse": rmse / (high - low), "skill": skill}
     return result
 
 
-def mean_skill(scores: dict[str, Score]) -> float:
+def mean_skill(scores: Mapping[str, Mapping[str, float]]) -> float:
     """Skill averaged over the modalities: the number by which models are selected."""
-    return float(np.mean([one.skill for one in scores.values()]))
-
-
-def _check(size: int, **columns: Float64) -> None:
-    for name, values in columns.items():
-        if values.ndim != 2 or values.shape != (len(columns["actual"]), size) or len(values) == 0:
-            raise DatasetError(f"{name}: shape {values.shape} is not (S, {size}) with S of at least 1")
-        if not np.isfinite(values).all():
-            raise DatasetError(f"{name}: holds a value that is not finite")
-        if np.abs(values).max() > _MOST:
-            raise DatasetError(f"{name}: {np.abs(values).max():g} exceeds {_MOST:g}")
+    return float(np.mean([one["skill"] for one in scores.values()]))
 
 
 LEAST_OBJECTS: Final = 6
 """Fewest objects for an interval: 2^(1 - 6) is below 5 %."""
+
+_MISS: Final = 0.05  # of the nominal intervals
 
 MEAN: Final = "mean"
 """Key of the mean of the skills, beside the modalities."""
@@ -124,8 +114,6 @@ class BootstrapConfig(Settings):
     """Settings of the bootstrap."""
 
     draws: int = setting(10_000, "Resamples of the objects", bounds=(100, 1_000_000))
-    seed: int = setting(0, "Seed of the resamples", minimum=0)
-    level: float = setting(0.95, "Nominal coverage of the intervals", bounds=(0.5, 0.999))
 
 
 _DEFAULT: Final = BootstrapConfig()
@@ -133,11 +121,7 @@ _DEFAULT: Final = BootstrapConfig()
 
 @dataclass(frozen=True, eq=False)
 class ObjectErrors:
-    """Squared errors of one predictor, summed over the test grasps of each object.
-
-    Raises:
-        DatasetError: If there is no object, or a shape or a number is unusable.
-    """
+    """Squared errors of one predictor, summed over the test grasps of each object."""
 
     objects: tuple[str, ...]  # (O,) names, sorted
     counts: Float64  # (O,) float64, test grasps
@@ -145,26 +129,19 @@ class ObjectErrors:
     reference: Float64  # (O, D) float64, R of eq. 1 [counts²]
     channels: Channels  # of the readings
 
-    def __post_init__(self) -> None:
-        size, width = len(self.objects), self.channels.size
-        if size == 0:
-            raise DatasetError("comparison: no object")
-        for name, shape in (("counts", (size,)), ("squared", (size, width)), ("reference", (size, width))):
-            value = getattr(self, name)
-            if value.shape != shape or not np.isfinite(value).all() or (value < 0.0).any():
-                raise DatasetError(f"comparison: {name}: is not {shape} of finite numbers from 0")
-
     @classmethod
-    def total(cls, parts: Sequence[tuple[str, float, Float64, Float64]], channels: Channels) -> Self:
-        """Sum (object, count, squared, reference) rows, in any order and with objects repeated."""
-        names = tuple(sorted({name for name, *_ in parts}))
-        row = {name: k for k, name in enumerate(names)}
+    def of_rows(cls, rows: Sequence[Mapping[str, Any]], channels: Channels) -> Self:
+        """Sum rows of an `object`, its `count`, `squared` and `reference`, in any order and with objects repeated."""
+        names = tuple(sorted({row["object"] for row in rows}))
+        if not names:
+            raise DatasetError("comparison: no object")
         counts = np.zeros(len(names))
         squared, reference = np.zeros((2, len(names), channels.size))
-        for name, count, own, mean in parts:
-            counts[row[name]] += count
-            squared[row[name]] += own
-            reference[row[name]] += mean
+        for row in rows:
+            k = names.index(row["object"])
+            counts[k] += row["count"]
+            squared[k] += row["squared"]
+            reference[k] += row["reference"]
         return cls(names, counts, squared, reference, channels)
 
     @classmethod
@@ -173,18 +150,17 @@ class ObjectErrors:
     ) -> Self:
         """From (S,) names of objects, (S, D) predictions and labels, and a (S, D) or (D,) reference [counts]."""
         squared, base = (predicted - labels) ** 2, (reference - labels) ** 2
-        each = [(str(name), objects == name) for name in np.unique(objects)]
-        return cls.total(
-            [(name, float(own.sum()), squared[own].sum(axis=0), base[own].sum(axis=0)) for name, own in each], channels
-        )
-
-    @classmethod
-    def of_rows(cls, rows: Sequence[Mapping[str, Any]], channels: Channels) -> Self:
-        """`total` of rows of the results of an experiment, whose columns have these names."""
-        return cls.total(
-            [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in rows],
-            channels,
-        )
+        rows = [
+            {
+                "object": str(name),
+                "count": own.sum(),
+                "squared": squared[own].sum(axis=0),
+                "reference": base[own].sum(axis=0),
+            }
+            for name in np.unique(objects)
+            for own in [objects == name]
+        ]
+        return cls.of_rows(rows, channels)
 
     def only(self, name: str) -> Self:
         """The errors of one object."""
@@ -218,7 +194,7 @@ class ScoreEstimate:
 def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
     """Skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
     size = len(errors.objects)
-    return _estimates(errors, _skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)), config)
+    return _estimates(errors, _skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)))
 
 
 def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
@@ -233,7 +209,7 @@ def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _D
     everyone = np.ones((1, len(one.objects)))
     weights = _weights(len(one.objects), config)
     value = _skill(one, everyone) - _skill(other, everyone)
-    return _estimates(one, value, _skill(one, weights) - _skill(other, weights), config)
+    return _estimates(one, value, _skill(one, weights) - _skill(other, weights))
 
 
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
@@ -255,23 +231,21 @@ def _weights(size: int, config: BootstrapConfig) -> Float64:
     """(draws, O): how often each object is drawn; no row where there are too few objects."""
     if size < LEAST_OBJECTS:
         return np.empty((0, size))
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(0)
     return rng.multinomial(size, np.full(size, 1.0 / size), config.draws).astype(np.float64)
 
 
-def _estimates(
-    errors: ObjectErrors, value: Float64, draws: Float64, config: BootstrapConfig
-) -> dict[str, ScoreEstimate]:
+def _estimates(errors: ObjectErrors, value: Float64, draws: Float64) -> dict[str, ScoreEstimate]:
     names = (*errors.channels.modalities, MEAN)
     if not len(draws):
         return {name: ScoreEstimate(float(value[0, k]), None, None) for k, name in enumerate(names)}
-    tail = _tail(len(errors.objects), config.level)
+    tail = _tail(len(errors.objects))
     low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
     return {name: ScoreEstimate(float(value[0, k]), float(low[k]), float(high[k])) for k, name in enumerate(names)}
 
 
-def _tail(size: int, level: float) -> float:
+def _tail(size: int) -> float:
     from scipy.stats import norm, t
 
-    quantile = t.ppf((1.0 + level) / 2.0, size - 1)
+    quantile = t.ppf(1.0 - _MISS / 2.0, size - 1)
     return float(norm.cdf(-np.sqrt(size / (size - 1)) * quantile))  # eq. 2

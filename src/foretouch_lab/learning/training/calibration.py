@@ -116,7 +116,6 @@ def calibrate_on_folds(
     labels: Float64,
     predict: HoldOut,
     seed: int,
-    predicted: Mapping[str, Float64] | None = None,
     *,
     where: Float64 | None = None,
     workers: int = 1,
@@ -130,7 +129,6 @@ def calibrate_on_folds(
         labels: (S, D) [counts].
         predict: Fits to the training side of a fold and predicts its test side, at rest level.
         seed: Of the folds.
-        predicted: (S, D) held-out predictions by condition (see `calibration_folds`), if they are known already.
         where: (S, P) features of the grasps as of `Estimate`, for models that describe them.
         workers: Number of processes.
 
@@ -141,9 +139,8 @@ def calibrate_on_folds(
         DatasetError: If all samples are of one object.
     """
     conditions = calibration_folds(samples, seed)
-    if predicted is None:
-        with fold_workers(workers) as run:
-            predicted = {name: predict_folds(predict, folds, run) for name, (folds, _) in conditions.items()}
+    with fold_workers(workers) as run:
+        predicted = {name: predict_folds(predict, folds, run) for name, (folds, _) in conditions.items()}
     channels = channels_of(samples)
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])

@@ -123,7 +123,6 @@ class ContactTrainingConfig(Settings):
         "Share of the points in copies of the training clouds, to which the forests are fitted as well; 1 fits to no copies",
         bounds=(0.1, 1.0),
     )
-    depth: int | None = setting(None, "Most levels of a tree; not limited by default", bounds=(1, 100))
     feature_share: float = setting(0.5, "Share of the features tried at each split", bounds=(0.01, 1.0))
     seed: int = setting(0, "Seed of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
@@ -188,16 +187,11 @@ def fit_contact(
     Raises:
         DatasetError: If there are fewer than five samples or more than `MOST_SAMPLES`, or a tared value of the labels is constant.
     """
-    if len(rows) < FEWEST_SAMPLES:
-        rule = (
-            f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {FEWEST_SAMPLES - len(rows)} more grasps are needed"
-        )
+    if (missing := FEWEST_SAMPLES - len(rows)) > 0:
+        rule = f"{len(rows)} samples are fewer than {FEWEST_SAMPLES}: {missing} more grasps are needed"
         raise DatasetError(f"contact model: {rule}")
     if len(rows) > MOST_SAMPLES:
-        rule = (
-            f"{len(rows)} samples exceed {MOST_SAMPLES}, whose pairs its kernel holds; use a network, or fewer grasps"
-        )
-        raise DatasetError(f"contact model: {rule}")
+        raise DatasetError(f"contact model: {len(rows)} samples exceed {MOST_SAMPLES}, whose pairs its kernel holds")
     ranges = ranges or config.ranges.ranges
     channels = ranges.channels
     mean, deviation = labels.mean(axis=0), _deviation(labels, channels)
@@ -208,24 +202,17 @@ def fit_contact(
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
     ridge, gain = choose_ridge(inputs, scaled, objects, channels)
-    forests, kernel = fit_forests(rows, labels, channels, config, thinned), _kernel(inputs, scaled, objects, ridge)
+    kernel = _kernel(inputs, scaled, objects, ridge)
+    grown, targets, leaf = inputs, scaled, config.leaf
+    if thinned is not None:
+        grown, targets = np.concatenate([inputs, thinned[:, len(CONDITIONS) :]]), np.concatenate([scaled, scaled])
+        leaf = 2 * leaf
+    columns = {TOGETHER: np.arange(channels.size), **channels.modality_columns}
+    forest_config = config.replace(leaf=leaf)
+    forests = {name: _forest(grown, targets[:, own], forest_config) for name, own in columns.items()}
     return ContactEstimator(
         forests, kernel, NoveltyDetector.fit(rows, objects), mean, deviation, generalisation_gain=gain, ranges=ranges
     )
-
-
-def fit_forests(
-    rows: Float64, labels: Float64, channels: Channels, config: ContactTrainingConfig, thinned: Float64 | None = None
-) -> dict[str, Forest]:
-    """The forests of `fit_contact` alone, by name, for labels of some channels; other arguments as there."""
-    first = len(CONDITIONS)
-    grown, leaf = rows[:, first:], config.leaf
-    targets = (labels - labels.mean(axis=0)) / _deviation(labels, channels)
-    if thinned is not None:
-        grown, targets, leaf = np.concatenate([grown, thinned[:, first:]]), np.concatenate([targets, targets]), 2 * leaf
-    forest_config = config.replace(leaf=leaf)
-    forests = {TOGETHER: np.arange(channels.size), **channels.modality_columns}
-    return {name: _forest(grown, targets[:, column], forest_config) for name, column in forests.items()}
 
 
 def _deviation(labels: Float64, channels: Channels) -> Float64:
@@ -240,7 +227,6 @@ def _forest(rows: Float64, scaled: Float64, config: ContactTrainingConfig) -> Fo
     fitted = ExtraTreesRegressor(
         config.trees,
         min_samples_leaf=config.leaf,
-        max_depth=config.depth,
         max_features=config.feature_share,
         random_state=config.seed,
         n_jobs=1,
@@ -282,11 +268,12 @@ class ContactPredictor:
         """The model fitted to all training samples."""
         return self.fit(np.arange(len(self._train)))
 
-    def fit(self, chosen: Indices) -> ContactEstimator:
-        """A model fitted to some of the training samples, at the rest level of all of them."""
+    def fit(self, chosen: Indices, config: ContactTrainingConfig | None = None) -> ContactEstimator:
+        """A model fitted to some of the training samples, at the rest level of all of them; by other settings, if given."""
+        config = config or self._config
         objects = [self._train[k].object for k in chosen]
-        thinned = None if self._thinned is None else self._thinned[chosen]
-        return fit_contact(self.rows[chosen], self._resting[chosen], objects, self._config, thinned, self._ranges)
+        thinned = None if self._thinned is None or config.thinned == 1.0 else self._thinned[chosen]
+        return fit_contact(self.rows[chosen], self._resting[chosen], objects, config, thinned, self._ranges)
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
         """(S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""

@@ -91,10 +91,10 @@ class Learner(ABC):
         learner.fit(fold.train)
         return learner.predict(fold.test)
 
-    def calibrate(self, predicted: Mapping[str, Float64] | None = None, *, workers: int = 1) -> CardCalibration:
+    def calibrate(self, workers: int = 1) -> CardCalibration:
         """See `calibrate_on_folds`; the fitted model stays as it is."""
         how: Any = {"where": self.where, "workers": workers}
-        return calibrate_on_folds(self.samples, self.labels, self.predict_fold, self.config.seed, predicted, **how)
+        return calibrate_on_folds(self.samples, self.labels, self.predict_fold, self.config.seed, **how)
 
 
 class ContactLearner(Learner):
@@ -164,20 +164,21 @@ class NetworkLearner(Learner):
             trainer = SrganTrainer(self._prepared, train, self.split.unlabelled, self.config.srgan)
         else:
             trainer = SupervisedTrainer(self._prepared, train, self.config.train)
-        if run is not None and run.resumed:
-            run.restore(trainer)
         if run is not None:
+            if run.resumed:
+                run.restore(trainer)
             run.keep_log(trainer.epoch)
-        while trainer.epoch < trainer.epochs:
-            losses = trainer.run_epoch()
+
+        def done(losses: dict[str, float]) -> None:
             if run is not None:
                 record = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
                 # The log first: a line without its state is removed at resume; a state without its line would shift them.
                 run.log(record)
                 run.store(trainer)
                 run.report(record)
+
+        self._net = trainer.train(done)
         self.epochs = trainer.epoch
-        self._net = trainer.net.cpu().eval()
 
     def predict(self, index: Indices) -> Float64:
         """As `Learner.predict`; a calibrated network fades to its fallback on new objects."""

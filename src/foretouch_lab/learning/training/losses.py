@@ -34,7 +34,6 @@ import torch
 from torch import Tensor
 
 from foretouch.config import Settings, setting
-from foretouch.errors import DatasetError
 
 _LEAST_ROOT: Final = 1e-6
 _OF_MEANS: Final = ("batch_means", "srgan")  # variants that compare the mean features of two batches
@@ -71,18 +70,13 @@ def labeled_loss(
     """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
 
     Args:
-        scaled: (B, M) predictions, floating; half precision is computed in float32.
+        scaled: (B, M) predictions.
         target: (B, M) labels on the same scale.
         sizes: Number of values of each modality; they add up to M. P2 has one modality per network.
         kind: `rmse`, or `mse` without the root.
         epsilon: Added to the mean square under the root, as in P1's public code; 0 for `_safe_root`.
-
-    Raises:
-        DatasetError: If there is no sample, or a tensor is not floating.
     """
-    if len(scaled) == 0:
-        raise DatasetError("losses: there is no sample")
-    parts = torch.split(_wide(scaled) - _wide(target), list(sizes), dim=1)
+    parts = torch.split(scaled - target, list(sizes), dim=1)
     stacked = torch.stack([part.square().sum() / part.numel() for part in parts])
     if kind == "mse":
         return stacked.mean()
@@ -97,12 +91,11 @@ def discriminator_loss(labeled: Tensor, features: Sequence[Tensor], config: Srga
         features: (B, F) features f(x) of the labelled, the unlabelled and, but for the variant `as_printed`, the fake clouds;
             the last detached from the generator.
         config: Variant and weights.
-
-    Raises:
-        DatasetError: If samples are compared in pairs and the batches differ in size.
     """
     unlabeled = matching_loss(features[0], features[1], config)
-    fake = unlabeled if config.loss_variant == "as_printed" else _contrast(features[1:], config)  # eq. 4 is eq. 3
+    fake = unlabeled  # eq. 4 is eq. 3
+    if config.loss_variant != "as_printed":  # a contrast, whose slope in each feature is at most one
+        fake = -(_difference(features[1], features[2], config).abs() + 1.0).sqrt().mean()
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
     return {**parts, "total": total}
@@ -121,25 +114,8 @@ def matching_loss(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
     return delta.square().sum(dim=1).mean()
 
 
-def _contrast(features: Sequence[Tensor], config: SrganLossConfig) -> Tensor:
-    """Contrast of unlabelled and fake features; its slope in each feature is at most one."""
-    if len(features) < 2:
-        raise DatasetError(f"losses: the variant {config.loss_variant} requires the features of fake clouds")
-    return -(_difference(features[0], features[1], config).abs() + 1.0).sqrt().mean()
-
-
 def _difference(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
     """(B, F) in pairs, or (1, F) of the batches' means."""
-    a, b = _wide(a), _wide(b)
     if config.loss_variant not in _OF_MEANS:
-        if a.shape != b.shape:
-            raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b
     return (a.sum(dim=0, keepdim=True) / len(a)) - (b.sum(dim=0, keepdim=True) / len(b))
-
-
-def _wide(values: Tensor) -> Tensor:
-    """In float32 or wider: squares and sums of half precision overflow from 256 on, and underflow below 2e-4."""
-    if not values.is_floating_point():
-        raise DatasetError(f"losses: dtype {values.dtype} is not floating")
-    return values.float() if values.dtype in (torch.bfloat16, torch.float16) else values

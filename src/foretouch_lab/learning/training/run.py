@@ -5,7 +5,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,12 +16,12 @@ from foretouch.errors import ConfigError, DatasetError, ForetouchError
 from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
 from foretouch.tactile.description import named_taxels, with_sensor
-from foretouch.types import Float64
+from foretouch.types import Float64, GraspSample
 from foretouch_lab.learning.data import Dataset, make_folds
-from foretouch_lab.learning.data.folds import SPLITS, Fold
-from foretouch_lab.learning.data.training_set import duplicate_labels
-from foretouch_lab.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
-from foretouch_lab.learning.evaluation.metrics import mean_skill
+from foretouch_lab.learning.data.folds import SPLITS, Fold, fold_workers, predict_folds
+from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
+from foretouch_lab.learning.evaluation.evaluate import MODEL, evaluate_model
+from foretouch_lab.learning.evaluation.metrics import mean_skill, score
 from foretouch_lab.learning.training.calibration import GUESSED, calibration_folds, guarantee
 from foretouch_lab.learning.training.contact import FEWEST_SAMPLES
 from foretouch_lab.learning.training.learners import ContactLearner, Learner, NetworkLearner
@@ -37,8 +37,6 @@ _SPLIT_WORDS: Final = {
     "object": "one object left out: objects never touched, and other days",
 }
 _PARTS: Final = ("train", "unlabelled", "test")  # of the split, whose sizes a card names
-_CONDITIONS: Final = {"known": "time", "new": "object"}
-"""The split whose held-out predictions calibrate each condition."""
 
 
 def train_run(
@@ -78,12 +76,12 @@ def train_run(
     except ForetouchError:
         folder.remove_unfinished()
         raise
-    skill, predicted = compare_splits(learner, SPLITS, report, workers) if config.release else ({}, None)
+    skill = compare_splits(learner, SPLITS, report, workers) if config.release else {}
     facts = _facts(learner, data)
     calibration = None
     if config.calibrates:
         try:
-            calibration = learner.calibrate(predicted, workers=workers)
+            calibration = learner.calibrate(workers)
             facts["limits"] = [guarantee(calibration[1]), f"Rest level: {calibration[1]['rest']}."]
         except DatasetError as err:  # of too few objects or grasps
             facts["limits"] = [f"No calibration: {_missing_grasps(learner) or err}."]
@@ -105,7 +103,7 @@ def train_run(
 
 def compare_splits(
     learner: Learner, splits: Sequence[str], report: Report, workers: int = 1
-) -> tuple[dict[str, Scores], dict[str, Float64]]:
+) -> dict[str, dict[str, Scores]]:
     """Score a training method and the baselines on the training samples by cross-validation.
 
     Args:
@@ -115,37 +113,33 @@ def compare_splits(
         workers: Number of processes.
 
     Returns:
-        By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, D)
-        held-out predictions [counts], as far as the splits give them.
+        By split, the scores of the model and the baselines by modality.
     """
-    seed, ranges = learner.config.seed, learner.config.ranges(learner.sensor.channels)
-    results, predicted = {}, {}
+    samples, labels, seed = learner.samples, learner.labels, learner.config.seed
+    ranges, results = learner.config.ranges(learner.sensor.channels), {}
+    predictors = {MODEL: learner.predict_fold}
+    predictors |= {name: partial(_predict_baseline, one, samples, labels, seed) for name, one in BASELINES.items()}
     for split in splits:
-        start, folds = time.monotonic(), _folds(learner, split)
-        scores, predicted[split] = cross_validate(
-            learner.samples,
-            learner.labels,
-            learner.predict_fold,
-            folds,
-            ranges,
-            seed=seed,
-            workers=workers,
-            valid=learner.sensor.valid_values,
-        )
-        for name, one in scores.items():
-            skills = {modality: round(score.skill, 3) for modality, score in one.items()}
+        start = time.monotonic()
+        condition = {"time": "known", "object": "new"}.get(split)  # whose folds are those of the calibration
+        folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
+        with fold_workers(workers) as run:
+            predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
+        reference, valid = predicted[training_mean.__name__], learner.sensor.valid_values
+        results[split] = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
+        for name, one in results[split].items():
+            skills = {modality: round(row["skill"], 3) for modality, row in one.items()}
             report({"split": split, "who": name, "mean_skill": round(mean_skill(one), 3), "skill": skills})
         report({"split": split, "seconds": round(time.monotonic() - start, 1)})
-        results[split] = {name: {key: asdict(score) for key, score in one.items()} for name, one in scores.items()}
-    return results, {name: predicted[split] for name, split in _CONDITIONS.items() if split in predicted}
+    return results
 
 
-def _folds(learner: Learner, split: str) -> list[Fold]:
-    """The folds of a split; those that also calibrate are the calibration's own."""
-    for condition, name in _CONDITIONS.items():
-        if name == split:
-            return calibration_folds(learner.samples, learner.config.seed)[condition][0]
-    return make_folds(learner.samples, split, learner.config.seed)
+def _predict_baseline(
+    baseline: Baseline, samples: Sequence[GraspSample], labels: Float64, seed: int, fold: Fold
+) -> Float64:
+    """(T, D) predictions of the test side of a fold by a baseline that is fitted to the other [counts]."""
+    train, tested = fold.sides(samples)
+    return baseline(train, labels[fold.train], tested, seed)
 
 
 def make_learner(config: RunConfig, data: Dataset) -> Learner:
@@ -166,11 +160,10 @@ def _missing_grasps(learner: Learner) -> str:
 def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
     """`summary`, `data`, `split`, `limits` and `version` of the card."""
     config, count = learner.config, len(learner.samples)
-    duplicates = [list(pair) for pair in duplicate_labels(learner.samples)]
     facts = {
         "summary": f"{', '.join(learner.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
         "data": {
-            "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates,
+            "name": data.name, "sha256": data.sha256, "samples": len(data.samples),
             "sample_hashes": "".join(sorted(data.hashes(learner.split.train))),
             **{key: value for key, value in data.origin.items() if key != "limits"},
             "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",

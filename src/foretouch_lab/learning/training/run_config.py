@@ -105,12 +105,6 @@ class RunConfig(Settings):
         """Seed of the method."""
         return self._own.seed
 
-    @property
-    def device(self) -> str:
-        """`cpu` or `cuda`."""
-        own = self._own
-        return "cpu" if isinstance(own, ContactTrainingConfig) else own.resolved_device
-
     def ranges(self, channels: Channels) -> Ranges:
         """Ranges of the hand that the model learns from, which has a sensor of these channels."""
         return self.model.ranges.ranges if self.has_network else ranges_of(self.contact, channels)

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from foretouch.config import dump_yaml, flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
-from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, write_text
+from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, system_errors, write_text
 from foretouch_lab.learning.training.trainer import Trainer
 
 CONFIG_FILE: Final = "config.yaml"
@@ -129,22 +129,18 @@ class RunFolder:
     def keep_log(self, epochs: int) -> None:
         """Remove the lines after so many epochs: those whose state was not written before a kill."""
         file = self.path / LOG_FILE
-        if not file.exists():
-            return
-        try:
-            lines = read_bytes(file, TEXT_LIMIT).decode().splitlines()
-        except UnicodeDecodeError as err:
-            raise FileError(file, f"cannot be read: {err}") from err
-        write_text(file, "".join(f"{line}\n" for line in lines[:epochs]))
+        if file.exists():
+            lines = read_bytes(file, TEXT_LIMIT).decode(errors="replace").splitlines()
+            write_text(file, "".join(f"{line}\n" for line in lines[:epochs]))
 
     def log(self, record: Mapping[str, Any]) -> None:
         """Append an epoch's line; raises `FileError` if it cannot be written, such as on a full disk."""
         file = self.path / LOG_FILE
-        try:
-            with os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as lines:
-                lines.write(json.dumps(record).encode() + b"\n")
-        except OSError as err:
-            raise FileError(file, f"cannot be written: {err.strerror or err}") from err
+        with (
+            system_errors(file, "cannot be written"),
+            os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as log,
+        ):
+            log.write(json.dumps(record).encode() + b"\n")
 
     def store(self, trainer: Trainer) -> None:
         """Replace the state by that of a trainer."""

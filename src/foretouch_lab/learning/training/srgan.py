@@ -95,10 +95,9 @@ class SrganTrainer(Trainer):
             _repeated_batches(index, self.config.batch_size, self.batch_count, self.rng)
             for index in (self._labelled, self._unlabelled)
         ]
-        for number, (labelled, unlabelled) in enumerate(zip(*sources, strict=True)):
+        for labelled, unlabelled in zip(*sources, strict=True):
             real = self._clouds(unlabelled)
-            losses = self._regressor_step(number, labelled, unlabelled, real)
-            yield losses | self._generator_step(number, unlabelled, real)
+            yield self._regressor_step(labelled, real) | self._generator_step(real)
 
     def _set_mode(self) -> None:
         if self.config.batch_norm == "frozen":
@@ -109,27 +108,24 @@ class SrganTrainer(Trainer):
     def _count_batches(self) -> int:
         return len(self._labelled) // self.config.batch_size
 
-    def _regressor_step(self, number: int, labelled: Indices, unlabelled: Indices, real: Tensor) -> dict[str, float]:
+    def _regressor_step(self, labelled: Indices, real: Tensor) -> dict[str, float]:
         with torch.no_grad():
-            fake = self._fake(len(unlabelled))
+            fake = self._fake(len(real))
         features = self._all_features(self._clouds(labelled), real, fake)
         scaled = self.net.regress(features[0], self._grasps(labelled))
         error = scaled - self.net.to_scaled(self._labels[labelled].to(self.device))
         labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes)
         losses = loss_terms.discriminator_loss(labeled, features, self.config.loss)
-        self.require_finite({"labeled": labeled}, number, labelled, error, features[0])
-        self.require_finite(losses, number, unlabelled, features[1])
-        self.optimisers["net"].step(losses["total"])
+        self.step("net", losses["total"])
         return {name: float(value.detach()) for name, value in losses.items()}
 
-    def _generator_step(self, number: int, unlabelled: Indices, real: Tensor) -> dict[str, float]:
+    def _generator_step(self, real: Tensor) -> dict[str, float]:
         with _fixed(self.net), statistics_kept(self.net):
             with torch.no_grad():
                 aim = self.net.features(real)
-            made = self.net.features(self._fake(len(unlabelled)))
+            made = self.net.features(self._fake(len(real)))
             loss = loss_terms.matching_loss(made, aim, self.config.loss)
-            self.require_finite({"generator": loss}, number, unlabelled, aim)
-            self.optimisers["generator"].step(loss)
+            self.step("generator", loss)
         return {"generator": float(loss.detach())}
 
     def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> list[Tensor]:

@@ -83,11 +83,10 @@ class SupervisedTrainer(Trainer):
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()
-        for number, (batch, points, grasps, target) in enumerate(self.batches()):
+        for _, points, grasps, target in self.batches():
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
             loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.config.root_epsilon)
-            self.require_finite({"loss": loss}, number, batch, scaled - target)
-            self.optimisers["net"].step(loss)
+            self.step("net", loss)
             yield {"loss": float(loss.detach())}
 
     def _count_batches(self) -> int:
@@ -116,7 +115,4 @@ def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> Tou
     Raises:
         DatasetError: If there are fewer samples than one batch, or the loss becomes infinite or NaN.
     """
-    trainer = SupervisedTrainer(data, index, config)
-    while trainer.epoch < trainer.epochs:
-        trainer.run_epoch()
-    return trainer.net.cpu().eval()
+    return SupervisedTrainer(data, index, config).train()

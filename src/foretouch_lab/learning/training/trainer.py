@@ -7,14 +7,14 @@ its results agree with each other and with a CPU's only up to rounding.
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
+from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError, ModelError
@@ -79,47 +79,6 @@ def other_default(name: str, default: Any) -> Any:
     return dataclasses.field(default=default, metadata=EpochsConfig.__dataclass_fields__[name].metadata)
 
 
-class _ScheduledOptimiser:
-    """The optimiser of one network with its learning-rate schedule, which ends after `steps` steps."""
-
-    def __init__(self, module: nn.Module, config: EpochsConfig, steps: int) -> None:
-        # One kernel for all weights: the time of a small network's step is its number of calls.
-        options: dict[str, Any] = {"lr": config.learning_rate, "weight_decay": config.weight_decay, "fused": True}
-        self._optimiser = _OPTIMISERS[config.optimiser](list(module.parameters()), **options)
-        self._schedule: LRScheduler = (
-            CosineAnnealingLR(self._optimiser, T_max=steps)
-            if config.schedule == "cosine"
-            else ConstantLR(self._optimiser, factor=1.0)
-        )
-
-    def step(self, loss: Tensor) -> None:
-        """Differentiate a scalar loss and take one step."""
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        self._optimiser.step()
-        self._schedule.step()
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name and the rest as plain data, together all that `restore` requires."""
-        state = self._optimiser.state_dict()
-        tensors = {
-            f"{number}.{name}": value
-            for number, values in state["state"].items()
-            for name, value in values.items()
-            if isinstance(value, Tensor)  # SGD keeps None where it has no momentum, as an absent tensor is in `restore`
-        }
-        return tensors, {"groups": state["param_groups"], "schedule": self._schedule.state_dict()}
-
-    def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-        """Continue from the result of `state`, bit for bit."""
-        state: dict[int, dict[str, Tensor]] = {}
-        for key, value in tensors.items():
-            number, name = key.split(".", 1)
-            state.setdefault(int(number), {})[name] = value
-        self._optimiser.load_state_dict({"state": state, "param_groups": plain["groups"]})
-        self._schedule.load_state_dict(dict(plain["schedule"]))
-
-
 _TORCH_RNG = "torch_rng"
 _CUDA_RNG = "cuda_rng"
 
@@ -167,8 +126,16 @@ class Trainer(ABC):
         for module in self.modules.values():
             module.to(self.device)
             set_precision(module, config.precision)
-        steps = config.epochs * self.batch_count
-        self.optimisers = {name: _ScheduledOptimiser(module, config, steps) for name, module in self.modules.items()}
+        # One kernel for all weights: the time of a small network's step is its number of calls.
+        options: dict[str, Any] = {"lr": config.learning_rate, "weight_decay": config.weight_decay, "fused": True}
+        self.optimisers, self._schedules = {}, {}
+        for name, module in self.modules.items():
+            optimiser = self.optimisers[name] = _OPTIMISERS[config.optimiser](list(module.parameters()), **options)
+            self._schedules[name] = (
+                CosineAnnealingLR(optimiser, T_max=config.epochs * self.batch_count)
+                if config.schedule == "cosine"
+                else ConstantLR(optimiser, factor=1.0)
+            )
         self.sizes = [len(BIOTAC.columns([name])) for name in data.config.outputs]
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
         self._grasp_inputs = torch.from_numpy(data.grasps)
@@ -184,13 +151,34 @@ class Trainer(ABC):
         Gives the mean of each loss over the batches.
 
         Raises:
-            DatasetError: If a loss or a weight becomes infinite or NaN; names epoch, batch and sample.
+            DatasetError: If a loss or a weight becomes infinite or NaN; names it and the epoch.
         """
         with self._own_randomness():
             batches = list(self._epoch())
-        self._require_finite_weights()
+        means = {name: float(np.mean([batch[name] for batch in batches])) for name in batches[0]}
+        weights = {
+            f"{name}.{key}": v for name, module in self.modules.items() for key, v in module.state_dict().items()
+        }
+        bad = [name for name, mean in means.items() if not np.isfinite(mean)]
+        bad += [name for name, value in weights.items() if not bool(torch.isfinite(value).all())]
+        if bad:
+            raise DatasetError(f"training: {bad[0]}: is not finite in epoch {self.epoch}; lower learning_rate")
         self.epoch += 1
-        return {name: float(np.mean([batch[name] for batch in batches])) for name in batches[0]}
+        return means
+
+    def train(self, done: Callable[[dict[str, float]], None] = lambda _: None) -> TouchNet:
+        """Run the epochs that are left; `done` is called with the losses of each. Returns the network for prediction."""
+        while self.epoch < self.epochs:
+            done(self.run_epoch())
+        return self.net.cpu().eval()
+
+    def step(self, name: str, loss: Tensor) -> None:
+        """Differentiate a scalar loss, and take one step of the network of this name."""
+        optimiser = self.optimisers[name]
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        self._schedules[name].step()
 
     def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Copies of all tensors by name and the rest as plain data: all that `restore` requires."""
@@ -199,8 +187,11 @@ class Trainer(ABC):
         for name, module in self.modules.items():
             tensors |= _prefixed(name, module.state_dict())
         for name, optimiser in self.optimisers.items():
-            moments, plain["steppers"][name] = optimiser.state()
-            tensors |= _prefixed(f"{name}-steps", moments)
+            state = optimiser.state_dict()
+            plain["steppers"][name] = {"groups": state["param_groups"], "schedule": self._schedules[name].state_dict()}
+            for number, values in state["state"].items():  # where SGD has no momentum, it keeps None
+                moments = {f"{number}.{key}": value for key, value in values.items() if isinstance(value, Tensor)}
+                tensors |= _prefixed(f"{name}-steps", moments)
         # To the CPU, so that a run may be resumed on another device; with `copy`, also from a CPU.
         return {name: value.detach().to("cpu", copy=True).contiguous() for name, value in tensors.items()}, plain
 
@@ -208,37 +199,24 @@ class Trainer(ABC):
         """Continue from a snapshot, bit for bit.
 
         Raises:
-            ModelError: If it is of another architecture or damaged; names the first tensor that does not fit.
+            ModelError: If it is of another architecture or damaged.
         """
         try:
             for name, module in self.modules.items():
-                own = under(f"{name}/", tensors)
-                _require_shapes(name, module.state_dict(), own)
-                module.load_state_dict(own)
+                module.load_state_dict(under(f"{name}/", tensors))
             for name, optimiser in self.optimisers.items():
-                optimiser.restore(under(f"{name}-steps/", tensors), plain["steppers"][name])
+                state: dict[int, dict[str, Tensor]] = {}
+                for key, value in under(f"{name}-steps/", tensors).items():
+                    number, moment = key.split(".", 1)
+                    state.setdefault(int(number), {})[moment] = value
+                stepper = plain["steppers"][name]
+                optimiser.load_state_dict({"state": state, "param_groups": stepper["groups"]})
+                self._schedules[name].load_state_dict(dict(stepper["schedule"]))
             self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
             self.rng.bit_generator.state = plain["rng"]
             self.epoch = int(plain["epoch"])
         except (RuntimeError, KeyError, TypeError, ValueError) as err:
-            raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())}") from err
-
-    def require_finite(self, losses: Mapping[str, Tensor], number: int, batch: Indices, *rows: Tensor) -> None:
-        """Raise `DatasetError` before a step that would ruin the weights.
-
-        It names the loss, the epoch, the number of the batch, and of its (B,) samples the first for which one of some
-        (B, ...) values is not finite, or else the most extreme.
-        """
-        bad = [name for name, loss in losses.items() if not bool(torch.isfinite(loss.detach()))]
-        if not bad:
-            return
-        size = torch.stack([row.detach().abs().flatten(1).amax(dim=1) for row in rows]).amax(dim=0)
-        # argmax treats NaN as the largest value.
-        sample = self.data.ids[int(batch[int(size.argmax())])]
-        raise DatasetError(
-            f"training: {bad[0]}: the loss is not finite in epoch {self.epoch}, batch {number}, sample {sample}; "
-            "lower learning_rate"
-        )
+            raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())[:200]}") from err
 
     @abstractmethod
     def _count_batches(self) -> int: ...
@@ -265,15 +243,6 @@ class Trainer(ABC):
             if cuda is not None:
                 self._randomness[_CUDA_RNG] = torch.cuda.get_rng_state(cuda)
 
-    def _require_finite_weights(self) -> None:
-        for name, module in self.modules.items():
-            for key, value in module.state_dict().items():
-                if not bool(torch.isfinite(value).all()):
-                    raise DatasetError(
-                        f"training: {name}.{key}: holds a value that is not finite after the last batch of epoch "
-                        f"{self.epoch}; lower learning_rate"
-                    )
-
     def _points(self, batch: Indices) -> Tensor:
         """Points of a batch of clouds, not yet on the device."""
         return torch.from_numpy(self.data.points(batch, self.rng, self._drawn_points))
@@ -298,16 +267,6 @@ def shuffled_batches(
         batch = shuffled[start : start + size]
         if len(batch) == size or (partial and len(batch) > 1):
             yield batch
-
-
-def _require_shapes(name: str, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
-    """Check names and shapes of a module's tensors, and name the first mismatch; torch would list all of them."""
-    for key, value in wanted.items():
-        if key not in found:
-            raise ModelError(f"{name}/{key}: is missing, so it is of another architecture")
-        if found[key].shape != value.shape:
-            shapes = f"{tuple(found[key].shape)} is not {tuple(value.shape)}"
-            raise ModelError(f"{name}/{key}: {shapes}, so it is of another architecture")
 
 
 def _prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

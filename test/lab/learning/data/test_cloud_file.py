@@ -7,7 +7,6 @@ import tempfile
 import numpy as np
 import pytest
 
-from foretouch.errors import FileError
 from foretouch.processes import process_pool
 from foretouch_lab.learning.data.training_set import CloudFile
 
@@ -30,12 +29,3 @@ def test_clouds_are_read_as_they_were_written_also_in_another_process(rng, tmp_p
     assert [cloud.tolist() for cloud in copy] == [cloud.tolist() for cloud in made]
     with process_pool(1) as pool:
         assert [cloud.tolist() for cloud in pool.submit(list, clouds).result()] == [cloud.tolist() for cloud in made]
-
-
-def test_no_folder_for_temporary_files_is_named(monkeypatch) -> None:
-    def refuse() -> str:
-        raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
-
-    monkeypatch.setattr(tempfile, "gettempdir", refuse)
-    with pytest.raises(FileError, match="TMPDIR: names no folder that can be written"):
-        CloudFile()

@@ -10,6 +10,7 @@ from every_case import every_case, every_refusal
 
 from foretouch.errors import DatasetError, FileError
 from foretouch_lab.dataset.store_writer import SampleFacts
+from foretouch_lab.learning.data.folds import group_folds, make_folds
 from foretouch_lab.learning.data.splits import RATIOS, SPLITS_FILE, SplitPart, _label_ratios, make_splits, read_splits
 
 
@@ -39,6 +40,32 @@ def test_no_id_stands_on_both_sides_and_folds_test_every_labelled_sample_once(bo
         assert len(tested) == len(set(tested))
         assert set(tested) == labelled
         assert all(set(part.train) | set(part.test) == labelled for part in book[kind])
+
+
+def test_folds_are_even_and_seeded_blocks_of_time_are_consecutive_and_objects_stay_whole(rng) -> None:
+    stamps = rng.permutation(18)
+    samples = [SampleFacts(str(k), "aaaaaaabbbbbcccccc"[k], int(stamps[k]), labelled=True) for k in range(18)]
+    names = np.array([sample.object for sample in samples])
+    one, again, other = (make_folds(samples, "random", seed) for seed in (3, 3, 4))
+    assert {len(fold.test) for fold in one} == {3, 4}
+    assert all(np.array_equal(a.test, b.test) for a, b in zip(one, again, strict=True))
+    assert any(not np.array_equal(a.test, b.test) for a, b in zip(one, other, strict=True))
+    for fold in make_folds(samples, "time", 0):
+        for name in "abc":
+            test, train = (np.sort(stamps[side[names[side] == name]]) for side in (fold.test, fold.train))
+            assert test.size > 0
+            assert not np.any((train > test[0]) & (train < test[-1]))
+    for folds in (make_folds(samples, "object", 0), group_folds(names, 2, np.random.default_rng(0))):
+        assert sorted(np.concatenate([fold.test for fold in folds])) == list(range(18))
+        assert all(not set(names[fold.train]) & set(names[fold.test]) for fold in folds)
+    assert [fold.name for fold in make_folds(samples, "object", 0)] == ["a", "b", "c"]
+    cases = (
+        ("4 samples are fewer than 5 folds", "random", samples[:4]),
+        ("4 samples of b are fewer than 5 folds", "time", samples[:11]),
+        ("folds: all samples are of a; to keep groups apart takes 2", "object", samples[:4]),
+        ("'blocks' is not one of random, time, object", "blocks", samples),
+    )
+    every_refusal(DatasetError, cases, lambda split, some: make_folds(some, split, 0))
 
 
 def test_label_ratios_share_their_test_are_nested_and_of_the_papers_numbers(book: dict[str, list[SplitPart]]) -> None:
@@ -75,29 +102,22 @@ def test_an_id_on_two_sides_and_other_files_are_refused(tmp_path: Path) -> None:
     def check(*sides: str) -> None:
         with pytest.raises(DatasetError, match=r"split fold: [ab] is listed twice"):
             SplitPart("fold", *map(tuple, sides))
-        part = {"name": "fold", **dict(zip(("train", "test", "unlabelled"), map(list, sides), strict=True))}
-        (tmp_path / SPLITS_FILE).write_text(json.dumps({"schema_version": 1, "splits": {"random": [part]}}))
-        with pytest.raises(FileError, match="is listed twice"):
-            read_splits(tmp_path)
 
     every_case([("ab", "b", ""), ("a", "b", "a"), ("a", "b", "b"), ("aa", "b", "")], check)
 
-    def read(text: str) -> None:
-        (tmp_path / SPLITS_FILE).write_text(text)
+    def read(content: object) -> None:
+        (tmp_path / SPLITS_FILE).write_text(json.dumps(content))
         read_splits(tmp_path)
 
+    part = {"name": "fold", "train": ["a"], "test": ["a"]}
     cases = [
-        ("is not JSON", "{"),
-        (r"\[\] is not a mapping", "[]"),
-        ("schema_version: 2 is not 1", '{"schema_version": 2}'),
-        ("splits.a: 3 is not a list", '{"schema_version": 1, "splits": {"a": 3}}'),
-        (r"splits.a\[0\].name: is missing", '{"schema_version": 1, "splits": {"a": [{}]}}'),
+        ("is listed twice", {"schema_version": 1, "splits": {"random": [part]}}),
+        (r"\[\] is not a mapping", []),
+        ("schema_version: 2 is not 1", {"schema_version": 2}),
         (
             r"splits.a\[0\].train\[0\]: 7 is not a text",
-            '{"schema_version": 1, "splits": {"a": [{"name": "", "train": [7]}]}}',
+            {"schema_version": 1, "splits": {"a": [{**part, "train": [7]}]}},
         ),
-        ("omitted.a: .* is not a text", '{"schema_version": 1, "splits": {}, "omitted": {"a": null}}'),
+        ("omitted.a: .* is not a text", {"schema_version": 1, "splits": {}, "omitted": {"a": None}}),
     ]
     every_refusal(FileError, cases, read)
-    with pytest.raises(FileError, match="No such file"):
-        read_splits(tmp_path / "none.json")

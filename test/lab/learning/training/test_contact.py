@@ -5,56 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_model_builders import FEW_TREES, with_tares
-from every_case import every_case
+from contact_model_builders import FEW_TREES
 from experiment_samples import make_samples
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
 
 from foretouch.errors import DatasetError
 from foretouch.models.contact.features import CONDITIONS
-from foretouch.tactile import BIOTAC, MODALITIES, biotac_touch
+from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud
 from foretouch_lab.learning.data import labels_of
-from foretouch_lab.learning.data.folds import object_folds
 from foretouch_lab.learning.training import contact
-from foretouch_lab.learning.training.calibration import rest_level, resting_labels
 from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 
 SAMPLES = make_samples(5, 10)
 OBJECTS = [sample.object for sample in SAMPLES]
-
-
-def test_rest_without_tares_is_the_end_without_pressure_and_labels_at_rest_are_free_of_drift() -> None:
-    """PDC rises with pressure, so rest is their low end; electrodes fall, so it is their high end."""
-    labels = np.tile(np.arange(1.0, 102.0)[:, None], (1, 50))
-    samples = [replace(SAMPLES[0], touch=biotac_touch(row)) for row in labels]
-    rest, recorded = rest_level(samples)
-    assert not recorded
-    assert_allclose(rest, [2.0, 2.0, *[96.0] * 48])
-    calm, drifting = with_tares(SAMPLES, drift=0.0), with_tares(SAMPLES, drift=50.0)
-    rest = calm[0].tare.values
-    assert_allclose(resting_labels(drifting, labels_of(drifting), rest), labels_of(calm), atol=1e-9)
-    assert_array_equal(resting_labels(SAMPLES, labels_of(SAMPLES), rest), labels_of(SAMPLES))
-    labels = labels_of(drifting)
-    resting_labels(drifting, labels, rest)
-    assert_array_equal(labels, labels_of(drifting))  # the caller's are left alone
-
-
-def test_objects_stay_whole_in_at_most_ten_folds() -> None:
-    def check(count: int, folds: int) -> None:
-        objects = [f"o{k % count:02}" for k in range(3 * count)]
-        found = object_folds(objects)
-        assert len(found) == folds
-        for fold in found:
-            held = {objects[i] for i in fold.test}
-            assert held.isdisjoint({objects[i] for i in fold.train})
-            assert len(fold.test) == 3 * len(held)
-        assert sorted(np.concatenate([fold.test for fold in found])) == list(range(3 * count))
-        assert [f.name for f in object_folds(objects)] == [f.name for f in found]
-
-    every_case([(2, 2), (10, 10), (11, 10), (37, 10)], check)
 
 
 def test_forests_and_kernel_are_scikit_learn_s(monkeypatch) -> None:

@@ -7,23 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_builders import IDENTITY, QUICK
-from run_builders import quiet, run_config, write_store
+from run_builders import run_config, write_store
 
-from foretouch.dataset.record import SampleRecord
-from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import export_samples, open_samples
-from foretouch.errors import DatasetError
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.registry import load_model
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.types import GraspSample, Touch
-from foretouch_lab.dataset.store_writer import build_store
-from foretouch_lab.learning.data import Dataset, load_dataset, make_folds
-from foretouch_lab.learning.evaluation.baselines import training_mean
-from foretouch_lab.learning.evaluation.evaluate import cross_validate, evaluate_model
-from foretouch_lab.learning.training.run import make_learner, train_run
+from foretouch_lab.learning.data import Dataset, load_dataset
+from foretouch_lab.learning.evaluation.evaluate import evaluate_model
+from foretouch_lab.learning.training.run import train_run
 
 CONTACT = {"method": "contact", "contact": {"trees": 4}}
 FIFTH, ELEVENTH = BIOTAC_SP.taxel_columns[0, [5, 11], 0]
@@ -99,60 +92,3 @@ def test_what_a_dead_electrode_reads_does_not_matter_to_a_hand(broken: Dataset, 
         whole, missing = after(FIFTH, 800.0, tare), after(ELEVENTH, np.nan, tare)
         others = np.setdiff1d(np.arange(50), [FIFTH, ELEVENTH])
         assert np.abs(whole - missing)[others].max() < 30.0
-
-
-def test_recordings_stores_and_archives_keep_what_was_not_read(data: Dataset, tmp_path: Path) -> None:
-    samples = [damaged(sample, FIFTH, np.nan) for sample in data.samples[:6]]
-    with RecordingWriter(tmp_path / "recording", IDENTITY, QUICK) as writer:
-        for sample in samples:
-            writer.append(SampleRecord(sample=replace(sample, tare=sample.touch)))
-    build_store([tmp_path / "recording"], tmp_path / "store")
-    export_samples(tmp_path / "recording", tmp_path / "npz", "npz")
-    for name in ("recording", "store", "npz"):
-        read = [record.sample for record in open_samples(tmp_path / name).records()]
-        assert len(read) == len(samples)
-        for one in read:
-            assert one.touch is not None
-            assert one.tare is not None
-            assert np.flatnonzero(np.isnan(one.touch.values)).tolist() == [FIFTH]
-            np.testing.assert_array_equal(one.tare.values, one.touch.values)
-    assert load_dataset(tmp_path / "store").sensor.dead == {"TH": [5]}
-    with (
-        pytest.raises(DatasetError, match="touch: holds a value that is not finite"),
-        RecordingWriter(tmp_path / "infinite", IDENTITY, QUICK) as writer,
-    ):
-        writer.append(SampleRecord(sample=damaged(samples[0], FIFTH, np.inf)))
-
-
-def test_a_training_that_is_refused_leaves_nothing(data: Dataset, tmp_path: Path) -> None:
-    flat = replace(data, samples=tuple(damaged(one, 0, 2000.0) for one in data.samples))
-    with pytest.raises(DatasetError, match="value 0 of the touch is the same in all samples"):
-        train_run(run_config(**CONTACT), flat, tmp_path / "run", quiet)
-    assert not (tmp_path / "run").exists()
-
-
-def test_public_grasps_with_a_dead_electrode_are_predicted_as_well_as_without(real_data: Path) -> None:
-    """The shipped recipe's settings with fewer trees, on the five random folds: all other electrodes, in the same run."""
-    whole = load_dataset(real_data / "vision2tactile")
-    samples = tuple(damaged(one) for one in whole.samples)
-    broken = replace(
-        whole, samples=samples, sensor=with_dead_taxels(whole.sensor, np.array([one.touch.values for one in samples]))
-    )
-    assert broken.sensor.dead == {"TH": [5]}
-    assert whole.sensor.dead == {}
-    skills = []
-    for data in (whole, broken):
-        learner = make_learner(run_config(method="contact", contact={"trees": 20}), data)
-        folds = make_folds(learner.samples, "random", 0)
-        ranges, quick = learner.config.ranges(BIOTAC_SP.channels), {"training_mean": training_mean}
-        scores, _ = cross_validate(
-            learner.samples,
-            learner.labels,
-            learner.predict_fold,
-            folds,
-            ranges,
-            baselines=quick,
-            valid=broken.sensor.valid_values,
-        )
-        skills.append([one.skill for one in scores["model"].values()])
-    np.testing.assert_allclose(skills[1], skills[0], atol=0.02)

@@ -9,7 +9,7 @@ from foretouch.errors import ConfigError
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch_lab.learning.training.supervised import TrainConfig, train_network
+from foretouch_lab.learning.training.supervised import TrainConfig
 
 
 def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:
@@ -32,13 +32,3 @@ def test_a_search_in_bfloat16_learns_as_much_and_leaves_float32_weights(samples,
         assert all(value.dtype != torch.bfloat16 for value in trainer.net.state_dict().values())
     assert first["bfloat16"] != first["float32"]  # it was used
     assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.1)
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
-def test_a_gpu_gives_the_weights_of_a_cpu_but_for_rounding(samples, small) -> None:
-    data = TrainingSet.build(samples, small)
-    config = TrainConfig(epochs=1, batch_size=8, optimiser="sgd")
-    one, two = (train_network(data, np.arange(40), config.replace(device=device)) for device in ("cpu", "cuda"))
-    for name, value in one.state_dict().items():
-        assert two.state_dict()[name].device.type == "cpu"
-        torch.testing.assert_close(two.state_dict()[name], value, rtol=1e-3, atol=1e-4)

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.tactile import BIOTAC
-from foretouch_lab.learning.training.contact import _RIDGES, choose_ridge, shrunken_slope, training_kernel
+from foretouch_lab.learning.training.contact import _RIDGES, choose_ridge, shrunken_slope
 
 
 def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -46,8 +46,3 @@ def test_slope_and_jackknife_by_hand() -> None:
     assert shrunken_slope(heavy, np.full(8, 1.0)) == 0.0  # all of it is from one
     assert shrunken_slope(-heavy, np.full(8, 1.0)) == 0.0
     assert shrunken_slope(np.zeros(8), np.zeros(8)) == 0.0
-
-
-def test_samples_of_one_object_have_more_in_common() -> None:
-    same = training_kernel(np.zeros((3, 4)), ["a", "b", "a"])
-    assert_array_equal(same, [[2.0, 1.0, 2.0], [1.0, 2.0, 1.0], [2.0, 1.0, 2.0]])

@@ -2,13 +2,10 @@
 """Losses against numbers worked by hand, finite differences, and the hazards they were seen to have."""
 
 import math
-from itertools import product
 
 import pytest
 import torch
-from every_case import every_case
 
-from foretouch.errors import DatasetError
 from foretouch_lab.learning.training.losses import (
     SrganLossConfig,
     _safe_root,
@@ -52,8 +49,6 @@ def test_as_printed_contrast_and_the_original_srgan_by_hand_and_equation_4_is_eq
     assert found["total"] == pytest.approx(0.5 + 10 * 3 + 0.1 * 3)
     assert parts(config, (L, U, 100 * FAKE)) == found
     assert float(matching_loss(FAKE, U, config)) == pytest.approx((9 + 64) / 2)
-    with pytest.raises(DatasetError, match="2 and 1 samples cannot be compared in pairs"):
-        matching_loss(FAKE, U[:1], SrganLossConfig())
     found = parts(SrganLossConfig(loss_variant="contrast"))
     roots = [2.0, 1.0, 1.0, 3.0]  # sqrt(|Δ| + 1) for |Δ| = 3, 0, 0, 8
     assert found["unlabeled"] == pytest.approx(3.0)
@@ -83,34 +78,3 @@ def test_equation_3_as_printed_is_the_variance_of_the_features() -> None:
     assert sum(found) / 12 == pytest.approx(2.0 * trace)
     pairs = [matching_loss(a[None], b[None], means) for a in features for b in features]  # batches of one
     assert float(torch.stack(pairs).mean()) == pytest.approx(2.0 * trace / 5)
-
-
-def test_gradients_agree_with_finite_differences() -> None:
-    generator = torch.Generator().manual_seed(3)
-    features = [torch.randn(3, 4, dtype=F64, generator=generator).requires_grad_() for _ in range(3)]
-    labels = torch.randn(3, 2, dtype=F64, generator=generator).requires_grad_()
-
-    def check(variant: str) -> None:
-        config = SrganLossConfig(loss_variant=variant)
-
-        def total(y: torch.Tensor, *f: torch.Tensor) -> torch.Tensor:
-            labeled = labeled_loss(y, torch.zeros(3, 2, dtype=F64), [2])
-            loss = discriminator_loss(labeled, f, config)["total"]
-            return loss + 3 * matching_loss(f[2], f[1], config)
-
-        assert torch.autograd.gradcheck(total, (labels, *features))
-
-    every_case(("as_printed", "contrast", "batch_means", "srgan"), check)
-
-
-def test_the_contrast_stays_bounded_for_huge_features() -> None:
-    def check(variant: str, size: float) -> None:
-        config = SrganLossConfig(loss_variant=variant, weight_unlabeled=0.0)
-        fake = torch.full((5, 4), size, requires_grad=True)
-        total = discriminator_loss(ZERO, (torch.zeros(5, 4), torch.zeros(5, 4), fake), config)["total"]
-        total.backward()
-        assert torch.isfinite(fake.grad).all()
-        assert float(fake.grad.abs().sum()) <= 0.1 + 1e-6  # w_F times a slope of at most one, shared out
-        assert math.isfinite(float(total.detach()))
-
-    every_case(product(("contrast", "batch_means", "srgan"), (0.0, 1.0, 1e6, 1e18, 1e30)), check)

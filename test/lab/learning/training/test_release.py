@@ -5,10 +5,8 @@ import json
 from pathlib import Path
 
 import pytest
-from numpy.testing import assert_array_equal
 from recording_builders import read_folder
 from run_builders import write_store
-from safetensors.numpy import load_file
 
 from foretouch.cli.main import main
 from foretouch.dataset.samples import export_samples
@@ -74,21 +72,6 @@ def test_a_contact_model_is_released_with_its_calibration(folder: Path, config: 
     assert (prediction.value.values < prediction.upper.values).all()
 
 
-@pytest.mark.slow
-def test_a_calibration_changes_no_weight_and_is_that_of_a_release(folder: Path, config: Path, tmp_path: Path) -> None:
-    runs = {"plain": (), "calibrated": ("calibrate=true", "--workers", 2), "released": ("release=true",)}
-    for name, words in runs.items():
-        assert train(config, folder, *words, "-o", tmp_path / name, "--json") == 0
-    weights = {name: (tmp_path / name / "toy.safetensors").read_bytes() for name in runs}
-    assert weights["plain"] == weights["calibrated"] == weights["released"]
-    one, two = (load_file(tmp_path / name / "toy.trust.safetensors") for name in ("calibrated", "released"))
-    assert set(one) == set(two)
-    for name, array in one.items():
-        assert_array_equal(array, two[name])
-    limits = load_model(tmp_path / "plain").card["limits"]
-    assert limits == ["Bounds are null: the model was trained with calibrate=false."]
-
-
 def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path, tmp_path, capsys) -> None:
     before = sorted(tmp_path.iterdir())
     assert train(config, folder, "--compare", "random,object", "--json") == 0
@@ -97,22 +80,3 @@ def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path,
     assert train(config, folder, "train.epochs=1", "--compare", "random") == 0
     assert "geometry_trees" in capsys.readouterr().out
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_known_failures_are_one_line_and_no_folder_is_wrong_usage(folder: Path, config: Path, tmp_path, capsys) -> None:
-    assert train(config, tmp_path / "absent", "--compare", "random") == 1
-    assert f"{tmp_path / 'absent'}: " in capsys.readouterr().err
-    for words, message in (
-        (["train.epoch=2"], "train.epoch: unknown setting"),
-        (["model.outputs=[PDC_TH]", "release=true"], "release: model.outputs: ['PDC_TH'] are not all"),
-        (["split=random/random 0", "release=true"], "release: trains on all samples"),
-        (["method=trees"], "method: 'trees' is not one of supervised, srgan, contact"),
-    ):
-        assert train(config, folder, *words, "-o", tmp_path / "out") == 1
-        assert message in capsys.readouterr().err
-    assert train(config, folder, "--compare", "blocks") == 1
-    assert "split: 'blocks' is not one of random, time, object" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-    with pytest.raises(SystemExit) as stopped:
-        train(config, folder)
-    assert stopped.value.code == 2

@@ -6,24 +6,22 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import yaml
-from every_case import every_case, every_refusal
+from every_case import every_refusal
 from run_builders import MODEL, quiet, run_config, stop_after
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
-from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
+from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.tactile import P2_RANGES
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.evaluation.baselines import training_mean
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model
 from foretouch_lab.learning.evaluation.metrics import score
 from foretouch_lab.learning.training.run import train_run
-from foretouch_lab.learning.training.run_config import RunConfig, load_run_config
 from foretouch_lab.learning.training.run_folder import LOG_FILE, STATE_FILE, read_state, write_state
 
 
@@ -75,7 +73,7 @@ def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(dat
     train, test = (labels[data.index(ids)] for ids in (part.train, part.test))
     mean = np.tile(train.mean(0), (len(test), 1))
     assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(
-        score(mean, test, mean, P2_RANGES.ranges)["PDC_TH"].rmse
+        score(mean, test, mean, P2_RANGES.ranges)["PDC_TH"]["rmse"]
     )
     assert card["skill"]["labels/T30"] == result["scores"]["model"]
     assert card["data"]["sha256"] == data.sha256
@@ -113,14 +111,6 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
     file.write_bytes(content[:-40])
     with pytest.raises(FileError, match="is not a state of training"):
         read_state(file)
-    file.unlink()
-    os.mkfifo(file)
-    with pytest.raises(FileError, match="is a FIFO"):
-        read_state(file)
-    file.unlink()
-    save_file({"a": torch.ones(1)}, file, {"foretouch-training": "[" * 100_000 + "]" * 100_000})
-    with pytest.raises(FileError, match="is not a state of training: more than 64 nested levels"):
-        read_state(file)
 
 
 def test_an_evaluation_leaves_out_the_samples_that_the_model_was_trained_on(data, tmp_path) -> None:
@@ -146,11 +136,6 @@ def test_an_evaluation_leaves_out_the_samples_that_the_model_was_trained_on(data
         evaluate_model(card, data, "random", baselines={})
 
 
-def test_a_run_is_not_named_as_the_file_of_its_state(data, tmp_path) -> None:
-    with pytest.raises(ConfigError, match="name: 'state' is that of the training's own file"):
-        train_run(run_config(name=""), data, tmp_path / "state", quiet)
-
-
 def test_a_contact_model_has_intervals_and_one_object_alone_no_calibration(data, tmp_path) -> None:
     said: list[dict] = []
     part = data.parts("object")[0].name
@@ -170,19 +155,3 @@ def test_a_contact_model_has_intervals_and_one_object_alone_no_calibration(data,
     card_content = json.loads(card.read_text())
     assert card_content["calibration"] is None
     assert card_content["limits"][0].startswith("No calibration: ")
-
-
-def test_the_recipes_that_come_along_are_understood_and_that_of_p2s_srgan_is_the_papers() -> None:
-    def check(recipe: Path) -> None:
-        resolved = load_run_config(recipe)
-        assert RunConfig.from_mapping(resolved.to_mapping()) == resolved
-        assert load_run_config(recipe.stem) == resolved  # by name, as where no config folder is installed
-
-    every_case(sorted((Path(__file__).parents[4] / "config/train").glob("*.yaml")), check)
-    chosen = load_run_config("p2_srgan")
-    loss = chosen.srgan.loss
-    assert (chosen.method, chosen.srgan.batch_size, chosen.srgan.epochs) == ("srgan", 10, 30)
-    assert (chosen.srgan.optimiser, chosen.srgan.learning_rate) == ("adam", 0.01)
-    assert (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake) == (1.0, 10.0, 0.1)
-    assert (chosen.model.n_points, chosen.model.channel_count, chosen.model.head_size) == (750, 6, 1039)
-    assert chosen.srgan.generator.n_points == 750

@@ -1,26 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training: it learns, repeats, balances the modalities, and can express the papers' recipe."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
-from foretouch.errors import DatasetError
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.preparation import LengthRangeCheck, prepare_grasps
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Grasp
-from foretouch_lab.learning.data import Dataset, labels_of, make_folds
-from foretouch_lab.learning.data.training_set import TrainingSet, duplicate_labels, predict_set
-from foretouch_lab.learning.evaluation.baselines import object_mean, training_mean
-from foretouch_lab.learning.evaluation.evaluate import cross_validate
-from foretouch_lab.learning.training.run import make_learner
-from foretouch_lab.learning.training.run_config import RunConfig, load_run_config
+from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.training.supervised import (
     SupervisedTrainer,
     TrainConfig,
@@ -57,15 +48,6 @@ def test_the_seed_decides_dropout_too_and_leaves_the_global_generator(samples, s
     assert not torch.equal(one["output.weight"], other["output.weight"])
 
 
-def test_training_does_not_see_the_held_out_labels(samples, small) -> None:
-    other = biotac_touch(np.hstack([3000.0, 2000.0, np.ones(24), np.ones(24)]))
-    changed = [*samples[:40], *(dataclasses.replace(sample, touch=other) for sample in samples[40:])]
-    short = QUICK.replace(epochs=1)
-    one = train_network(TrainingSet.build(samples, small), np.arange(40), short).state_dict()
-    two = train_network(TrainingSet.build(changed, small), np.arange(40), short).state_dict()
-    assert all(torch.equal(one[key], two[key]) for key in one)
-
-
 @pytest.mark.parametrize(("precision", "atol"), [("float32", 0.05), ("bfloat16", 1e-3)])
 def test_validation_predicts_what_the_model_predicts(samples, small, precision: str, atol: float) -> None:
     """And what was trained on is familiar."""
@@ -79,16 +61,6 @@ def test_validation_predicts_what_the_model_predicts(samples, small, precision: 
     assert not any("unfamiliar" in prediction.flags for prediction in predictions)
 
 
-def test_the_papers_recipe_runs(samples, small) -> None:
-    config = small.replace(outputs=("E_TH",), metric_inputs=False, channels="xyz+normals")
-    data = TrainingSet.build(samples, config)
-    recipe = load_run_config("p2").train.replace(epochs=2)
-    net = train_network(data, np.arange(60), recipe)
-    assert_allclose(net.target_mean.numpy(), 100.0)
-    assert_allclose(net.target_scale.numpy(), 3500.0)
-    assert np.isfinite(predict_set(net, data, np.arange(3))).all()
-
-
 def test_the_last_smaller_batch_is_used_if_asked_for(samples, small) -> None:
     data = TrainingSet.build(samples, small)
     for partial, sizes in ((False, [16, 16, 16]), (True, [16, 16, 16, 2])):
@@ -97,31 +69,6 @@ def test_the_last_smaller_batch_is_used_if_asked_for(samples, small) -> None:
         assert [len(batch) for batch, *_ in trainer.batches()] == sizes
         assert trainer.batch_count == len(sizes)
         assert np.isfinite(trainer.run_epoch()["loss"])
-
-
-def test_missing_and_duplicate_labels_are_named(samples, small) -> None:
-    with pytest.raises(DatasetError, match=f"{samples[0].id}: touch: is not labelled"):
-        TrainingSet.build([dataclasses.replace(samples[0], touch=None)], small)
-    copy = dataclasses.replace(samples[3], id="x/1", touch=samples[7].touch)
-    assert duplicate_labels(samples) == []
-    assert duplicate_labels([*samples, copy]) == [(samples[7].id, "x/1")]
-
-
-def test_cross_validation_scores_network_and_baselines_on_the_same_folds(samples, small) -> None:
-    train = QUICK.replace(epochs=40).to_mapping()
-    config = RunConfig.from_mapping({"model": small.to_mapping(), "train": train, "calibrate": True})
-    learner = make_learner(config, Dataset("boxes", tuple(samples), "sha", {}))
-    quick = {"training_mean": training_mean, "object_mean": object_mean}
-    folds = make_folds(samples, "random", 0)
-    scores, predicted = cross_validate(
-        samples, labels_of(samples), learner.predict_fold, folds, learner.config.ranges(BIOTAC), baselines=quick
-    )
-    assert set(scores) == {"model", "training_mean", "object_mean"}
-    assert_allclose([one.skill for one in scores["training_mean"].values()], 0.0, atol=1e-12)
-    assert scores["model"]["E_TH"].skill > 0.2
-    assert_allclose(predicted[folds[2].test], learner.predict_fold(folds[2]))
-    with pytest.raises(DatasetError, match="'blocks' is not one of random, time, object"):
-        make_folds(samples, "blocks", 0)
 
 
 def test_turning_commutes_with_preparation(samples, small, rng) -> None:

@@ -5,18 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 from calibrated_models import REST
-from contact_model_builders import FEW_TREES
-from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
 from foretouch.models.calibration import Calibration
-from foretouch.models.state_space import NEW, TrackerParameters
+from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
-from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch_lab.learning.training.contact import ContactPredictor
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
 
 DAY = 86400.0
@@ -44,29 +40,6 @@ def fitted(recording: TimedReadings) -> TrackerParameters:
     held_out = HeldOutPredictions(recording.expected, recording.readings, recording.objects, recording.objects, BIOTAC)
     group = fit_group(held_out, new=True)
     return fit_tracker(recording, group, group)
-
-
-def deviations(parameters: TrackerParameters) -> dict[str, float]:
-    """Mean deviation of each part over the values [counts]."""
-    squared = parameters.basis**2
-    parts = {"slow": parameters.slow, "object": parameters.object[NEW], "tare": parameters.tare_noise}
-    return {name: float(np.sqrt(squared @ value).mean()) for name, value in parts.items()}
-
-
-def test_the_fit_finds_the_drift(rng) -> None:
-    """Of 60 counts it finds 32 to 37 without tares and 39 to 44 with them, since the prior is of less: a half at least."""
-    alone, tared = (deviations(fitted(campaign(rng, 60.0, tares=tares))) for tares in (False, True))
-    for found in (alone, tared):
-        assert 25.0 < found["slow"] < 75.0
-        assert 14.0 < found["object"] < 30.0
-    assert alone["slow"] < tared["slow"]
-    assert tared["tare"] < 8.0
-
-
-def test_without_drift_the_state_is_small(rng) -> None:
-    found = deviations(fitted(campaign(rng, 0.0)))
-    assert found["slow"] < 10.0
-    assert 12.0 < found["object"] < 28.0
 
 
 def test_the_fit_finds_the_slopes_over_the_temperature(rng) -> None:
@@ -100,16 +73,6 @@ def test_on_another_campaign_it_beats_the_memory_and_its_intervals_cover(rng) ->
     assert errors[0] < 0.9 * errors[1]
     assert abs(np.mean(np.abs(played.counts - second.readings) <= played.half) - 0.9) < 0.03
     assert sum(map(bool, played.restarted)) <= 3  # limits at the 99th of 192 touches: about one in three campaigns
-
-
-def test_a_calibration_of_samples_with_stamps_has_a_tracker() -> None:
-    samples = make_samples(4, 8)
-    calibration, _ = ContactPredictor(samples, labels_of(samples), FEW_TREES).calibration
-    assert calibration.tracker is not None
-    assert_array_equal(calibration.tracker.difference_shrinkage[NEW], calibration.groups["new"].difference_shrinkage)
-    undated = [replace(sample, stamp_ns=0) for sample in samples]
-    other, _ = ContactPredictor(undated, labels_of(undated), FEW_TREES).calibration
-    assert other.tracker is None
 
 
 def placed(rng: np.random.Generator, recording: TimedReadings) -> TimedReadings:
