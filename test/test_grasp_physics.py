@@ -131,9 +131,9 @@ def test_an_image_of_the_box_leads_to_a_grasp_that_holds() -> None:
         assert held(item, seen.pose, *seen.camera.to_world(contacts)).strict
 
 
-def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object(tmp_path) -> None:
-    task = bench.Task(SOLIDS["sphere"], poses=1, views=("above",), conditions=((8.0, 0.8), (8.0, 0.01)))
-    rows = bench.rows_of(task)
+def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object() -> None:
+    task = bench.Task(SOLIDS["sphere"], poses=1, conditions=((8.0, 0.8), (8.0, 0.01)))
+    rows = bench.select(bench.rows_of(task), view="above")
     assert [(row["method"], row["friction"]) for row in rows] == [
         *((name, friction) for name in (*bench.OURS, bench.RULE) for friction in (0.8, 0.01)),
         *((name, friction) for friction in (0.8, 0.01) for name in (bench.FIRST, bench.ANY)),
@@ -145,12 +145,6 @@ def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object(tm
     assert len(bench.tables(rows)) == 4
     by_method = {line["first grasp"]: line for line in bench.by_method(bench.select(rows, friction=0.8))}
     assert [by_method[name]["above: of the best"] for name in (bench.RULE, bench.FIRST)] == ["1.00", "1.00"]
-    (*_, case) = cases = list(bench.pictured(rows, [task]))
-    assert len(cases) == len({row["reason"] for row in bench.select(rows, friction=0.8)})
-    radii = np.linalg.norm(case.points - case.surface.centre, axis=1)
-    assert np.median(radii) == pytest.approx(0.035, abs=0.002)
-    bench.draw(cases, tmp_path / "grasps.png")
-    assert (tmp_path / "grasps.png").stat().st_size > 10_000
 
 
 def test_objects_rest_on_the_table_and_their_poses_do_not_depend_on_each_other() -> None:

@@ -5,7 +5,7 @@ import argparse
 import hashlib
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from itertools import islice
@@ -16,8 +16,7 @@ import numpy as np
 
 from benchmarks.clutter import frontier, lccp, models, physics, piles
 from benchmarks.clutter.metrics import SceneScore, score, summary
-from benchmarks.clutter.picture import Shown, draw
-from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects
+from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Float64, Int32
@@ -46,7 +45,7 @@ def without_splitting() -> SegmentationConfig:
     return SegmentationConfig().updated({"split.angle_deg": 180.0})
 
 
-def answers(scenes: Sequence[LabelledCloud], timed: bool) -> Answers:
+def answers(scenes: Sequence[LabelledCloud]) -> Answers:
     """What each method finds in each scene."""
     plain = without_splitting()
     truth = [_measured(scene, scene.labels) for scene in scenes]
@@ -54,14 +53,14 @@ def answers(scenes: Sequence[LabelledCloud], timed: bool) -> Answers:
     clusters = [_measured(scene, segment(scene.cloud, plain).labels) for scene in scenes]
     perfect = [np.where(found > 0, true, 0) for found, true in zip(clusters, truth, strict=True)]
     nothing = np.full(len(scenes), np.nan)
-    whole, alone = _times(scenes, plain) if timed else (nothing, nothing)
+    whole, alone = _times(scenes, plain)
     found = {
         OURS: (ours, whole, whole - alone),
         CLUSTERS: (clusters, alone, nothing),
         PERFECT: (perfect, nothing, nothing),
     }
     if (program := lccp.program()) is not None:
-        runs = [lccp.split([scene.cloud for scene in scenes], clusters, program) for _ in range(3 if timed else 1)]
+        runs = [lccp.split([scene.cloud for scene in scenes], clusters, program) for _ in range(3)]
         peer_ms = np.min([times for _, times in runs], axis=0)
         found[LCCP] = runs[0][0], alone + peer_ms, peer_ms
     return {
@@ -82,15 +81,10 @@ def _times(scenes: Sequence[LabelledCloud], plain: SegmentationConfig) -> tuple[
     """Least CPU times of each scene [ms]: with and without splitting, in turn."""
     rows = []
     for scene in scenes:
-        jobs = [partial(_again, scene, config) for config in (None, plain)]
+        jobs = [partial(segment_anew, scene.cloud, config) for config in (None, plain)]
         rows.append(np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0))
     both = np.array(rows)
     return both[:, 0], both[:, 1]
-
-
-def _again(scene: LabelledCloud, config: SegmentationConfig | None) -> None:
-    """Segment a new copy of the cloud, as from a camera."""
-    segment(replace(scene.cloud, xyz=scene.cloud.xyz.copy()), config)
 
 
 def table(name: str, scenes: Sequence[LabelledCloud], found: Answers) -> list[dict[str, Any]]:
@@ -139,26 +133,15 @@ def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
     return folder
 
 
-def _shown(scenes: Sequence[LabelledCloud], found: Answers) -> list[Shown]:
-    """The worst and the median scene of ours by F."""
-    order = np.argsort([one.score.f for one in found[OURS]])
-    chosen = {"worst": order[0], "2nd worst": order[1], "median": order[len(order) // 2]}
-    methods = [method for method in (OURS, LCCP, CLUSTERS) if method in found]
-    return [
-        Shown(f"{word}: {scenes[k].name}", scenes[k].labels, {method: found[method][k].labels for method in methods})
-        for word, k in chosen.items()
-    ]
-
-
 def main() -> None:
-    """Print the tables; write them and the picture beside this file if asked."""
+    """Print the tables; write them beside this file if asked."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="more folders of labelled scenes")
     parser.add_argument("--count", type=int, default=200, help="number of piles")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
     parser.add_argument("--frontier", action="store_true", help="F against time over settings of the splitting instead")
     parser.add_argument("--every", type=int, default=1, help="use every N-th scene of each set")
-    parser.add_argument("--write", action="store_true", help="write results.csv, clutter.png and the README's tables")
+    parser.add_argument("--write", action="store_true", help="write results.csv and the README's tables")
     add_data(parser)
     options = parser.parse_args()
     data = None if options.data is None else Path(options.data)
@@ -174,12 +157,10 @@ def main() -> None:
     single = made("single", lambda out: piles.write_singles(out, options.seed, data), *identity)
     if lccp.program() is None:
         print("PCL's LCCP is left out: no libpcl-dev or no C++ compiler (apt-get install libpcl-dev g++)\n")
-    rows, shown = [], []
+    rows = []
     for name, folder in sets.items():
         scenes = list(islice(load_scenes(folder), 0, None, options.every))
-        found = answers(scenes, timed=True)
-        rows += table(name, scenes, found)
-        shown += _shown(scenes, found)
+        rows += table(name, scenes, answers(scenes))
     print_rows(rows)
     rendered = list(load_scenes(single))  # views in turn
     alone = [pieces("rendered, obliquely", rendered[::2]), pieces("rendered, from above", rendered[1::2])]
@@ -189,7 +170,6 @@ def main() -> None:
     print_rows(alone)
     if options.write:
         write_csv(HERE / "results.csv", rows)
-        draw(shown, HERE / "clutter.png")
         tables = (markdown(list(some[0]), [["" if cell is None else cell for cell in row.values()] for row in some]) for some in (rows, alone))  # fmt: skip
         replace_marked(HERE / "README.md", "\n".join(tables).strip())
 

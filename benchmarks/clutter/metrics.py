@@ -55,14 +55,6 @@ def score(predicted: Int32, true: Int32) -> SceneScore:
     )
 
 
-def pairs(predicted: Int32, true: Int32) -> dict[int, int]:
-    """The true object (its label) that each predicted one (its label) is paired with."""
-    overlap = _Overlap.of(predicted, true)
-    rows, columns, _ = overlap.matched()
-    names = np.unique(predicted[predicted != 0]), np.unique(true[true != 0])
-    return {int(names[0][j]): int(names[1][i]) for i, j in zip(rows, columns, strict=True)}
-
-
 def merged_and_cut(common: Int64, n_true: Int64) -> tuple[int, int]:
     """How many true objects share a prediction (under-segmentation), and how many are in parts (over-segmentation).
 

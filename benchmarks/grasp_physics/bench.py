@@ -17,9 +17,8 @@ import yaml
 
 from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics.camera import VIEWS, see
-from benchmarks.grasp_physics.figure import Case, draw
 from benchmarks.grasp_physics.objects import Item, read_items
-from benchmarks.grasp_physics.simulation import HELD, OPENING_M, Verdict, held
+from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
 from benchmarks.grasp_physics.surface import Placed, best_grasps, cones_hold
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
@@ -50,10 +49,8 @@ class Task:
 
     item: Item
     poses: int = 8
-    views: Sequence[str] = VIEWS
     methods: Sequence[str] = METHODS
     conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
-    opening_mm: float = 1e3 * OPENING_M
     settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
 
     def row(
@@ -70,12 +67,8 @@ class Task:
         """
         if contacts is None:
             return Verdict(False, False, reason)._asdict() | {"analytic": False}
-        verdict = held(self.item, surface.pose, *contacts, one[0] * 1e-3, one[1], self.opening_mm * 1e-3)
+        verdict = held(self.item, surface.pose, *contacts, one[0] * 1e-3, one[1])
         return verdict._asdict() | {"analytic": cones_hold(surface, contacts, one[1])}
-
-    def pipeline(self, method: str) -> Pipeline:
-        """That plans by a method."""
-        return Pipeline(PipelineConfig().updated({"grasp.method": method, **self.settings} if method in OURS else {}))
 
 
 def rows_of(task: Task) -> list[Row]:
@@ -86,12 +79,12 @@ def rows_of(task: Task) -> list[Row]:
 def _of_pose(task: Task, number: int) -> Iterator[Row]:
     """The rows of one pose: what is planned on images, and on the true surface, where the view does not matter."""
     surface = Placed(task.item, task.item.pose(number))
-    chosen = [method for method in task.methods if method not in {FIRST, ANY}]
-    for view in task.views if chosen else ():
+    for view in VIEWS:
         seen = see(task.item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
-        for method in chosen:
-            pipeline = task.pipeline(method)
+        for method in (name for name in task.methods if name not in {FIRST, ANY}):
+            changes = {"grasp.method": method, **task.settings} if method in OURS else {}
+            pipeline = Pipeline(PipelineConfig().updated(changes))
             start = time.thread_time()
             contacts = propose(method, pipeline, targets[0]) if targets else None
             ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
@@ -99,13 +92,11 @@ def _of_pose(task: Task, number: int) -> Iterator[Row]:
             for one in task.conditions:
                 yield task.row(number, view, method, one, task.close(one, surface, world, reason), ms)
     for one in task.conditions if {FIRST, ANY} & set(task.methods) else ():
-        grasps = best_grasps(surface, one[0] * 1e-3, one[1], task.opening_mm * 1e-3)
+        grasps = best_grasps(surface, one[0] * 1e-3, one[1], OPENING_M)
         closed = [task.close(one, surface, grasp) for grasp in grasps or [None]]
-        for method, best in (
-            (FIRST, closed[0]),
-            (ANY, max(closed, key=lambda found: (found["held"], found["strict"]))),
-        ):
-            for view in task.views if method in task.methods else ():
+        any_of_them = max(closed, key=lambda found: (found["held"], found["strict"]))
+        for method, best in ((FIRST, closed[0]), (ANY, any_of_them)):
+            for view in VIEWS if method in task.methods else ():
                 yield task.row(number, view, method, one, best)
 
 
@@ -240,30 +231,6 @@ def agreement(rows: Sequence[Row]) -> str:
     )
 
 
-def pictured(rows: Sequence[Row], tasks: Sequence[Task]) -> Iterator[Case]:
-    """A grasp that holds and one of each kind of failure, planned again, under the first conditions.
-
-    Of the default method where there is one, last of the simple rule, and of as many objects as possible.
-    """
-    order = [DEFAULT, *(method for method in OURS if method != DEFAULT), RULE]
-    tip, friction = values(rows, "tip_mm", "friction")[0]
-    planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] in order]
-    reasons = {row["reason"] for row in planned} - {NO_GRASP, NO_OBJECT}
-    objects: Counter[str] = Counter()
-    for reason in sorted(reasons, key=lambda text: (text != HELD, HELD not in text, text)):
-        name, number, view, method = min(
-            values(select(planned, reason=reason), "object", "pose", "view", "method"),
-            key=lambda row: (order.index(row[3]), row[2] != "oblique", objects[row[0]]),
-        )
-        objects[name] += 1
-        (task,) = (task for task in tasks if task.item.name == name)
-        seen = see(task.item, number, view)
-        target = Pipeline().segment(seen.cloud).targets[0]
-        contacts, points = propose(method, task.pipeline(method), target), target.cloud.xyz.astype(np.float64)
-        title = f"{reason.replace(f'{HELD}, ', f'{HELD}, but ')}\n{name}, {method}, {view}"
-        yield Case(title, Placed(task.item, seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
-
-
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table in Markdown."""
     return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
@@ -276,21 +243,16 @@ def main() -> None:
     parser.add_argument("--objects", type=Path, help="folder of objects (default: ycb in the folder of recordings)")
     parser.add_argument("--only", nargs="+", metavar="OBJECT", help="these objects alone")
     parser.add_argument("--poses", type=int, default=8, help="of each object")
-    parser.add_argument("--views", nargs="+", choices=VIEWS, default=VIEWS)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS, metavar="METHOD")
-    parser.add_argument("--tip-mm", nargs="+", type=float, default=TIPS_MM[:1], help="radius of the tips [mm]")
-    parser.add_argument("--friction", nargs="+", type=float, default=FRICTIONS[:1], help="between tip and object")
-    parser.add_argument("--opening-mm", type=float, default=1e3 * OPENING_M, help="how far the hand opens [mm]")
     parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
     parser.add_argument("--workers", type=int, choices=(1, 2), default=1)
     parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
-    parser.add_argument("--renew", action="store_true", help="write the committed tables and the picture")
+    parser.add_argument("--renew", action="store_true", help="write the committed tables")
     options = parser.parse_args()
     ensure_libusb()
-    tips, frictions = (TIPS_MM, FRICTIONS) if options.all else (options.tip_mm, options.friction)
-    conditions = [(tips[0], friction) for friction in frictions] + [(tip, frictions[0]) for tip in tips[1:]]
-    chosen = options.poses, options.views, options.methods, conditions, options.opening_mm
+    conditions = [(TIPS_MM[0], friction) for friction in FRICTIONS] + [(tip, FRICTIONS[0]) for tip in TIPS_MM[1:]]
+    chosen = options.poses, options.methods, conditions if options.all else conditions[:1]
     settings = {name: yaml.safe_load(value) for name, _, value in (text.partition("=") for text in options.set)}
     items = read_items(options.objects or Path(options.data or "") / "ycb")
     todo = [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
@@ -306,11 +268,10 @@ def main() -> None:
     print(f"\n{agreement(rows)}")
     if options.renew:
         write_csv(HERE / "results.csv", committed(rows))
-        text = [f"{len(todo)} objects, {options.poses} poses each, opening {options.opening_mm:g} mm."]
+        text = [f"{len(todo)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
         text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
         text.append(agreement(rows))
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
-        draw(list(pictured(rows, todo)), HERE / "grasps.png")
 
 
 if __name__ == "__main__":
