@@ -6,6 +6,7 @@ was recorded before the other, whatever drifts looks like the outcome. So the pl
 is a baseline, and grasps are also compared in the other order alone: a grasp that held with those before it in its session that did not.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -38,40 +39,23 @@ class OtherSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-@dataclass(frozen=True, eq=False)
 class Records:
-    """The labelled grasps of a dataset."""
+    """The labelled grasps of a dataset, and of each (S,): object, posture of the hand, session and place in it.
 
-    records: list[SampleRecord]
-    sha256: str
+    A session are the grasps on an object in a file, in the order in which they were recorded; the file names the posture, but for
+    the suffix that tells the test set of its authors.
+    """
 
-    @property
-    def objects(self) -> Any:
-        """(S,) names."""
-        return np.array([one.sample.object for one in self.records])
-
-    @property
-    def touches(self) -> Float64:
-        """(S, D)."""
-        return np.array([one.sample.touch.values for one in self.records if one.sample.touch is not None])
-
-    @property
-    def postures(self) -> Any:
-        """(S,) file of each grasp, without the suffix that tells the test set of its authors."""
-        return np.array([one.note.partition(".")[0].removesuffix("_test") for one in self.records])
-
-    @property
-    def sessions(self) -> Any:
-        """(S,) number of the session of each grasp: those on its object in its file, in the order in which they were recorded."""
-        return np.unique(
-            [f"{one.sample.object} {one.note.partition(',')[0]}" for one in self.records], return_inverse=True
-        )[1]
-
-    @property
-    def places(self) -> Float64:
-        """(S,) number of grasps before each in its session."""
-        sessions = self.sessions
-        return np.array([np.count_nonzero(sessions[:k] == one) for k, one in enumerate(sessions)], np.float64)
+    def __init__(self, records: Sequence[SampleRecord], sha256: str) -> None:
+        self.records, self.sha256 = records, sha256
+        self.touches = np.array([one.sample.touch.values for one in records if one.sample.touch is not None])  # (S, D)
+        self.objects: Any = np.array([one.sample.object for one in records])
+        self.postures: Any = np.array([one.note.partition(".")[0].removesuffix("_test") for one in records])
+        files = [one.note.partition(",")[0] for one in records]
+        names = [f"{one} {file}" for one, file in zip(self.objects, files, strict=True)]
+        self.sessions: Any = np.unique(names, return_inverse=True)[1]
+        earlier = [np.count_nonzero(self.sessions[:k] == one) for k, one in enumerate(self.sessions)]
+        self.places = np.array(earlier, np.float64)
 
 
 def _load(_settings: OtherSettings, path: Path) -> Records:
