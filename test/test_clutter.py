@@ -9,13 +9,12 @@ import pytest
 from scipy.ndimage import binary_dilation
 from scipy.spatial import ConvexHull, cKDTree
 
-from benchmarks.clutter import lccp, piles
+from benchmarks.clutter import piles
 from benchmarks.clutter.metrics import BOUNDARY, FOUND, score, summary
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
 from foretouch.types import Int32
-from foretouch_lab.simulation.depth_scene import CameraView, DepthScene
-from foretouch_lab.simulation.solids import Box, Sphere
+from foretouch_lab.simulation.depth_scene import CameraView
 
 
 def test_scores_of_an_example_worked_by_hand() -> None:
@@ -173,20 +172,3 @@ def test_the_same_seed_gives_the_same_piles_and_a_file_keeps_them(tmp_path: Path
         np.testing.assert_array_equal(one.labels, other.labels)
         for label in range(1, one.labels.max() + 1):
             assert np.count_nonzero(np.isfinite(one.cloud.xyz[..., 2]) & (one.labels == label)) >= piles._FEWEST_PX
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_lccp_keeps_a_box_whole_and_parts_a_ball_from_it() -> None:
-    if (program := lccp.program()) is None:
-        pytest.skip("PCL or a compiler is absent")
-    box = Box(position=np.array([0.0, 0.0, 0.05]), size=np.array([0.12, 0.12, 0.1]))
-    ball = Sphere(position=np.array([0.1, 0.0, 0.05]), radius=0.05)
-    view = CameraView.towards_table(640, 480, 0.9, np.radians(40.0))
-    images = [DepthScene(view, solids).render() for solids in ((box,), (box, ball))]
-    clusters = [(image.labels > 1).astype(np.int32) for image in images]
-    labels, times = lccp.split([image.cloud() for image in images], clusters, program)
-    alone, both = (score(found, np.maximum(image.labels - 1, 0)) for found, image in zip(labels, images, strict=True))
-    assert alone.f > 0.99
-    assert both.n_found == 2
-    assert min(times) > 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are objects that touch separated, beside PCL's local convexity and clusters alone? See README.md."""
+"""Are objects that touch separated, beside clusters alone? See README.md."""
 
 import argparse
 import hashlib
@@ -14,15 +14,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import frontier, lccp, models, physics, piles
+from benchmarks.clutter import frontier, models, physics, piles
 from benchmarks.clutter.metrics import SceneScore, score, summary
-from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects, segment_anew
+from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Float64, Int32
 
 HERE: Final = Path(__file__).parent
-OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
+OURS, CLUSTERS, PERFECT = "foretouch", "clusters alone", "perfect splitting of the clusters"
 _REPEATS: Final = 5
 _COLUMNS: Final = ("precision", "recall", "f", "found", "boundary_precision", "boundary_recall", "boundary_f", "merged", "cut")  # fmt: skip
 
@@ -59,10 +59,6 @@ def answers(scenes: Sequence[LabelledCloud]) -> Answers:
         CLUSTERS: (clusters, alone, nothing),
         PERFECT: (perfect, nothing, nothing),
     }
-    if (program := lccp.program()) is not None:
-        runs = [lccp.split([scene.cloud for scene in scenes], clusters, program) for _ in range(3)]
-        peer_ms = np.min([times for _, times in runs], axis=0)
-        found[LCCP] = runs[0][0], alone + peer_ms, peer_ms
     return {
         method: [
             Answer(labels, score(_measured(scene, labels), true), float(whole_ms), float(splitting_ms))
@@ -125,9 +121,9 @@ def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
     """A folder of scenes that are made once for each version of what makes them."""
     sources = [Path(module.__file__ or "").read_bytes() for module in (piles, models, physics)]
     name = hashlib.sha256(b"".join([*sources, repr(identity).encode()])).hexdigest()[:16]
-    folder = lccp.cache() / f"{kind}-{name}"
+    folder = cache_folder() / f"{kind}-{name}"
     if not folder.is_dir():
-        with tempfile.TemporaryDirectory(dir=lccp.cache()) as temporary:
+        with tempfile.TemporaryDirectory(dir=cache_folder()) as temporary:
             write(Path(temporary) / kind)
             (Path(temporary) / kind).rename(folder)
     return folder
@@ -155,8 +151,6 @@ def main() -> None:
         frontier.run({name: list(islice(load_scenes(folder), 0, None, options.every)) for name, folder in sets.items()}, write=options.write)  # fmt: skip
         return
     single = made("single", lambda out: piles.write_singles(out, options.seed, data), *identity)
-    if lccp.program() is None:
-        print("PCL's LCCP is left out: no libpcl-dev or no C++ compiler (apt-get install libpcl-dev g++)\n")
     rows = []
     for name, folder in sets.items():
         scenes = list(islice(load_scenes(folder), 0, None, options.every))

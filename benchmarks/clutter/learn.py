@@ -25,12 +25,12 @@ from safetensors.numpy import save_file
 from scipy.ndimage import gaussian_filter
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from benchmarks.clutter import lccp, shapes
+from benchmarks.clutter import shapes
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.models import Model, write_mesh
 from benchmarks.clutter.physics import Pile, Placed
 from benchmarks.clutter.piles import Scene, alone, look, make, save
-from benchmarks.clutter.scenes import LabelledCloud
+from benchmarks.clutter.scenes import LabelledCloud, cache_folder
 from foretouch.cloud.segmentation import parts
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.types import Cloud, Float32, Float64
@@ -401,7 +401,7 @@ def _fill(tree: Float32, nodes: Any, node: int, at: int) -> None:
 def main() -> None:
     """Make scenes, learn, and write the trees."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=Path, default=lccp.cache() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
+    parser.add_argument("--scenes", type=Path, default=cache_folder() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
     parser.add_argument("--jobs", type=int, default=2, help="processes; the result does not depend on them")
     options = parser.parse_args()
     write_scenes(options.scenes, options.jobs)

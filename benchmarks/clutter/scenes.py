@@ -6,6 +6,7 @@ cy), or `xyz` (H, W, 3) [m], and `label` with object × 10 + part, 0 to 9 the ba
 int32 with 1 and up for objects, and `kind`.
 """
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -99,3 +100,10 @@ def _pixels(slope: Float64, centre: float) -> Int64:
 def segment_anew(cloud: Cloud, config: SegmentationConfig | None) -> None:
     """Segment a new copy of a cloud, as from a camera."""
     segment(replace(cloud, xyz=cloud.xyz.copy()), config)
+
+
+def cache_folder() -> Path:
+    """The folder of what is made once."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / "benchmarks"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

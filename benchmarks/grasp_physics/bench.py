@@ -19,7 +19,7 @@ from benchmarks.common import add_data, markdown, print_rows, replace_marked, wr
 from benchmarks.grasp_physics.camera import VIEWS, see
 from benchmarks.grasp_physics.objects import Item, read_items
 from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
-from benchmarks.grasp_physics.surface import Placed, best_grasps, cones_hold
+from benchmarks.grasp_physics.surface import Placed, best_grasps
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
@@ -61,14 +61,13 @@ class Task:
         return found | {"tip_mm": one[0], "friction": one[1]} | closed | {"ms": ms}
 
     def close(self, one: tuple[float, float], surface: Placed, contacts: Float64 | None, reason: str = NO_GRASP) -> Row:
-        """The simulated closing on contacts (2, 3) in the world, and whether the friction cones hold; `reason` where there are none.
+        """The simulated closing on contacts (2, 3) in the world; `reason` where there are none.
 
         It is "held", the kind of failure, or why there was no grasp.
         """
         if contacts is None:
-            return Verdict(False, False, reason)._asdict() | {"analytic": False}
-        verdict = held(self.item, surface.pose, *contacts, one[0] * 1e-3, one[1])
-        return verdict._asdict() | {"analytic": cones_hold(surface, contacts, one[1])}
+            return Verdict(False, False, reason)._asdict()
+        return held(self.item, surface.pose, *contacts, one[0] * 1e-3, one[1])._asdict()
 
 
 def rows_of(task: Task) -> list[Row]:
@@ -207,30 +206,6 @@ def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
     }
 
 
-def committed(rows: Sequence[Row]) -> Iterator[Row]:
-    """One row for each method, conditions, view and object: how many grasps ended how. Without times."""
-    names = ("tip_mm", "friction", "method", "view", "object")
-    order = {name: values(rows, name) for name in names}
-    keys = sorted(
-        values(rows, *names), key=lambda key: [order[name].index((one,)) for name, one in zip(names, key, strict=True)]
-    )
-    for key in keys:
-        own = select(rows, **dict(zip(names, key, strict=True)))
-        ended = "; ".join(f"{reason} {len(select(own, reason=reason))}" for (reason,) in values(own, "reason"))
-        counts = {what: sum(row[what] for row in own) for what in ("held", "strict", "analytic")}
-        yield dict(zip(names, key, strict=True)) | {"grasps": len(own), **counts, "reasons": ended}
-
-
-def agreement(rows: Sequence[Row]) -> str:
-    """How often simulation and friction cones agree, on grasps of all conditions."""
-    closed = [row for row in rows if row["reason"] not in {NO_GRASP, NO_OBJECT} and row["method"] != ANY]
-    alone = [len(select(closed, held=simulated, analytic=not simulated)) for simulated in (True, False)]
-    return (
-        f"The friction cones agree with the simulation in {1.0 - sum(alone) / max(1, len(closed)):.3f} of {len(closed)} grasps; "
-        f"{alone[0]} hold in the simulation alone, {alone[1]} by the cones alone."
-    )
-
-
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table in Markdown."""
     return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
@@ -265,12 +240,9 @@ def main() -> None:
     for title, lines in found.items():
         print(f"\n{title}")
         print_rows(lines)
-    print(f"\n{agreement(rows)}")
     if options.renew:
-        write_csv(HERE / "results.csv", committed(rows))
         text = [f"{len(todo)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
         text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
-        text.append(agreement(rows))
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
 
 

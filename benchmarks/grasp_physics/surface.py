@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The true surface, which no camera sees: its best grasps, and a second opinion on any grasp by friction cones.
+"""The true surface, which no camera sees, and its best grasps.
 
 `best_grasps` draws lines through points of the surface, in directions within 25° of the inward normal, level or not. Those stay whose forces lie in
 the friction cones with a fifth to spare, whose contacts the hand can open to, and whose tips are clear of the table. They are ranked by
@@ -13,7 +13,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from benchmarks.grasp_physics.objects import Item
-from benchmarks.grasp_physics.simulation import FORCE_N, LIFT_M, OUTSIDE_M, SPIN_M
+from benchmarks.grasp_physics.simulation import FORCE_N, OUTSIDE_M
 from foretouch.types import Float64
 
 COUNT: Final = 10
@@ -123,23 +123,3 @@ def _distinct(grasps: list[Float64]) -> list[Float64]:
 
 def _unit(vectors: Float64) -> Float64:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), np.float64)
-
-
-def cones_hold(surface: Placed, contacts: Float64, friction: float) -> bool:
-    """Whether a grasp (2, 3) in the world holds by the friction cones where both tips first meet the object, without simulation.
-
-    Each tip pushes with 5 N along the line and carries half of the weight; that force must lie in the friction cone. The object swings about the
-    line until its centre of mass hangs below it, unless the spin of the contacts stops that, and must be clear of the table once lifted.
-    """
-    if not float(np.linalg.norm(contacts[1] - contacts[0])) > 1e-4:
-        return False
-    found = surface.meet(contacts[:1], contacts[1:])
-    outside = np.einsum("ijk,ijk->ij", found.normals, found.closing) <= 0.0  # false where a tip meets nothing
-    if not outside.all() or surface.slopes(surface.smooth(found)).max() > np.arctan(friction):
-        return False
-    point, along = found.points[0, 0], found.closing[0, 0]
-    arm, down = (vector - along * (vector @ along) for vector in (surface.centre - point, -_UP))
-    if surface.weight_n * float(np.linalg.norm(np.cross(arm, down))) < 2.0 * SPIN_M * FORCE_N:
-        return True
-    turn = trimesh.transformations.rotation_matrix(np.arctan2(np.cross(arm, down) @ along, arm @ down), along, point)
-    return bool(trimesh.transform_points(surface.mesh.vertices, turn)[:, 2].min() + LIFT_M > 0.0)

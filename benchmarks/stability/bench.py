@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp, real and made objects."""
+"""How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp on recorded objects."""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
@@ -52,13 +52,13 @@ CHANGES: Mapping[str, Change] = {
 
 def tables(arguments: argparse.Namespace) -> dict[Path, Rows]:
     """The one table."""
-    groups = {"made": list(made_clouds())}
-    paths = sorted(Path(arguments.data).glob("vision2tactile/*/*/cloud-object.pcd")) if arguments.data else []
+    paths = sorted(Path(arguments.data or "").glob("vision2tactile/*/*/cloud-object.pcd"))
     if not paths:
-        print("no recordings: --data or FORETOUCH_DATA; only made objects are measured")
+        raise SystemExit("no recordings: --data or FORETOUCH_DATA")
+    groups = {}
     for name, tuned in (("real, tuned on", True), ("real, others", False)):
-        chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
-        if chosen and (tuned or arguments.all):
+        if tuned or arguments.all:
+            chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
             groups[name] = [read_cloud(path).xyz.reshape(-1, 3) for path in chosen]
     rows = (row for name, clouds in groups.items() for row in measure(name, clouds))
     return {Path(__file__).parent / "results.csv": rows}
@@ -94,30 +94,6 @@ def distance_mm(before: GraspPlan, after: GraspPlan, change: Change, centre: Flo
         return 0.0 if before.grasps == after.grasps else float("inf")
     one, other = (np.stack([plan.grasps[0].g1, plan.grasps[0].g2]) for plan in (before, after))
     return float(np.linalg.norm(change.carry(one, centre) - other, axis=1).max() * 1e3)
-
-
-def made_clouds() -> Iterator[Float32]:
-    """Boxes, lying cylinders, domes and rings of several sizes, as a depth camera 1.2 m above the table sees them."""
-    rng = np.random.default_rng(11)
-    u, v = np.meshgrid(np.arange(-0.15, 0.15, 0.002), np.arange(-0.15, 0.15, 0.002))
-
-    def dome(distance: Float64, radius: float) -> Float64:
-        return np.sqrt(np.maximum(radius**2 - distance**2, 0.0))
-
-    for size in (0.05, 0.08, 0.11):
-        half = size / 2
-        for shape in ("box", "cylinder", "dome", "ring"):
-            for turn in rng.uniform(0.0, np.pi, 3):
-                a, b = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
-                flat, radius = (np.abs(a) < size) & (np.abs(b) < half), np.hypot(a, b)
-                inside, height = {
-                    "box": (flat, np.full(a.shape, 0.05)),
-                    "cylinder": (flat, dome(b, half)),
-                    "dome": (radius < half, dome(radius, half)),
-                    "ring": ((radius < half) & (radius > size / 4), np.full(a.shape, 0.02)),
-                }[shape]
-                depth = 1.2 - height + rng.normal(0.0, 0.0007, a.shape)
-                yield np.stack([u, v, depth], axis=-1)[inside].astype(np.float32)
 
 
 if __name__ == "__main__":
