@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_dilation
 from scipy.spatial import ConvexHull, cKDTree
 
 from benchmarks.clutter import piles
-from benchmarks.clutter.metrics import BOUNDARY, FOUND, score, summary
+from benchmarks.clutter.metrics import FOUND, score, summary
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
 from foretouch.types import Int32
@@ -28,15 +27,7 @@ def test_scores_of_an_example_worked_by_hand() -> None:
     joined = score(np.ones_like(true), true)
     assert (joined.precision, joined.n_found, joined.n_merged, joined.n_cut) == (0.5, 0, 2, 0)  # F of 20/30 each
     perfect = score(true * 5, true)
-    assert (perfect.f, perfect.boundary_f, perfect.n_found, perfect.n_merged, perfect.n_cut) == (1.0, 1.0, 2, 0, 0)
-
-
-def test_outlines_agree_up_to_three_thousandths_of_the_diagonal() -> None:
-    true, near, far = (np.zeros((300, 400), np.int32) for _ in range(3))  # a diagonal of 500 pixels: 2 pixels
-    true[:, :100], near[:, :102], far[:, :103] = 1, 1, 1
-    assert score(near, true).boundary_f == 1.0
-    assert score(far, true).boundary_f == 0.0
-    assert score(far, true).f == pytest.approx(2.0 * 100.0 / 203.0)
+    assert (perfect.f, perfect.n_found, perfect.n_merged, perfect.n_cut) == (1.0, 2, 0, 0)
 
 
 def test_nothing_found_and_nothing_there_are_counted_as_uois_net_counts_them() -> None:
@@ -44,7 +35,7 @@ def test_nothing_found_and_nothing_there_are_counted_as_uois_net_counts_them() -
     missed, invented, right = score(none, one), score(one, none), score(none, none)
     assert (missed.precision, missed.recall, missed.f, missed.n_found) == (1.0, 0.0, 0.0, 0)
     assert (invented.precision, invented.recall, invented.f, invented.n_true) == (0.0, 1.0, 0.0, 0)
-    assert (right.f, right.boundary_f) == (1.0, 1.0)
+    assert right.f == 1.0
     means = summary([missed, score(one, one)])
     assert (means["f"], means["found"]) == (0.5, 0.5)
 
@@ -55,8 +46,7 @@ def test_scores_are_those_of_all_pairings_tried_one_by_one() -> None:
         true, predicted = cells(rng, 4), cells(rng, int(rng.integers(2, 6)))
         expected = tried_one_by_one(predicted, true)
         result = score(predicted, true)
-        got = (result.precision, result.recall, result.boundary_precision, result.boundary_recall, result.n_found)
-        np.testing.assert_allclose(got, expected, rtol=1e-12)
+        np.testing.assert_allclose((result.precision, result.recall, result.n_found), expected, rtol=1e-12)
 
 
 def cells(rng: np.random.Generator, count: int) -> Int32:
@@ -67,8 +57,8 @@ def cells(rng: np.random.Generator, count: int) -> Int32:
     return np.where(np.hypot(v - 35, u - 45) < rng.uniform(25, 34), 2 + nearest, 0).astype(np.int32)
 
 
-def tried_one_by_one(predicted: Int32, true: Int32) -> tuple[float, float, float, float, int]:
-    """Precision, recall, those of outlines, and objects found, of the best of all pairings."""
+def tried_one_by_one(predicted: Int32, true: Int32) -> tuple[float, float, int]:
+    """Precision, recall and objects found, of the best of all pairings."""
     ours = {label: set(np.flatnonzero(predicted == label)) for label in np.unique(predicted) if label}
     theirs = {label: set(np.flatnonzero(true == label)) for label in np.unique(true) if label}
 
@@ -83,28 +73,11 @@ def tried_one_by_one(predicted: Int32, true: Int32) -> tuple[float, float, float
     )
     best = [pair for pair in best if f(*pair) > 0.0]
     kept = sum(len(ours[a] & theirs[b]) for a, b in best)
-    reach = int(np.ceil(BOUNDARY * np.hypot(*true.shape)))
-    v, u = np.indices((2 * reach + 1, 2 * reach + 1)) - reach
-    disc = v * v + u * u <= reach * reach
-    edges_a, edges_b = ({k: edge(image == k) for k in names} for image, names in ((predicted, ours), (true, theirs)))
-    hits_a = sum((edges_a[a] & binary_dilation(edges_b[b], disc)).sum() for a, b in best)
-    hits_b = sum((edges_b[b] & binary_dilation(edges_a[a], disc)).sum() for a, b in best)
     return (
         kept / sum(map(len, ours.values())),
         kept / sum(map(len, theirs.values())),
-        hits_a / sum(one.sum() for one in edges_a.values()),
-        hits_b / sum(one.sum() for one in edges_b.values()),
         sum(f(*pair) >= FOUND for pair in best),
     )
-
-
-def edge(mask: np.ndarray) -> np.ndarray:
-    """Pixels that differ from the one to the right, below, or both."""
-    result = np.zeros(mask.shape, np.bool_)
-    for v, u in np.ndindex(mask.shape):
-        block = mask[v : v + 2, u : u + 2]
-        result[v, u] = block.any() and not block.all()
-    return result
 
 
 @pytest.mark.slow

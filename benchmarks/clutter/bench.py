@@ -24,7 +24,7 @@ from foretouch.types import Float64, Int32
 HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, PERFECT = "foretouch", "clusters alone", "perfect splitting of the clusters"
 _REPEATS: Final = 5
-_COLUMNS: Final = ("precision", "recall", "f", "found", "boundary_precision", "boundary_recall", "boundary_f", "merged", "cut")  # fmt: skip
+_COLUMNS: Final = ("precision", "recall", "f", "found", "merged", "cut")
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ from benchmarks.common import add_data, markdown, print_rows, replace_marked, wr
 from benchmarks.grasp_physics.camera import VIEWS, see
 from benchmarks.grasp_physics.objects import Item, read_items
 from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
-from benchmarks.grasp_physics.surface import Placed, best_grasps
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
@@ -28,8 +27,7 @@ from foretouch.types import Float64
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
 OURS: Final = get_args(GraspMethod)
-FIRST, ANY = "true surface, first", "true surface, best of 10"
-METHODS: Final = (*OURS, RULE, FIRST, ANY)
+METHODS: Final = (*OURS, RULE)
 DEFAULT: Final = PipelineConfig().grasp.method
 REFERENCE: Final = "original"  # whose time the others are compared with
 NO_OBJECT: Final = "no object found"
@@ -53,21 +51,12 @@ class Task:
     conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
     settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
 
-    def row(
-        self, pose: int, view: str, method: str, one: tuple[float, float], closed: Row, ms: float = math.nan
-    ) -> Row:
-        """What became of one grasp."""
-        found = {"object": self.item.name, "pose": pose, "view": view, "method": method}
-        return found | {"tip_mm": one[0], "friction": one[1]} | closed | {"ms": ms}
-
-    def close(self, one: tuple[float, float], surface: Placed, contacts: Float64 | None, reason: str = NO_GRASP) -> Row:
-        """The simulated closing on contacts (2, 3) in the world; `reason` where there are none.
-
-        It is "held", the kind of failure, or why there was no grasp.
-        """
-        if contacts is None:
-            return Verdict(False, False, reason)._asdict()
-        return held(self.item, surface.pose, *contacts, one[0] * 1e-3, one[1])._asdict()
+    def close(self, pose: Float64, contacts: Float64 | None, one: tuple[float, float], reason: str) -> Row:
+        """What became of a grasp with contacts (2, 3) in the world: "held", the kind of failure, or why there was no grasp."""
+        verdict = Verdict(False, False, reason)
+        if contacts is not None:
+            verdict = held(self.item, pose, *contacts, one[0] * 1e-3, one[1])
+        return {"tip_mm": one[0], "friction": one[1]} | verdict._asdict()
 
 
 def rows_of(task: Task) -> list[Row]:
@@ -76,27 +65,19 @@ def rows_of(task: Task) -> list[Row]:
 
 
 def _of_pose(task: Task, number: int) -> Iterator[Row]:
-    """The rows of one pose: what is planned on images, and on the true surface, where the view does not matter."""
-    surface = Placed(task.item, task.item.pose(number))
+    """The rows of one pose."""
     for view in VIEWS:
         seen = see(task.item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
-        for method in (name for name in task.methods if name not in {FIRST, ANY}):
+        for method in task.methods:
             changes = {"grasp.method": method, **task.settings} if method in OURS else {}
             pipeline = Pipeline(PipelineConfig().updated(changes))
             start = time.thread_time()
             contacts = propose(method, pipeline, targets[0]) if targets else None
             ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
             world = None if contacts is None else seen.camera.to_world(contacts)
-            for one in task.conditions:
-                yield task.row(number, view, method, one, task.close(one, surface, world, reason), ms)
-    for one in task.conditions if {FIRST, ANY} & set(task.methods) else ():
-        grasps = best_grasps(surface, one[0] * 1e-3, one[1], OPENING_M)
-        closed = [task.close(one, surface, grasp) for grasp in grasps or [None]]
-        any_of_them = max(closed, key=lambda found: (found["held"], found["strict"]))
-        for method, best in ((FIRST, closed[0]), (ANY, any_of_them)):
-            for view in VIEWS if method in task.methods else ():
-                yield task.row(number, view, method, one, best)
+            facts = {"object": task.item.name, "pose": number, "view": view, "method": method, "ms": ms}
+            yield from (facts | task.close(seen.pose, world, one, reason) for one in task.conditions)
 
 
 def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
@@ -164,15 +145,13 @@ def share(rows: Sequence[Row], what: str) -> str:
 
 
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Held and strict by view, of the best on the true surface, and time beside that of the reference."""
+    """Held and strict by view, and time beside that of the reference."""
     found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
     for (method,) in values(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
         for (view,) in values(rows, "view"):
-            mine, best = (select(rows, method=name, view=view) for name in (method, FIRST))
+            mine = select(rows, method=method, view=view)
             line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
-            if any(row["held"] for row in best):
-                line[f"{view}: of the best"] = f"{mean(mine, 'held') / mean(best, 'held'):.2f}"
         times = [row["ms"] for row in select(rows, method=method)]
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
