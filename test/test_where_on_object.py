@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands for where on an object: shuffled within it, and never from a later grasp; tables are made of the rows."""
+"""What stands for where on an object is never from a later grasp; tables are made of the rows."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from calibrated_models import make_calibration
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, predicted, recorded, variant
+from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, predicted, recorded
 from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import MODALITIES, biotac_touch
 from foretouch_lab.experiments import find_experiment
@@ -22,16 +22,6 @@ RECORDING, FEATURES_OF = recorded(SAMPLES), features_of(SAMPLES)
 def parameters() -> TrackerParameters:
     deviation = np.maximum(FEATURES_OF.std(axis=0), 1e-3) * 4.0
     return replace(make_calibration().tracker_parameters, where_scale=deviation, where_ratio=np.full(4, 2.0))
-
-
-def test_orders_are_shuffled_within_an_object() -> None:
-    assert variant("level", RECORDING, FEATURES_OF, 0) is None
-    assert_array_equal(variant("where", RECORDING, FEATURES_OF, 0), FEATURES_OF)
-    found = variant("shuffled", RECORDING, FEATURES_OF, 0)
-    assert not np.array_equal(found, FEATURES_OF)
-    for first in (0, 8, 16):
-        own = slice(first, first + 8)
-        assert_array_equal(np.sort(found[own], axis=0), np.sort(FEATURES_OF[own], axis=0))
 
 
 def test_no_later_grasp_changes_an_earlier_prediction() -> None:
@@ -53,7 +43,7 @@ def test_rows_and_tables_are_those_of_the_cells() -> None:
     ]
     data = Grasps(samples, "0" * 64)
     assert find_experiment("benchmarks.where_on_object") is EXPERIMENT
-    settings = EXPERIMENT.resolve("smoke", {"variants": ["level", "where", "shuffled"]})
+    settings = EXPERIMENT.resolve("smoke", {"variants": ["level", "where"]})
     cells = EXPERIMENT.cells(settings, data)
     assert len(cells) == 6
     rows = EXPERIMENT.tabulate(

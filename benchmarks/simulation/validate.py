@@ -27,7 +27,8 @@ from foretouch_lab.simulation.world import SampleKey
 Array = npt.NDArray[np.float64]
 Row = tuple[str, float, float, float]  # what, found, least, most
 
-_TH_MF = (("TH", slice(2, 26), 0), ("MF", slice(26, 50), 1))
+# Of each finger its electrodes and its pressure among the readings, and the bounds of the drops of an electrode [counts].
+_TH_MF = (("TH", slice(2, 26), 0, (78, 176), (657, 1479)), ("MF", slice(26, 50), 1, (48, 108), (461, 1037)))
 
 
 def states(config: SceneConfig, count: int, *outputs: str) -> Iterator[Any]:
@@ -73,17 +74,13 @@ def sensor() -> Iterator[Row]:
     yield "electrode noise, lag-1 correlation", noise.lag1, 0.30, 0.46
 
 
-_DROPS = {"TH": ((78, 176), (657, 1479)), "MF": ((48, 108), (461, 1037))}
-
-
 def counts(samples: list[GraspSample]) -> Iterator[Row]:
     """Spread of the counts over grasps of rigid objects."""
     touches = np.array([s.touch.values for s in samples if s.touch is not None])
-    for name, columns, pdc in _TH_MF:
+    for name, columns, pdc, median, most in _TH_MF:
         electrodes = touches[:, columns]
         drop = np.percentile(electrodes, 95, axis=0) - electrodes
         variances = np.linalg.svd(electrodes - electrodes.mean(axis=0), compute_uv=False) ** 2
-        median, most = _DROPS[name]
         yield f"rigid {name}: drop of an electrode, median [counts]", float(np.median(drop)), *median
         yield f"rigid {name}: drop, 99 % [counts]", float(np.percentile(drop, 99)), *most
         share = float(variances[:4].sum() / variances.sum())
@@ -116,14 +113,9 @@ def main() -> None:
     rows = [*camera(), *sensor(), *counts(samples), ("rigid: calls of the layer solver", layer_calls, 0, 0)]
     rows += [*forces("rigid", 60), *forces("deformables", 60)]
     lines = [
-        {
-            "what": what,
-            "found": f"{found:.3g}",
-            "must": f"{least:g} to {most:g}",
-            "": "ok" if least <= found <= most else "no",
-        }
+        {"what": what, "found": f"{found:.3g}", "must": f"{least:g} to {most:g}", "": "ok" if least <= found <= most else "no"}
         for what, found, least, most in rows
-    ]
+    ]  # fmt: skip
     print_rows(lines)
     print(f"Failed tries in {arguments.n} rigid grasps: {rigid.failures_by_reason or 'none'}")
     sys.exit(any(line[""] == "no" for line in lines))

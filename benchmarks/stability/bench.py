@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Rows, command
+from benchmarks.common import add_data, print_rows, write_csv
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
 from foretouch.types import Cloud, Float32, Float64, Plane
@@ -50,20 +50,6 @@ CHANGES: Mapping[str, Change] = {
 }
 
 
-def tables(arguments: argparse.Namespace) -> dict[Path, Rows]:
-    """The one table."""
-    paths = sorted(Path(arguments.data or "").glob("vision2tactile/*/*/cloud-object.pcd"))
-    if not paths:
-        raise SystemExit("no recordings: --data or FORETOUCH_DATA")
-    groups = {}
-    for name, tuned in (("real, tuned on", True), ("real, others", False)):
-        if tuned or arguments.all:
-            chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
-            groups[name] = [read_cloud(path).xyz.reshape(-1, 3) for path in chosen]
-    rows = (row for name, clouds in groups.items() for row in measure(name, clouds))
-    return {Path(__file__).parent / "results.csv": rows}
-
-
 def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, Any]]:
     """The rows of the table for some clouds."""
     moved: dict[tuple[str, str], list[float]] = {(change, method): [] for change in CHANGES for method in METHODS}
@@ -96,6 +82,24 @@ def distance_mm(before: GraspPlan, after: GraspPlan, change: Change, centre: Flo
     return float(np.linalg.norm(change.carry(one, centre) - other, axis=1).max() * 1e3)
 
 
+def main() -> None:
+    """Print and write the one table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_data(parser)
+    parser.add_argument("--all", action="store_true", help="also the clouds that did not tune an earlier method")
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("results.csv"))
+    options = parser.parse_args()
+    paths = sorted(Path(options.data or "").glob("vision2tactile/*/*/cloud-object.pcd"))
+    if not paths:
+        raise SystemExit("no recordings: --data or FORETOUCH_DATA")
+    rows: list[dict[str, Any]] = []
+    for name, tuned in (("real, tuned on", True), ("real, others", False)):
+        if tuned or options.all:
+            chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
+            rows += measure(name, [read_cloud(path).xyz.reshape(-1, 3) for path in chosen])
+    print_rows(rows)
+    write_csv(options.out, rows)
+
+
 if __name__ == "__main__":
-    more = {"action": "store_true", "help": "also the recorded clouds that did not tune an earlier method"}
-    command(__doc__, tables, {"--all": more}, data=True)
+    main()

@@ -7,7 +7,6 @@ kernel on the geometry among them, are fitted without the object that is predict
 
     level         nothing: the tracker as it was before
     where         the features of the grasp in the frame of the hand (`foretouch.models.contact.features`)
-    shuffled      the same, those of the object's grasps in another order: they are as many and as wide, and say nothing
 
 Samples without stamps, as of a simulated day, are taken object by object, a minute apart.
 """
@@ -36,7 +35,7 @@ from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
 
 LEVEL: Final = "level"
-VARIANTS: Final = (LEVEL, "where", "shuffled")
+VARIANTS: Final = (LEVEL, "where")
 _MINUTE_NS: Final = 60 * 10**9
 REGIMES: Final[Mapping[str, tuple[int, int]]] = {"first three": (0, 2), "later": (3, 10**9)}
 """Ranges of the number of touches of the object before a grasp, both ends included, by name."""
@@ -47,7 +46,6 @@ class WhereSettings(Settings):
     """Settings of the experiment."""
 
     variants: tuple[str, ...] = setting(VARIANTS, "What stands for where on the object", choices=VARIANTS)
-    seed: int = setting(0, "Seed of the shuffled orders", minimum=0)
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
@@ -82,16 +80,6 @@ def recorded(samples: Sequence[GraspSample]) -> TimedReadings:
     labels = labels_of(samples)
     recording = TimedReadings.of_samples(samples, labels, labels, rest_level(samples)[0])
     return replace(recording, expected=other_objects_mean(recording), tares=None, tare_tdc=None)
-
-
-def variant(name: str, recording: TimedReadings, features: Float64, seed: int) -> Float64 | None:
-    """(S, P) what stands for where on the object; None for nothing."""
-    rng, runs = np.random.default_rng(seed), recording.runs()
-    order = np.arange(len(runs))
-    for run in np.unique(runs) if name == "shuffled" else ():
-        own = np.flatnonzero(runs == run)
-        order[own] = rng.permutation(own)
-    return None if name == LEVEL else features[order]
 
 
 def predicted(recording: TimedReadings, where: Float64 | None, target: str, parameters: TrackerParameters) -> Float64:
@@ -129,7 +117,7 @@ def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
     level, features = fit_tracker(others, group, group), features_of(data.samples)
     reference, touches, rows = other_objects_mean(recording), recording.touches(), []
     for name in settings.variants:
-        where, parameters = variant(name, recording, features, settings.seed), level
+        where, parameters = None if name == LEVEL else features, level
         if where is not None:
             parameters = fit_places(level, replace(others, where=where[~own]))
         counts = predicted(recording, where, target, parameters)
