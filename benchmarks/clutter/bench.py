@@ -5,7 +5,6 @@ import argparse
 import hashlib
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from itertools import islice
@@ -19,7 +18,6 @@ from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
-from foretouch.types import Float64, Int32
 
 HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, PERFECT = "foretouch", "clusters alone", "perfect splitting of the clusters"
@@ -27,74 +25,27 @@ _REPEATS: Final = 5
 _COLUMNS: Final = ("precision", "recall", "f", "found", "merged", "cut")
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What a method found in one scene."""
-
-    labels: Int32  # (H, W) int32
-    score: SceneScore  # against the truth
-    whole_ms: float  # CPU time from the cloud to its objects; NaN where it was not measured
-    splitting_ms: float  # of it the splitting
-
-
-Answers = dict[str, list[Answer]]  # by method, in the order of the scenes
-
-
-def without_splitting() -> SegmentationConfig:
-    """The defaults, with the splitting of clusters switched off."""
-    return SegmentationConfig().updated({"split.angle_deg": 180.0})
-
-
-def answers(scenes: Sequence[LabelledCloud]) -> Answers:
-    """What each method finds in each scene."""
-    plain = without_splitting()
-    truth = [_measured(scene, scene.labels) for scene in scenes]
-    ours = [segment(scene.cloud).labels for scene in scenes]
-    clusters = [_measured(scene, segment(scene.cloud, plain).labels) for scene in scenes]
-    perfect = [np.where(found > 0, true, 0) for found, true in zip(clusters, truth, strict=True)]
-    nothing = np.full(len(scenes), np.nan)
-    whole, alone = _times(scenes, plain)
-    found = {
-        OURS: (ours, whole, whole - alone),
-        CLUSTERS: (clusters, alone, nothing),
-        PERFECT: (perfect, nothing, nothing),
-    }
-    return {
-        method: [
-            Answer(labels, score(_measured(scene, labels), true), float(whole_ms), float(splitting_ms))
-            for scene, true, labels, whole_ms, splitting_ms in zip(scenes, truth, *columns, strict=True)
-        ]
-        for method, columns in found.items()
-    }
-
-
-def _measured(scene: LabelledCloud, labels: Int32) -> Int32:
-    """The labels of pixels with depth, 0 elsewhere."""
-    return np.where(np.isfinite(scene.cloud.xyz[..., 2]), labels, 0).astype(np.int32)
-
-
-def _times(scenes: Sequence[LabelledCloud], plain: SegmentationConfig) -> tuple[Float64, Float64]:
-    """Least CPU times of each scene [ms]: with and without splitting, in turn."""
-    rows = []
-    for scene in scenes:
-        jobs = [partial(segment_anew, scene.cloud, config) for config in (None, plain)]
-        rows.append(np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0))
-    both = np.array(rows)
-    return both[:, 0], both[:, 1]
-
-
-def table(name: str, scenes: Sequence[LabelledCloud], found: Answers) -> list[dict[str, Any]]:
+def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
     """A row for each method over all scenes, and for each kind of scene."""
-    kinds = ["all", *dict.fromkeys(scene.kind for scene in scenes)]
-    rows = []
+    nan, plain = float("nan"), SegmentationConfig().updated({"split.angle_deg": 180.0})  # which does not split
+    found: dict[str, list[tuple[SceneScore, float, float]]] = {method: [] for method in (OURS, CLUSTERS, PERFECT)}
+    for scene in scenes:
+        depth = np.isfinite(scene.cloud.xyz[..., 2])
+        every = (segment(scene.cloud).labels, segment(scene.cloud, plain).labels, scene.labels)
+        ours, clusters, true = (np.where(depth, labels, 0).astype(np.int32) for labels in every)
+        jobs = [partial(segment_anew, scene.cloud, config) for config in (None, plain)]  # in turn
+        whole_ms, alone_ms = np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0).tolist()
+        found[OURS].append((score(ours, true), whole_ms, whole_ms - alone_ms))
+        found[CLUSTERS].append((score(clusters, true), alone_ms, nan))
+        found[PERFECT].append((score(np.where(clusters > 0, true, 0), true), nan, nan))
+    kinds, rows = ["all", *dict.fromkeys(scene.kind for scene in scenes)], []
     for kind in kinds if len(kinds) > 2 else kinds[:1]:
-        chosen = [k for k, scene in enumerate(scenes) if kind in {"all", scene.kind}]
-        for method, every in found.items():
-            some = [every[k] for k in chosen]
-            means = summary(one.score for one in some)
+        for method, answers in found.items():
+            some = [one for scene, one in zip(scenes, answers, strict=True) if kind in {"all", scene.kind}]
+            means = summary(one for one, *_ in some)
             row = {"scenes": name, "kind": kind, "count": len(some), "method": method}
             row |= {column: round(means[column], 3) for column in _COLUMNS}
-            row |= {key: _median([getattr(one, key) for one in some]) for key in ("whole_ms", "splitting_ms")}
+            row |= {"whole_ms": _median([ms for _, ms, _ in some]), "splitting_ms": _median([ms for *_, ms in some])}
             rows.append(row)
     return rows
 
@@ -154,7 +105,7 @@ def main() -> None:
     rows = []
     for name, folder in sets.items():
         scenes = list(islice(load_scenes(folder), 0, None, options.every))
-        rows += table(name, scenes, answers(scenes))
+        rows += table(name, scenes)
     print_rows(rows)
     rendered = list(load_scenes(single))  # views in turn
     alone = [pieces("rendered, obliquely", rendered[::2]), pieces("rendered, from above", rendered[1::2])]

@@ -348,25 +348,20 @@ def variant(path: Path) -> LabelledCloud:
 def pairs_of(trees: Float32, path: Path) -> tuple[Float64, Float64, bool]:
     """Of one file: features, whether both are one object, and whether objects touch."""
     scene = variant(path)
-    return (*_recorder(trees).pairs(scene), scene.kind not in {"single", "arranged"})
+    _the_recorder().use(trees)
+    return (*_the_recorder().pairs(scene), scene.kind not in {"single", "arranged"})
 
 
 def score_of(trees: Float32, path: Path) -> SceneScore:
     """Of segmentation with trees in one file."""
     scene = variant(path)
-    _recorder(trees)
+    _the_recorder().use(trees)
     return score(segment(scene.cloud).labels, scene.labels)
 
 
 @cache
 def _the_recorder() -> Recorder:
     return Recorder()
-
-
-def _recorder(trees: Float32) -> Recorder:
-    recorder = _the_recorder()
-    recorder.use(trees)
-    return recorder
 
 
 def learned(rows: Sequence[Float64], same: Sequence[Float64], weights: Sequence[Float64], count: int) -> Float32:

@@ -3,6 +3,7 @@
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.ranking import find_grasp_plane
-from foretouch.types import Cloud, Float64, Plane
+from foretouch.types import Float64, Plane
 
 COUNTS = ("n_filtered", "n_voxel", "n_plane", "n_first", "n_second", "n_fv", "n_sv", "n_nan_normals")
 INITIAL_TOLERANCE_M = 1e-6
@@ -112,12 +113,11 @@ def faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
 
 def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
     """Number of rows with each difference."""
-    clouds: dict[Path, Cloud] = {}
     found: Counter[str] = Counter()
-    for row in rows:
-        if row.cloud not in clouds:
-            clouds = {row.cloud: read_cloud(row.cloud)}  # rows of one cloud follow each other
-        found.update(set(faults(row, plan_grasps(clouds[row.cloud], row.plane, row.config))))
+    for cloud, of_cloud in groupby(rows, lambda row: row.cloud):
+        points = read_cloud(cloud)
+        for row in of_cloud:
+            found.update(set(faults(row, plan_grasps(points, row.plane, row.config))))
     return found
 
 

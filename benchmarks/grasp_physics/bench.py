@@ -3,11 +3,9 @@
 
 import argparse
 import math
-import multiprocessing
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, get_args
@@ -110,14 +108,6 @@ def simple_rule(target: FoundObject) -> Float64:
     return np.stack([(middle + end * across) @ axes + level * up for end in (low[k], high[k])])
 
 
-def measure(tasks: Sequence[Task], workers: int = 1) -> list[Row]:
-    """All rows, in the order of the tasks."""
-    if workers == 1:
-        return [row for task in tasks for row in rows_of(task)]
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        return [row for rows in pool.map(rows_of, tasks) for row in rows]
-
-
 # --- tables: intervals are over objects ------------------------------------------------------------------------------
 
 
@@ -199,7 +189,6 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=8, help="of each object")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS, metavar="METHOD")
     parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
-    parser.add_argument("--workers", type=int, choices=(1, 2), default=1)
     parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
     parser.add_argument("--renew", action="store_true", help="write the committed tables")
@@ -212,7 +201,7 @@ def main() -> None:
     todo = [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
     if not todo:
         parser.error(f"--only: {', '.join(options.only)}: there is no such object")
-    rows = measure(todo, options.workers)
+    rows = [row for task in todo for row in rows_of(task)]
     if options.rows:
         write_csv(options.rows, rows)
     found = tables(rows)

@@ -35,16 +35,6 @@ RATES = [1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0]
 REST_S = 3.0  # without clouds
 
 
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
-    parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="clouds a second, in turn [Hz]")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one)")
-    parser.add_argument("--requests", type=Path, metavar="CHECKOUT", help="only measure round trips of predict_touch, in turns with an older checkout that has an environment of its own")  # fmt: skip
-    parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
-    return parser.parse_args()
-
-
 def cpu_s(pid: int) -> float:
     """Processor time of all threads of a process so far [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
@@ -89,19 +79,6 @@ class Bench(Client):
             stamps.append(self.send(messages[number % len(messages)]))
         self.wait(lambda: all(stamp in self.answers for stamp in stamps), 3.0)
         return stamps
-
-    def accounts(self) -> str:
-        """Whether received = used + dropped + waiting in every node, and what was dropped."""
-        texts = []
-        for name in NODES:
-            known = self.report(name)
-            received, *parts = (int(known[key]) for key in ("received", "used", "dropped", "waiting"))
-            drops = {key.removeprefix("dropped."): n for key, n in known.items() if key.startswith("dropped.")}
-            sign = "=" if received == sum(parts) else "IS NOT"
-            texts.append(
-                f"  {name}: received {received} {sign} used, dropped and waiting: {parts}, {drops or 'no drops'}"
-            )
-        return "\n".join(texts)
 
     def _hear(self, message: Any) -> None:
         arrived = time.time_ns()  # whole messages of ten minutes would take gigabytes
@@ -158,15 +135,13 @@ def measure(rates: Sequence[float], seconds: float) -> list[dict[str, Any]]:
             ages = [(bench.answers[one][0] - one) / 1e6 for one in stamps if bench.answers.get(one, (0, []))[1]]
             p50, p95, p99 = np.percentile(ages, (50, 95, 99))
             row = {"p50_ms": p50, "p95_ms": p95, "p99_ms": p99, "p95_periods": 1e-3 * p95 * len(ages) / seconds,
-                   "cpu_ms": 1e3 * cpu / len(ages), "rest_percent": 100.0 * rest, "other_cores": others.cores()}  # fmt: skip
+                   "cpu_ms": 1e3 * cpu / len(ages), "rest_percent": 100.0 * rest}  # fmt: skip
             counts = {"rate_hz": f"{rate:g}", "seconds": seconds, "sent": len(stamps), "lost": len(stamps) - len(ages)}
             rows.append(counts | {name: f"{value:.4g}" for name, value in row.items()})
-        time.sleep(1.2)  # one more round of diagnostics
-        print(bench.accounts(), flush=True)
     finally:
         end(graph)
         bench.leave()
-    return rows
+    return [row | {"other_cores": others.cores()} for row in rows]
 
 
 def write_table(rows: Sequence[dict[str, Any]]) -> None:
@@ -208,7 +183,13 @@ def draw(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def main() -> int:
-    options = arguments()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
+    parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="clouds a second, in turn [Hz]")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one)")
+    parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
+    parser.add_argument("--requests", type=Path, metavar="CHECKOUT", help="only measure predict_touch, in turns with an older checkout that has an environment of its own")  # fmt: skip
+    options = parser.parse_args()
     if options.requests:
         write_csv(REQUESTS, compare(options.requests.resolve(), ROOT, DOMAIN + 1))
         return 0
