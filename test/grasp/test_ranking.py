@@ -9,7 +9,6 @@ from foretouch.grasp.ranking import (
     GraspPlane,
     SurfacePoints,
     _contact_radius,
-    _contact_side,
     find_grasp_plane,
     initial_score,
     rank_pairs,
@@ -37,23 +36,6 @@ def test_initial_points_are_the_extremes_near_the_plane():
         find_grasp_plane(np.ones((1, 3), np.float32), np.ones(3), Y, 0, 0.007)
     for width, radius in ((0.2, 0.05), (0.1, 0.035), (0.06, 0.021)):  # the two spheres of candidates stay apart
         assert _contact_radius(width, CONFIG) == pytest.approx(radius)
-
-
-def test_candidates_average_their_voxels(rng):
-    xyz = rng.uniform([-0.02, -0.02, 0.98], [0.02, 0.02, 1.02], (400, 3)).astype(np.float32)
-    candidates, initial, n_near = _contact_side(xyz, 7, 0.015, CONFIG)
-    assert n_near == np.count_nonzero(np.linalg.norm(xyz.astype(float) - xyz[7], axis=1) < 0.015)
-    np.testing.assert_allclose(np.linalg.norm(candidates.normal, axis=1), 1.0)
-    np.testing.assert_array_equal(initial.xyz[0], xyz[7])
-    cells = {tuple(cell) for cell in np.floor(candidates.xyz / CONFIG.voxel_m).astype(int)}
-    assert len(cells) == len(candidates.xyz)
-    x, y = np.mgrid[:20, :20] * 0.002
-    flat = np.column_stack([x.ravel(), y.ravel(), np.ones(400)])
-    lonely = np.vstack([flat, [0.5, 0.0, 1.0]]).astype(np.float32)
-    candidates, initial, n_near = _contact_side(lonely, 400, 0.02, CONFIG)
-    assert n_near == 1  # a lonely point leaves its voxel without a normal
-    assert np.isnan(candidates.normal).all()
-    assert np.isnan(initial.curvature).all()
 
 
 def _points(points, curvature, side):

@@ -10,7 +10,7 @@ from corpus.clouds import scene_cases
 from every_case import every_case
 from kernels.references import segmentation as reference
 
-from foretouch.cloud.segmentation import clusters, objects, plane
+from foretouch.cloud.segmentation import objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
@@ -23,7 +23,6 @@ def _with_references(cloud: Cloud, config: SegmentationConfig) -> Segmentation:
         for module, names in (
             (segment_module, {"_count_depths": "count_range", "_every": "every", "label_organised": "label_organised"}),
             (plane, {"_counts": "counts", "_near": "near", "_residuals": "residuals"}),
-            (clusters, {"_plane_heights": "plane_heights"}),
             (objects, {"_segments": "segments", "_write_ids": "write_ids"}),
         ):
             for name, other in names.items():

@@ -217,13 +217,13 @@ def _plan_completed(
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
         counts["n_isolated"] = weighted.n_isolated
     with timed(plan.ms, "axis"):
-        frame = object_frame(weighted, plane)
-        plan.axis, plan.centroid, plan.axis_ratio = frame.axis, frame.centroid, frame.ratio
+        plan.centroid, axis, plan.axis_ratio = object_frame(weighted, plane)
+        plan.axis = axis
         if rng is not None:
             kept = xyz[weighted.inlier > 0.0]
-            plan.slide_m = _random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
+            plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * frame.axis)
+        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * axis)
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
         lines = completed.lines()
@@ -233,7 +233,7 @@ def _plan_completed(
         best = best_lines(completed, lines, config.count)
         ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
         found = [(*pair, SCORE_OF_NONE - float(lines.cost[one])) for pair, one in zip(ends, best, strict=True)]
-        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
+        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found)
         if held is not None and plan.grasps:
             last, margin = held
             cost = float(lines.cost[completed.nearest_line(last.grasp)])

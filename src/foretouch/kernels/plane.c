@@ -44,11 +44,3 @@ void residuals_near(const double *points, const double *along, int64_t n, double
     counts[0] = found;
     counts[1] = wide;
 }
-
-/* Heights (n) of the points (n, 3) above a plane (4). */
-VECTORISED void plane_heights(const float *xyz, int64_t n, const float *plane, float *heights) {
-    const float a = plane[0], b = plane[1], c = plane[2], d = plane[3];
-    for (int64_t i = 0; i < n; i++) {
-        heights[i] = xyz[3 * i] * a + xyz[3 * i + 1] * b + xyz[3 * i + 2] * c + d;
-    }
-}

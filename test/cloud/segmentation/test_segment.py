@@ -9,9 +9,8 @@ import pytest
 from every_case import every_case
 
 from foretouch.cloud.io.files import read_cloud
-from foretouch.cloud.segmentation.clusters import ClusterConfig, CropConfig, in_range
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _count_depths, segment
-from foretouch.errors import ConfigError
+from foretouch.cloud.segmentation.clusters import ClusterConfig
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.types import Cloud
 from foretouch_lab.simulation.depth_scene import DepthImage, random_scene
 
@@ -56,16 +55,6 @@ def _checked(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmenta
     distances = [obj.distance_m for obj in segmentation.objects]
     assert distances == sorted(distances)
     return segmentation
-
-
-def test_the_range_includes_its_ends() -> None:
-    z = np.array([0.1, 0.16, 1.0, 2.0, 2.1, np.nan, np.inf, -np.inf, -1.0], np.float32)
-    np.testing.assert_array_equal(np.flatnonzero(in_range(z, CropConfig())), [1, 2, 3])
-    xyz = np.zeros((len(z), 3), np.float32)
-    xyz[:, 2] = z
-    assert _count_depths(xyz, CropConfig()) == (6, 3)
-    with pytest.raises(ConfigError, match=r"min_range_m: 1\.5 is not below max_range_m 1\.0"):
-        CropConfig(min_range_m=1.5, max_range_m=1.0)
 
 
 def test_all_objects_and_no_others_are_found() -> None:

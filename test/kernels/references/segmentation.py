@@ -37,11 +37,6 @@ def residuals(points, along, offset, reach, depth_m) -> tuple[Array, Array, int]
     return residual[inside], scaled[inside], np.count_nonzero(np.abs(residual) < 3.0 * reach)
 
 
-def plane_heights(xyz, count: int, plane, found) -> None:
-    assert count == len(xyz)
-    found[:] = _heights(plane, xyz)
-
-
 def _heights(plane, xyz) -> Array:
     a, b, c, d = plane
     return xyz[..., 0] * a + xyz[..., 1] * b + xyz[..., 2] * c + d

@@ -26,7 +26,6 @@ from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Int32, Int64, Plane
 
-_plane_heights = Kernel("plane_heights", np.float32, int, np.float32, np.float32)
 _grid_patches = Kernel("grid_patches", *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64))
 _label_window = Kernel(
     "label_window",
@@ -188,9 +187,10 @@ def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold
     Returns:
         One window with all points, or none if nothing is above the table. Small clusters are not yet removed.
     """
-    z, height = np.ascontiguousarray(xyz[:, 2]), np.empty(len(xyz), np.float32)
-    _plane_heights(xyz, len(xyz), threshold.plane.coefficients.astype(np.float32), height)
+    x, y, z = np.ascontiguousarray(xyz.T)
+    a, b, c, d = threshold.plane.coefficients.astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
+        height = x * a + y * b + z * c + d
         least = np.maximum(z * np.float32(threshold.noise_per_m) * z, np.float32(threshold.low_m))
         above = np.flatnonzero((height > least) & (height < np.float32(threshold.high_m)) & in_range(z, crop))
     if not len(above):
