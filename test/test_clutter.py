@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The benchmark of objects that touch: its scores by hand and by a second formulation, its piles by their geometry."""
 
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull
 
 from benchmarks.clutter import piles
-from benchmarks.clutter.metrics import FOUND, score
+from benchmarks.clutter.metrics import score
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
-from foretouch.types import Int32
 from foretouch_lab.simulation.depth_scene import CameraView
 
 
@@ -28,46 +26,6 @@ def test_scores_of_an_example_worked_by_hand() -> None:
     assert (joined.precision, joined.n_found, joined.n_merged, joined.n_cut) == (0.5, 0, 2, 0)  # F of 20/30 each
     perfect = score(true * 5, true)
     assert (perfect.f, perfect.n_found, perfect.n_merged, perfect.n_cut) == (1.0, 2, 0, 0)
-
-
-def test_scores_are_those_of_all_pairings_tried_one_by_one() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        true, predicted = cells(rng, 4), cells(rng, int(rng.integers(2, 6)))
-        expected = tried_one_by_one(predicted, true)
-        result = score(predicted, true)
-        np.testing.assert_allclose((result.precision, result.recall, result.n_found), expected, rtol=1e-12)
-
-
-def cells(rng: np.random.Generator, count: int) -> Int32:
-    """A disc cut into cells around random points, (70, 90)."""
-    v, u = np.indices((70, 90))
-    places = rng.uniform((10, 10), (60, 80), (count, 2))
-    _, nearest = cKDTree(places).query(np.stack([v, u], axis=-1))
-    return np.where(np.hypot(v - 35, u - 45) < rng.uniform(25, 34), 2 + nearest, 0).astype(np.int32)
-
-
-def tried_one_by_one(predicted: Int32, true: Int32) -> tuple[float, float, int]:
-    """Precision, recall and objects found, of the best of all pairings."""
-    ours = {label: set(np.flatnonzero(predicted == label)) for label in np.unique(predicted) if label}
-    theirs = {label: set(np.flatnonzero(true == label)) for label in np.unique(true) if label}
-
-    def f(one: int, other: int) -> float:
-        return 2.0 * len(ours[one] & theirs[other]) / (len(ours[one]) + len(theirs[other]))
-
-    few, many = sorted((list(ours), list(theirs)), key=len)
-    pairings = ([*zip(few, order, strict=False)] for order in permutations(many, len(few)))
-    turned = few == list(theirs)
-    best = max(
-        ([pair[::-1] if turned else pair for pair in one] for one in pairings), key=lambda one: sum(f(*p) for p in one)
-    )
-    best = [pair for pair in best if f(*pair) > 0.0]
-    kept = sum(len(ours[a] & theirs[b]) for a, b in best)
-    return (
-        kept / sum(map(len, ours.values())),
-        kept / sum(map(len, theirs.values())),
-        sum(f(*pair) >= FOUND for pair in best),
-    )
 
 
 @pytest.mark.slow

@@ -114,24 +114,6 @@ def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object() 
     assert len(bench.tables(rows)) == 4
 
 
-def test_objects_rest_on_the_table_and_their_poses_do_not_depend_on_each_other() -> None:
-    item = SOLIDS["box"]
-    for number in range(6):
-        pose = item.pose(number)
-        np.testing.assert_array_equal(pose, item.pose(number))
-        assert item.at(pose).bounds[0, 2] == pytest.approx(0.0, abs=1e-9)
-        assert number % 2 or (pose[:3, :3] @ item.centre + pose[:3, 3])[2] == pytest.approx(0.06)  # upright
-    mass, (x, y, z) = item.mass_kg, (0.06, 0.10, 0.12)
-    np.testing.assert_allclose(
-        np.diag(item.inertia), mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
-    )
-    halves = tuple(
-        trimesh.creation.box((0.06, 0.10, 0.06), trimesh.transformations.translation_matrix([0, 0, h]))
-        for h in (-0.03, 0.03)
-    )
-    np.testing.assert_allclose(Item("halves", halves, mass).inertia, item.inertia, atol=1e-12)
-
-
 def test_a_folder_of_objects_is_read_or_refused_by_name(tmp_path) -> None:
     with pytest.raises(FileError, match="holds no folder"):
         read_items(tmp_path)
@@ -142,8 +124,3 @@ def test_a_folder_of_objects_is_read_or_refused_by_name(tmp_path) -> None:
     (item,) = read_items(tmp_path)
     assert (item.name, item.mass_kg, len(item.parts)) == ("Brick", 0.25, 1)
     np.testing.assert_allclose(item.mesh.extents, (0.06, 0.10, 0.12))
-
-
-def test_shares_are_means_over_objects() -> None:
-    rows = [{"object": "a", "held": True}] * 3 + [{"object": "b", "held": False}]
-    assert bench.share(rows, "held") == "0.50 [0.00, 1.00]"

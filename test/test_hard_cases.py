@@ -94,21 +94,6 @@ def test_touch(model) -> None:
     every_case(OBJECTS, check)
 
 
-def test_pipeline_of_an_object(pipeline) -> None:
-    def check(case: ObjectCase) -> None:
-        try:
-            result = pipeline.run(case.cloud, case.plane)
-        except ForetouchError as err:
-            assert re.search(case.predicted, str(err))  # noqa: PT017
-            return
-        for target in result.targets:
-            _check_predictions(list(target.predictions))
-        assert (result.status == "no_grasp") == (case.by_default != "ok")
-        assert (result.reason != "") == (result.status != "ok")
-
-    every_case(OBJECTS, check)
-
-
 def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
     def check(case: SceneCase) -> None:
         found, result = segment(case.cloud), pipeline.run(case.cloud)

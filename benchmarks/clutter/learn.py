@@ -133,11 +133,8 @@ def touching(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     rng = np.random.default_rng([14, number])
     kind = ("stacked", "beside", "plain", "stacked", "bowls", "stepped", "beside", "balls")[number % 8]
     if kind in {"plain", "stepped"}:
-        makers = (
-            (shapes.stepped,)
-            if kind == "stepped"
-            else (shapes.box, shapes.packet, shapes.can, shapes.tube, shapes.ball)
-        )
+        plain = (shapes.box, shapes.packet, shapes.can, shapes.tube, shapes.ball)
+        makers = (shapes.stepped,) if kind == "stepped" else plain
         model = replace(makers[rng.integers(len(makers))](rng), name="o0").scaled(rng.uniform(0.9, 1.5))
         lying = model.shape == "box" and rng.random() < 0.4
         model = replace(model, size=model.size[rng.permutation(3)]) if lying else model
@@ -416,10 +413,8 @@ def learn(files: Sequence[Path], jobs: int) -> Float32:
                 piled.append(np.full(len(y), touch))
         trees = learned(rows, same, [np.where(one, weight, 1.0) for one in piled], count)
         with Pool(jobs) as pool:
-            scores = {
-                name: round(value, 3)
-                for name, value in summary(pool.imap(partial(score_of, trees), new, chunksize=8)).items()
-            }
+            means = summary(pool.imap(partial(score_of, trees), new, chunksize=8))
+        scores = {name: round(value, 3) for name, value in means.items()}
         print(f"{sum(map(len, same))} pairs: {scores}", flush=True)
     write(trees, scores, len(known), sum(map(len, same)))
     return trees

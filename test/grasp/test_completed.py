@@ -6,7 +6,6 @@ import pytest
 from every_case import every_case
 from seen_solids import Camera, Solid, about_vertical, ball, box, can
 
-from foretouch.cloud.geometry.flying import flying_mask
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, object_axis, plan_grasps
@@ -67,16 +66,6 @@ def test_the_best_grasp_goes_through_the_middle_of_the_whole_solid() -> None:
     assert np.mean(errors) < 0.004
 
 
-def test_the_middle_of_what_is_seen_is_not_that_of_the_solid() -> None:
-    """The published method closes in front of the middle: the reason for this one."""
-    camera, upright = Camera(50.0), SOLIDS["can"]
-    cloud = camera.see(upright)
-    published = plan_grasps(cloud, camera.table(), GeoGraspConfig(method="original"))
-    for plan, off in ((published, True), (plan_grasps(cloud, camera.table(), CONFIG), False)):
-        middle = camera.to_world(contacts(plan)).mean(axis=0)
-        assert (np.linalg.norm(middle - [0.0, 0.0, 0.06]) > 0.012) == off
-
-
 def test_a_turn_about_the_vertical_carries_the_grasp_along() -> None:
     """Seen from above, by a turn of the solid; obliquely, by a turn of the image, which is one of the camera."""
     above, solid = Camera(90.0), box(0.05, 0.11, 0.04)
@@ -91,19 +80,6 @@ def test_a_turn_about_the_vertical_carries_the_grasp_along() -> None:
         turned = Cloud((cloud.xyz @ roll.T).astype(np.float32))
         after = contacts(plan_grasps(turned, Plane(roll @ table.normal, table.offset), CONFIG))
         assert gap_mm(after @ roll, first) < 10.0, degrees
-
-
-def test_a_shift_carries_the_grasp_along_and_a_far_point_is_dropped(box_cloud: Cloud, top_view: Plane) -> None:
-    box_cloud = Cloud(box_cloud.xyz[:1400])  # so few that none is left out
-    before = plan_grasps(box_cloud, top_view, CONFIG)
-    for shift in ([0.001, 0.0, 0.0], [0.0, 0.002, 0.0]):
-        after = contacts(plan_grasps(Cloud((box_cloud.xyz + shift).astype(np.float32)), top_view, CONFIG))
-        assert gap_mm(after, contacts(before) + shift) < 2.0
-    for offset in ([0.25, 0.0, 0.0], [0.0, -0.2, 0.1], [0.0, 0.0, -0.3]):
-        far = box_cloud.xyz.mean(axis=0) + np.float32(offset)
-        after = plan_grasps(Cloud(np.vstack([box_cloud.xyz, far]).astype(np.float32)), top_view, CONFIG)
-        assert (before.counts["n_isolated"], after.counts["n_isolated"]) == (0, 1)
-        assert gap_mm(contacts(after), contacts(before)) < 5.0
 
 
 def test_neither_the_order_nor_points_without_depth_change_a_bit(rng: np.random.Generator) -> None:
@@ -250,20 +226,6 @@ def test_a_cloud_in_the_objects_own_frame_is_admitted_by_the_setting_that_the_re
     assert np.abs(plan.grasps[0].midpoint).max() < 0.012
     assert plan.grasps[0].width_m == pytest.approx(0.05, abs=0.008)
     assert abs(plan.grasps[0].rotation[0, 2]) > 0.97
-
-
-def test_flying_points_do_not_move_the_plan(box_cloud, top_view, rng) -> None:
-    xyz = box_cloud.xyz
-    some = rng.random(len(xyz)) < 0.05
-    flying = np.where(some[:, None], xyz * (1.0 - rng.uniform(0.01, 0.08, (len(xyz), 1))), xyz).astype(np.float32)
-    marked = flying_mask(flying, CONFIG.flying_share)
-    assert np.count_nonzero(marked & some) > 0.85 * np.count_nonzero(some)
-    assert np.count_nonzero(marked & ~some) < 0.01 * len(xyz)
-    plans = [plan_grasps(Cloud(one), top_view, CONFIG) for one in (xyz, flying)]
-    assert "n_flying" not in plans[0].counts
-    assert plans[1].counts["n_flying"] == np.count_nonzero(marked)
-    assert gap_mm(contacts(plans[0]), contacts(plans[1])) < 10.0
-    assert "n_flying" not in plan_grasps(Cloud(flying), top_view, CONFIG.replace(flying_share=1.0)).counts
 
 
 @pytest.mark.real_data

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Voxel grid, normals and outlier removal against plain definitions; test/kernels compares them with NumPy."""
 
-import itertools
 
 import numpy as np
 import pytest
@@ -75,11 +74,7 @@ def test_no_plane_no_normal_and_empty_and_tiny_clouds():
         np.testing.assert_array_equal(mean_neighbour_distance(np.ones((n, 3), np.float32), 50), np.zeros(n))
 
 
-def test_more_deviations_keep_more_and_distances_and_quantiles_are_those_of_numpy(rng):
-    xyz = rng.standard_t(2, (500, 3)).astype(np.float32)
-    kept = [inlier_mask(xyz, deviations=d) for d in (0.0, 0.5, 1.0, 3.0)]
-    assert all((one <= other).all() for one, other in itertools.pairwise(kept))
-    assert kept[0].sum() < kept[-1].sum()
+def test_an_outlier_is_dropped_and_distances_and_quantiles_are_those_of_numpy(rng):
     line = np.column_stack([np.arange(60) * 0.001, np.zeros(60), np.ones(60)])
     assert not inlier_mask(np.concatenate([line, [[0.5, 0.5, 1.0]]]).astype(np.float32))[-1]
 
