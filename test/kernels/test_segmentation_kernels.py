@@ -60,8 +60,8 @@ def test_hard_and_generated_scenes_and_any_settings(rng: np.random.Generator) ->
     xyz = random_scene(rng, 640, 480).render(rng, 0.001, True).cloud().xyz
     xyz[rng.random(xyz.shape[:2]) < 0.05] = np.nan
     settings = {
-        "all apart": ClusterConfig(gap_m=0.001, max_slope=1.0, flying_slope=1.0, min_points=1, min_top_m=0.0),
-        "connected": ClusterConfig(gap_m=0.1, max_slope=99.0, flying_slope=99.0, noise_factor=0.0, min_height_m=0.001),
+        "all apart": ClusterConfig(gap_m=0.001, min_points=1, min_top_m=0.0),
+        "connected": ClusterConfig(gap_m=0.1, min_height_m=0.001),
         "all too large": ClusterConfig(max_extent_m=0.05, min_points=5000),
     }
     every_case(settings, lambda one: _assert_same(Cloud(xyz), replace(SegmentationConfig(), clusters=one)))

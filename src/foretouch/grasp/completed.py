@@ -347,9 +347,9 @@ def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> l
 
 def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:
     """Ids of the objects that block lines, ascending."""
-    return (
-        () if obstacles is None else tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
-    )
+    if obstacles is None:
+        return ()
+    return tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
 
 
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:

@@ -54,7 +54,7 @@ class GraspPlan:
     reason: str = ""  # explanation of the status
     grasps: tuple[Grasp, ...] = ()  # best first
     initial_points: Float64 | None = (
-        None  # (2, 3) float64 [m], the extremes near the grasp plane; `completed`: its contacts
+        None  # (2, 3) float64 [m], extremes near the grasp plane; `completed`: its contacts
     )
     axis: Float64 | None = None  # (3,) float64, the object's axis
     centroid: Float64 | None = None  # (3,) float64 [m], of the object

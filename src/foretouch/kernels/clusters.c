@@ -156,7 +156,7 @@ done:
 }
 
 enum { TAKEN = 1, BESIDE = 2 };   /* of a pixel, whatever the window */
-enum { ABOVE = 1, BELOW = 2, LOW_EDGE = 4 }; /* of a pixel by its height; LOW_EDGE may be the foot of an object */
+enum { ABOVE = 1, BELOW = 2, LOW_EDGE = 4, OFF = 8 }; /* of a pixel by its height; LOW_EDGE may be the foot of an object; OFF its ray */
 
 typedef struct {
     int64_t h, w, stride, gh, gw; /* size of the window, step and size of its part of the coarse grid */
@@ -388,16 +388,15 @@ INLINE float read_row(const window *v, const float *points, int64_t row, const f
         for (int64_t i = 0; i < v->w; i++) {
             const float dx = fabsf(points[3 * i] - ray_x[i] * z[i]), dy = fabsf(points[3 * i + 1] - ray_y[i] * z[i]);
             const float limit = z[i] * deviation;
-            beside |= ((dx > limit) | (dy > limit)) & (dx == dx) & (dy == dy) & (z[i] > 0.0f);
+            const int32_t off = ((dx > limit) | (dy > limit)) & (dx == dx) & (dy == dy) & (z[i] > 0.0f);
+            beside |= off, kinds[i] |= off * OFF;
         }
     }
     for (int64_t i = 0; i < v->w; i++) {
         kind[i] = (uint8_t)kinds[i];
     }
     for (int64_t i = 0; i < v->w && beside; i++) {
-        const float dx = fabsf(points[3 * i] - ray_x[i] * z[i]), dy = fabsf(points[3 * i + 1] - ray_y[i] * z[i]);
-        const float limit = z[i] * deviation;
-        if ((dx > limit || dy > limit) && dx == dx && dy == dy && z[i] > 0.0f) {
+        if (kind[i] & OFF) {
             if (z[i] >= nearest && z[i] <= farthest) {
                 marks[i] |= BESIDE;
                 *any_beside = 1;

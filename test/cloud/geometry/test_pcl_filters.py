@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Voxel grid, normals and outlier removal against plain definitions; test/kernels compares them with NumPy."""
 
-
 import numpy as np
 import pytest
 from every_case import every_case

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from every_case import every_case
 
 from foretouch.cloud.segmentation.plane import fit_plane
-from foretouch.cloud.segmentation.rays import RayConfig, RayFilter
+from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _coarse, segment
 from foretouch.types import Cloud
 from foretouch_lab.simulation.depth_scene import random_scene
@@ -57,13 +57,13 @@ def test_a_damaged_pixel_that_the_plane_fit_samples_does_not_turn_the_table() ->
 
 def test_an_image_in_millimetres_is_refused_a_rotated_one_and_pixels_on_one_line_are_on_rays() -> None:
     xyz = _scene() * np.array([1000.0, 1000.0, 1.0], np.float32)  # its lateral coordinates alone
-    for cloud, reason in ((xyz, "field_of_view_deg 120"), (xyz[np.isfinite(xyz[..., 2])], "field of view of 120")):
+    for cloud, reason in ((xyz, "field of view of 120"), (xyz[np.isfinite(xyz[..., 2])], "field of view of 120")):
         found = _strictly(Cloud(cloud))
         assert (found.status, reason in found.reason) == ("bad_cloud", True)
     found = _strictly(Cloud(np.ascontiguousarray(np.rot90(_scene(), axes=(0, 1)))))
     assert (found.status, found.counts["off_ray"]) == ("ok", 0)
     columns = np.arange(5)
     sample = np.stack([columns * 0.1, columns * 0.0, np.ones(5)], axis=1).astype(np.float32)
-    rays = RayFilter(sample, np.zeros(5, np.intp), columns.astype(np.intp), RayConfig())
+    rays = RayFilter(sample, np.zeros(5, np.intp), columns.astype(np.intp))
     assert rays.reason == ""
     assert not rays.off_sample.any()

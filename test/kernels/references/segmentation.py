@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from foretouch.cloud.segmentation.clusters import Clusters, in_range, pixel_pitch
+from foretouch.cloud.segmentation.clusters import FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
 from foretouch.cloud.segmentation.objects import ObjectSegment
 
 Array = np.ndarray[Any, Any]
@@ -89,10 +89,10 @@ def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None) -> 
             z = points[..., 2]
             nodes = above[::stride, ::stride] & (patches[rows, columns] == number)
             below = height <= _least(threshold, z)
-            nodes = _label_nodes(nodes, z, below, stride, lambda z: step(z, config.max_slope))
+            nodes = _label_nodes(nodes, z, below, stride, lambda z: step(z, MAX_SLOPE))
             nodes = _kept(nodes, min_nodes)
             labels = _grow(nodes, z, above, stride)
-            solid = _refine(labels, z, height, above, threshold, lambda z: step(z, config.flying_slope))
+            solid = _refine(labels, z, height, above, threshold, lambda z: step(z, FLYING_SLOPE))
             labels[taken[part]] = 0  # base pixels may lie between two patches: they belong to the first
             solid &= labels > 0
             taken[part] |= solid

@@ -33,6 +33,9 @@ _label_window = Kernel(
     *(np.float64, int, int, int, np.uint8, np.int32, np.uint8, np.int64),
 )
 
+NOISE_FACTOR = 2.5  # standard deviations of the depth noise, within which points belong to the table
+MAX_SLOPE = 20.0  # depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees
+FLYING_SLOPE = 4.0  # beyond which a neighbour does not support a pixel; unsupported pixels are flying
 _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
 
 
@@ -59,22 +62,7 @@ class ClusterConfig(Settings):
     """Which points are above the table, and which of them are one object."""
 
     min_height_m: float = setting(0.004, "Points lower than this above the table belong to it", bounds=(0.001, 0.1))
-    noise_factor: float = setting(
-        2.5,
-        "Points within so many standard deviations of the depth noise, measured on the table, also belong to it",
-        bounds=(0.0, 10.0),
-    )
     gap_m: float = setting(0.008, "Neighbouring pixels that differ less in depth are connected", bounds=(0.001, 0.1))
-    max_slope: float = setting(
-        20.0,
-        "Depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees",
-        bounds=(1.0, 100.0),
-    )
-    flying_slope: float = setting(
-        4.0,
-        "Depth per lateral distance beyond which a neighbour does not support a pixel; unsupported pixels are flying",
-        bounds=(1.0, 100.0),
-    )
     min_points: int = setting(150, "Smaller clusters are dropped", bounds=(1, 10_000_000))
     min_top_m: float = setting(0.012, "Clusters that do not rise higher above the table are dropped", bounds=(0.0, 0.5))
     max_extent_m: float = setting(
@@ -132,7 +120,7 @@ def label_organised(
         [
             *threshold.plane.coefficients,
             *(threshold.low_m, threshold.noise_per_m, threshold.high_m, crop.min_range_m, crop.max_range_m),
-            *(config.max_slope * pitch, config.flying_slope * pitch, config.gap_m, config.min_top_m),
+            *(MAX_SLOPE * pitch, FLYING_SLOPE * pitch, config.gap_m, config.min_top_m),
             *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
         ]
     )
@@ -150,19 +138,17 @@ def label_organised(
     marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
     marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
     windows: list[Clusters] = []
-    any_beside = False
+    beside = 0
     for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
-        labels, solid = (
-            np.empty((bottom - top, right - left), np.int32),
-            np.empty((bottom - top, right - left), np.uint8),
-        )
+        labels = np.empty((bottom - top, right - left), np.int32)
+        solid = np.empty(labels.shape, np.uint8)
         rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, found)
         _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
         if found[0] < 0:
             raise MemoryError("label_window")
-        any_beside |= found[1] > 0
+        beside += int(found[1])
         windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), top, left))
-    if any_beside and rays is not None:
+    if beside and rays is not None:
         rows, columns = np.nonzero(marks & 2)
         rays.dropped.append((rows + low[0]) * image[1] + columns + low[2])
     return windows

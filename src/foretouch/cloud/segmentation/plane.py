@@ -30,6 +30,7 @@ _Rows = Index | slice
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
 _MIN_PEAK = 0.6  # of the points within three thresholds, within one: a blob has 0.3 to 0.5, a table almost 1
 _MIN_SPREAD_M = 0.02  # least standard deviation of the table's points along its narrow side
+_MAX_TRIALS = 1024  # RANSAC samples
 _SEED = 0  # of the samples: the same points give the same plane
 
 
@@ -39,7 +40,6 @@ class PlaneConfig(Settings):
 
     threshold_m: float = setting(0.01, "Points closer than this belong to a plane", bounds=(0.001, 0.1))
     min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", bounds=(0.01, 1.0))
-    max_trials: int = setting(1024, "Maximum number of RANSAC samples", bounds=(64, 100_000))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +107,8 @@ def _some(n: int, count: int, rng: np.random.Generator) -> _Rows:
 def _ransac(points: Float32, config: PlaneConfig, batches: Iterator[Index]) -> Float32 | None:
     """(4,) float32 a, b, c, d of the hypothesis with most points, None if all are degenerate."""
     best, most, trials = None, 0, 0
-    needed: float = config.max_trials
-    while trials < min(needed, config.max_trials):
+    needed: float = _MAX_TRIALS
+    while trials < min(needed, _MAX_TRIALS):
         a, b, c = points[next(batches)]
         normals = _cross(b - a, c - a)
         lengths = np.linalg.norm(normals, axis=1)
