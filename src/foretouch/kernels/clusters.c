@@ -79,19 +79,16 @@ INLINE void join(int32_t *parent, int32_t i, int32_t j) {
  * end of each. found: the number of patches, -1 without memory; and whether a pixel is beside its ray. */
 VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t stride, int64_t min_nodes, const double *settings,
                              int32_t *number, int64_t *boxes, int64_t *found) {
-    if (h * w >= INT32_MAX) {
-        found[0] = -1;
-        return;
-    }
-    int32_t *parent = malloc((size_t)(h * w + 1) * sizeof(int32_t)), *count = calloc((size_t)(h * w + 1), sizeof(int32_t));
-    uint8_t *tall = calloc((size_t)(h * w + 1), 1);
+    const int64_t n = h * w;
+    int32_t *parent = n < INT32_MAX ? calloc((size_t)n + 1, 2 * sizeof(int32_t) + 1) : NULL;
     double s[RAY_Y + 3];
     memcpy(s, settings, sizeof s);
-    found[0] = -1;
-    found[1] = 0;
-    if (!parent || !count || !tall) {
-        goto done;
+    found[0] = -1, found[1] = 0;
+    if (!parent) {
+        return;
     }
+    int32_t *count = parent + n;
+    uint8_t *tall = (uint8_t *)(count + n);
     for (int64_t row = 0; row < h; row++) {
         for (int64_t column = 0; column < w; column++) {
             const int64_t i = row * w + column;
@@ -149,10 +146,7 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
         }
     }
     found[0] = last;
-done:
     free(parent);
-    free(count);
-    free(tall);
 }
 
 enum { TAKEN = 1, BESIDE = 2 };   /* of a pixel, whatever the window */
@@ -189,9 +183,10 @@ INLINE int is_joined(const window *v, int64_t first, int64_t step) {
 /* Labels the nodes of one patch and drops small components; the largest label, -1 without memory. */
 INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, int64_t patch, int64_t min_nodes) {
     const int64_t gh = v->gh, gw = v->gw;
-    int32_t *parent = malloc((size_t)(gh * gw + 1) * sizeof(int32_t)), *count = calloc((size_t)(gh * gw + 1), sizeof(int32_t));
+    int32_t *parent = calloc((size_t)(gh * gw + 1), 2 * sizeof(int32_t));
     int64_t last = -1;
-    if (parent && count) {
+    if (parent) {
+        int32_t *count = parent + gh * gw;
         for (int64_t row = 0; row < gh; row++) {
             for (int64_t column = 0; column < gw; column++) {
                 const int32_t i = (int32_t)(row * gw + column);
@@ -224,7 +219,6 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
         }
     }
     free(parent);
-    free(count);
     return last;
 }
 
@@ -435,17 +429,17 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
     const size_t size = (size_t)((h + 2) * line);
     double s[RAY_Y + 3];
     memcpy(s, settings, sizeof s);
-    float *memory = h * w < INT32_MAX ? malloc((size + 3 * (size_t)w) * sizeof(float)) : NULL;
+    const size_t nodes = (size_t)(((h + stride - 1) / stride) * ((w + stride - 1) / stride));
+    float *memory = h * w < INT32_MAX ? malloc((size + 3 * (size_t)w + nodes) * sizeof(float) + size) : NULL;
     window v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, line, NULL, NULL, NULL, s};
-    uint8_t *kinds = malloc(size);
-    v.nodes = malloc((size_t)(v.gh * v.gw) * sizeof(int32_t) + 1);
     found[0] = -1;
     found[1] = 0;
-    if (memory && kinds && v.nodes) {
+    if (memory) {
         v.z = memory + line + 1;
-        v.kind = kinds + line + 1;
         float *ray_x = memory + size, *ray_y = ray_x + w, least = INFINITY;
         int32_t *row_of_flags = (int32_t *)(ray_y + w);
+        v.nodes = row_of_flags + w;
+        v.kind = (uint8_t *)(v.nodes + nodes) + line + 1;
         for (int64_t i = 0; i < line; i++) {
             memory[i] = memory[(h + 1) * line + i] = NAN;
         }
@@ -486,8 +480,6 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
         }
     }
     free(memory);
-    free(kinds);
-    free(v.nodes);
 }
 
 /* The end of the pixels from `first` that are solid with one label, or that are not solid. */
