@@ -72,6 +72,31 @@ INLINE void join(int32_t *parent, int32_t i, int32_t j) {
     }
 }
 
+/* Numbers the connected sets of the n cells with a number above 0, from 1 in the order of their first cells, 0 for those of fewer
+ * than `least` cells or, where that is given, with none that is tall. count: (n), zeros. Returns the largest number. */
+INLINE int32_t number_sets(int32_t *parent, int32_t *number, int64_t n, int64_t least, uint8_t *tall, int32_t *count) {
+    int32_t last = 0;
+    for (int64_t i = 0; i < n; i++) {
+        if (number[i] > 0) {
+            const int32_t root = root_of(parent, (int32_t)i);
+            count[root]++;
+            if (tall) {
+                tall[root] |= tall[i];
+            }
+        }
+    }
+    for (int64_t i = 0; i < n; i++) {
+        if (number[i] > 0) {
+            const int32_t root = root_of(parent, (int32_t)i);
+            if (root == i) { /* the first of its set: from here on its count is its number */
+                count[i] = count[i] >= least && (!tall || tall[i]) ? ++last : 0;
+            }
+            number[i] = count[root];
+        }
+    }
+    return last;
+}
+
 /* Patches of the coarse grid (h, w, 3) above the table; diagonal neighbours are in one patch.
  *
  * number: (h, w), from 1 in the order of their first pixels, without those of fewer than `min_nodes` pixels or nowhere
@@ -94,6 +119,7 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
             const int64_t i = row * w + column;
             const float *p = grid + 3 * i;
             number[i] = is_above(height_of(p, s), p[2], s);
+            tall[i] = height_of(p, s) > (float)s[TOP];
             parent[i] = (int32_t)i;
         }
         for (int64_t column = 0; column < w; column++) {
@@ -116,33 +142,16 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
             }
         }
     }
-    for (int64_t i = 0; i < h * w; i++) {
-        if (number[i] > 0) {
-            const int32_t root = root_of(parent, (int32_t)i);
-            count[root]++;
-            tall[root] |= height_of(grid + 3 * i, s) > (float)s[TOP];
-        }
+    const int32_t last = number_sets(parent, number, n, min_nodes, tall, count);
+    for (int64_t k = 0; k < last; k++) {
+        boxes[4 * k] = h, boxes[4 * k + 1] = 0, boxes[4 * k + 2] = w, boxes[4 * k + 3] = 0;
     }
-    int32_t last = 0;
-    for (int64_t i = 0; i < h * w; i++) {
-        if (number[i] <= 0) {
-            continue;
-        }
-        const int64_t root = root_of(parent, (int32_t)i), row = i / w, column = i % w;
-        if (root == i) { /* the first of its patch: from here on its count is its number */
-            const int keep = count[i] >= min_nodes && tall[i];
-            count[i] = keep ? ++last : 0;
-            if (keep) {
-                int64_t *box = boxes + 4 * (last - 1);
-                box[0] = row, box[1] = row + 1, box[2] = column, box[3] = column + 1;
-            }
-        }
-        number[i] = count[root];
+    for (int64_t i = 0; i < n; i++) {
+        const int64_t row = i / w, column = i % w;
         if (number[i] > 0) {
             int64_t *box = boxes + 4 * (number[i] - 1);
-            box[1] = row + 1;
-            box[2] = column < box[2] ? column : box[2];
-            box[3] = column + 1 > box[3] ? column + 1 : box[3];
+            box[0] = row < box[0] ? row : box[0], box[1] = row + 1;
+            box[2] = column < box[2] ? column : box[2], box[3] = column + 1 > box[3] ? column + 1 : box[3];
         }
     }
     found[0] = last;
@@ -204,19 +213,7 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
                 }
             }
         }
-        for (int64_t i = 0; i < gh * gw; i++) {
-            count[v->nodes[i] ? root_of(parent, (int32_t)i) : gh * gw]++;
-        }
-        last = 0;
-        for (int64_t i = 0; i < gh * gw; i++) {
-            if (v->nodes[i]) {
-                const int32_t root = root_of(parent, (int32_t)i);
-                if (root == i) {
-                    count[i] = count[i] >= min_nodes ? (int32_t)++last : 0;
-                }
-                v->nodes[i] = count[root];
-            }
-        }
+        last = number_sets(parent, v->nodes, gh * gw, min_nodes, NULL, count);
     }
     free(parent);
     return last;
