@@ -83,7 +83,7 @@ def _plane_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """A table that becomes a narrow strip, at up to 10 km."""
     flat = rng.uniform(-1.0, 1.0, (60, 3)) * [1.0, span(t, 0.8, 0.06), 1e-4]
     points = float32_cloud(flat @ rotation(rng).T + span(t, 1.0, 1e4) * np.array([0.1, -0.2, 1.0]))
-    plane = fit_plane(points, PlaneConfig()).plane
+    plane, *_ = fit_plane(points, PlaneConfig())
     assert plane is not None
     centre, spread = covariance(exact(points))
     values, vectors = eigen(spread)

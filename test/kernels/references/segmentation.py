@@ -30,11 +30,11 @@ def near(points, along, offset, reach) -> Array:
     return points[np.abs(along + offset) < reach]
 
 
-def residuals(points, along, offset, reach, depth_m) -> tuple[Array, Array, int]:
+def residuals(points, along, offset, reach, depth_m) -> tuple[Array, int]:
     residual, depth = along + offset, points[:, 2] + depth_m
     inside = np.abs(residual) < reach
     scaled = residual / np.maximum(depth * depth, 1e-4)
-    return residual[inside], scaled[inside], np.count_nonzero(np.abs(residual) < 3.0 * reach)
+    return scaled[inside], np.count_nonzero(np.abs(residual) < 3.0 * reach)
 
 
 def _heights(plane, xyz) -> Array:

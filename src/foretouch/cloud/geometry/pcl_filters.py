@@ -29,7 +29,6 @@ class VoxelGrid:
 
     cell: Int64  # (N,) int64, 0 ... M - 1; cells are ordered x fastest, then y, then z
     counts: Int64  # (M,) int64, points per cell, at least 1
-    leaf_m: float  # edge of a cell [m]
 
     def mean(self, values: Floating) -> Float64:
         """(M, C) float64 means of (N, C) values over the points of each cell; a NaN propagates within its column."""
@@ -52,12 +51,12 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
         CloudError: If the cloud spans too many cells.
     """
     if len(xyz) == 0:
-        return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64), leaf_m)
+        return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64))
     per_m = np.float32(1.0) / np.float32(leaf_m)
     cell, counts, found = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
     _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, found)
     if found[0] >= 0:
-        return VoxelGrid(cell, counts[: found[0]].copy(), leaf_m)
+        return VoxelGrid(cell, counts[: found[0]].copy())
     # The grid is too wide for a table of its cells.
     ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
     ijk -= ijk.min(axis=1, keepdims=True)
@@ -66,7 +65,7 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
         raise CloudError(f"xyz: spans {size.tolist()} cells of {leaf_m} m, too many to number")
     i, j, k = ijk.astype(np.int64)
     _, cell, counts = np.unique(i + int(size[0]) * (j + int(size[1]) * k), return_inverse=True, return_counts=True)
-    return VoxelGrid(cell.reshape(-1), counts, leaf_m)
+    return VoxelGrid(cell.reshape(-1), counts)
 
 
 def normals_and_curvature(xyz: Float32, query: Integer, radius_m: float = 0.03) -> tuple[Float64, Float64]:

@@ -178,12 +178,12 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
             fault = view_fault(counts["off_ray"], usable)
         if fault:
             return "bad_cloud", fault, None, (), labels
-        fit = fit_plane(sample[finite_rows(sample)], config.plane)
-    if fit.plane is None:
-        return "no_plane", fit.reason, None, (), labels
+        plane, noise_per_m, reason = fit_plane(sample[finite_rows(sample)], config.plane)
+    if plane is None:
+        return "no_plane", reason, None, (), labels
     with timed(ms, "clusters"):
         limits = config.clusters
-        threshold = HeightThreshold(fit.plane, limits.min_height_m, NOISE_FACTOR * fit.noise_per_m, _HIGHEST_M)
+        threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
             windows, parts = split_clusters(xyz, windows, threshold, pixel_pitch(coarse) / stride, config.split)
@@ -194,11 +194,11 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         if rays is not None:
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):
-        objects, found = extract_objects(cloud, windows, fit.plane, limits, labels)
+        objects, found = extract_objects(cloud, windows, plane, limits, labels)
         counts |= found
     if not objects:
-        return "no_object", _why_no_object(counts["n_rejected"], limits), fit.plane, (), labels
-    return "ok", "", fit.plane, objects, labels
+        return "no_object", _why_no_object(counts["n_rejected"], limits), plane, (), labels
+    return "ok", "", plane, objects, labels
 
 
 def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -> RayFilter:
