@@ -73,7 +73,7 @@ def test_plan() -> None:
                 assert np.isfinite(grasp.score) or "score" in plan.reason
                 check_rotation(grasp.rotation)
                 check_reach(grasp, case.cloud.xyz, 0.2, away_m)
-            values = (plan.axis, plan.centroid, plan.initial_points, plan.axis_ratio)
+            values = (plan.axis, plan.centroid, plan.initial_points)
             assert all(np.isfinite(value).all() for value in values if value is not None)
             assert not plan.grasps or all(value is not None for value in values)
 

@@ -162,7 +162,7 @@ def _object(t: float, rng: np.random.Generator, n: int = 40) -> WeightedPoints:
 def _frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = _object(t, rng)
     plane = Plane.from_coefficients(np.append(rng.normal(size=3), -1.0))
-    _, found, _ = object_frame(points, plane)
+    _, found = object_frame(points, plane)
     _, spread = covariance(exact(points.xyz), exact(points.area))
     plain, _ = eigen(spread)
     preferred = exact(np.array([0.95, 0.3, 0.08]))

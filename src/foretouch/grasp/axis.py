@@ -47,7 +47,7 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
     if config.method == "completed":
         points = finite_points(cloud).in_canonical_order().downsampled(config)
         distance = mean_neighbour_distance(points.xyz, config.neighbours)
-        centroid, direction, _ = object_frame(weigh_points(points.xyz, distance, config), plane)
+        centroid, direction = object_frame(weigh_points(points.xyz, distance, config), plane)
         return direction, centroid
     axis = find_axis(finite_points(cloud).downsampled(config).without_outliers(config), plane, config)
     return axis.direction, axis.centroid

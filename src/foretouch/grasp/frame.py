@@ -61,8 +61,8 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
     return WeightedPoints(xyz.astype(np.float64, order="C"), inlier, inlier * d * d, int(np.count_nonzero(isolated)))
 
 
-def object_frame(points: WeightedPoints, plane: Plane) -> tuple[Float64, Float64, float]:
-    """(3,) centroid of the visible surface [m], (3,) main axis, and its middle over its major eigenvalue, 0 ... 1.
+def object_frame(points: WeightedPoints, plane: Plane) -> tuple[Float64, Float64]:
+    """(3,) centroid of the visible surface [m], and (3,) main axis.
 
     The sign of the axis follows the object's asymmetry along it and across it.
 
@@ -81,7 +81,7 @@ def object_frame(points: WeightedPoints, plane: Plane) -> tuple[Float64, Float64
     offset = points.xyz - centroid
     covariance = (offset * points.area[:, None]).T @ offset / total
     largest = float(np.linalg.eigvalsh(covariance)[2])
-    values, vectors = np.linalg.eigh(covariance + _AXIS_BIAS * largest * np.outer(PREFERRED, PREFERRED))
+    _, vectors = np.linalg.eigh(covariance + _AXIS_BIAS * largest * np.outer(PREFERRED, PREFERRED))
     axis = vectors[:, 2]
     up = np.asarray(plane.normal, np.float64)
     if up @ centroid > 0.0:
@@ -98,7 +98,7 @@ def object_frame(points: WeightedPoints, plane: Plane) -> tuple[Float64, Float64
     skew = sum(_third_moment(weight, along) for along in (offset @ axis, offset @ across))
     if skew + _SIGN_BIAS * (across @ PREFERRED) < 0.0:
         axis = -axis
-    return centroid, axis, float(max(values[1], 0.0) / values[2])
+    return centroid, axis
 
 
 def _third_moment(weight: Float64, along: Float64) -> float:

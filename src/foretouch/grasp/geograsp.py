@@ -58,7 +58,6 @@ class GraspPlan:
     )
     axis: Float64 | None = None  # (3,) float64, the object's axis
     centroid: Float64 | None = None  # (3,) float64 [m], of the object
-    axis_ratio: float | None = None  # middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary
     slide_m: float = 0.0  # shift of the grasp plane along the axis [m]
     lost: float = 0.0  # score of the best grasp that other objects cost; infinite if they block all ("completed" only)
     blocked_by: tuple[int, ...] = ()  # ids of the objects that block some grasps, ascending
@@ -151,7 +150,7 @@ def _plan_original(
         counts["n_filtered"] = len(xyz)
     with timed(plan.ms, "axis"):
         found = find_axis(xyz, plane, config)
-        plan.axis, plan.centroid, plan.axis_ratio = found.direction, found.centroid, found.ratio
+        plan.axis, plan.centroid = found.direction, found.centroid
         counts["n_voxel"] = len(found.grid.counts)
         counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with timed(plan.ms, "slab"):
@@ -217,7 +216,7 @@ def _plan_completed(
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
         counts["n_isolated"] = weighted.n_isolated
     with timed(plan.ms, "axis"):
-        plan.centroid, axis, plan.axis_ratio = object_frame(weighted, plane)
+        plan.centroid, axis = object_frame(weighted, plane)
         plan.axis = axis
         if rng is not None:
             kept = xyz[weighted.inlier > 0.0]
@@ -236,7 +235,7 @@ def _plan_completed(
         plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found)
         if held is not None and plan.grasps:
             last, margin = held
-            cost = float(lines.cost[completed.nearest_line(last.grasp)])
+            cost = float(lines.cost[completed.nearest_line(last[0])])
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
             plan.grasps = (first, *plan.grasps[1:])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keep the best grasp of an object from cloud to cloud of a stream."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,14 +11,8 @@ from foretouch.types import Cloud, Float64, Grasp
 _OUTDONE = 3  # clouds in a row on which another grasp must be better
 
 
-@dataclass(frozen=True, eq=False)
-class HeldGrasp:
-    """The best grasp of an object in an earlier cloud of a stream."""
-
-    grasp: Grasp
-    axis: Float64  # (3,) float64, the object's axis for which it was planned
-    outdone: int = 0  # clouds in a row on which another grasp was better
-
+HeldGrasp = tuple[Grasp, int]
+"""The best grasp of an object in an earlier cloud of a stream, and on how many clouds in a row another was better."""
 
 _Place = tuple[Float64, Float64]
 """(3,) float64 centroid and (3,) float64 mean deviation of x, y, z from it, of the points of an object [m]."""
@@ -46,13 +40,11 @@ class GraspHold:
         return None if found is None else found[1]
 
     def remember(self, cloud: Cloud, best: HeldGrasp) -> None:
-        """Keep the best grasp of an object for the next cloud, with the object's axis in the present one."""
+        """Keep the best grasp of an object for the next cloud."""
         now = self._measure(cloud)
         before = self._find(now)
-        if before is not None and np.array_equal(_contacts(before[1].grasp), _contacts(best.grasp)):
-            self._fresh.append((before[0], replace(before[1], outdone=best.outdone)))
-        else:
-            self._fresh.append((now, best))
+        same = before is not None and np.array_equal(_contacts(before[1][0]), _contacts(best[0]))
+        self._fresh.append((before[0], (before[1][0], best[1])) if before is not None and same else (now, best))
 
     def next_cloud(self) -> None:
         """Forget the objects that the last cloud did not hold."""
@@ -79,8 +71,9 @@ def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -
     Returns:
         The best grasp, and for how many clouds in a row it has been outdone.
     """
-    outdone = 0 if new.score <= held_score + margin else held.outdone + 1
-    return (replace(held.grasp, score=held_score, id=""), outdone) if outdone < _OUTDONE else (new, 0)
+    grasp, before = held
+    outdone = 0 if new.score <= held_score + margin else before + 1
+    return (replace(grasp, score=held_score, id=""), outdone) if outdone < _OUTDONE else (new, 0)
 
 
 def _contacts(grasp: Grasp) -> Float64:
