@@ -151,7 +151,7 @@ def _plan_original(
     with timed(plan.ms, "axis"):
         found = find_axis(xyz, plane, config)
         plan.axis, plan.centroid = found.direction, found.centroid
-        counts["n_voxel"] = len(found.grid.counts)
+        counts["n_voxel"] = len(found.cells[1])
         counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with timed(plan.ms, "slab"):
         if rng is not None:
@@ -172,13 +172,13 @@ def _best_grasps(
 ) -> None:
     """The best ranked pairs, or the initial points if no pair passes the filters."""
     with timed(plan.ms, "ranking"):
-        ranking = rank_pairs(sides, grasp_plane, centroid)
-        plan.counts.update(ranking.counts)
-        ranked, pairs = len(ranking.score), ranking.counts["n_pairs"]
+        first, second, scores, counts = rank_pairs(sides, grasp_plane, centroid)
+        plan.counts.update(counts)
+        ranked, pairs = len(scores), counts["n_pairs"]
         score, unscored = (0.0, "") if ranked else initial_score(sides, grasp_plane, centroid)
     with timed(plan.ms, "pose"):
         if ranked:
-            best = zip(ranking.first[:count], ranking.second[:count], ranking.score[:count], strict=True)
+            best = zip(first[:count], second[:count], scores[:count], strict=True)
             contacts = [(sides[0].candidates.xyz[a], sides[1].candidates.xyz[b], float(s)) for a, b, s in best]
             reason = f"{ranked} of {pairs} pairs of candidates pass the filters"
         else:
