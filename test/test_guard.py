@@ -10,6 +10,11 @@ from benchmarks.common import read_csv
 from benchmarks.guard import bench, cases
 
 
+@pytest.fixture(autouse=True)
+def few_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "_TURNS", 4)
+
+
 def busy(seconds: float):
     """A job that takes CPU time."""
 
