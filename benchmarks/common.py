@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all benchmarks share: one command line, cells that become rows, tables as CSV, Markdown and text. Run them from the root.
-
-A benchmark is a function that yields rows, plain dicts with the same keys, from the options of its command line. `command` runs it,
-prints each table and writes it as CSV. Those with a table in their README replace what stands between its marks.
-"""
+"""What benchmarks share: tables as CSV, Markdown and text, CPU times, scenes, and the option `--data`. Run them from the root."""
 
 import csv
 import os
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -23,35 +19,6 @@ BEGIN: Final = "<!-- written by the benchmark -->\n"
 END: Final = "<!-- end of what is written -->\n"
 
 Rows = Iterable[Mapping[str, Any]]
-
-
-def command(
-    doc: str | None,
-    tables: Callable[[Namespace], Mapping[Path, Rows]],
-    options: Mapping[str, Mapping[str, Any]] | None = None,
-    *,
-    data: bool = False,
-) -> Namespace:
-    """The whole of a benchmark: read the command line, measure, print and write the tables; returns the options.
-
-    Args:
-        doc: Docstring of the benchmark.
-        tables: From the options to rows by the CSV that holds them; a table is measured once the one before it is written.
-        options: Arguments of `add_argument` by flag.
-        data: Whether it reads recordings of others, which `--data` names.
-    """
-    parser = ArgumentParser(description=doc)
-    if data:
-        add_data(parser)
-    for flag, given in (options or {}).items():
-        parser.add_argument(flag, **given)
-    parser.add_argument("-o", "--out", type=Path, help="folder of the tables, instead of the committed ones")
-    arguments = parser.parse_args()
-    for path, rows in tables(arguments).items():
-        found = list(rows)
-        write_csv(arguments.out / path.name if arguments.out else path, found)
-        print_rows(found)
-    return arguments
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:

@@ -73,10 +73,10 @@ class Client:
     def reported(self, node: str, before: Report | None, now: Report) -> None:
         """Called with each report of a node, and the one before of the same process."""
 
-    def report(self, node: str, since: float = 0.0) -> Mapping[str, str]:
-        """Values of the latest report of a node; empty if it is older than that."""
+    def report(self, node: str) -> Mapping[str, str]:
+        """Values of the latest report of a node; empty if there is none."""
         with self.lock:
-            found = [report for (name, _), report in self.reports.items() if name == node and report.time_s >= since]
+            found = [report for (name, _), report in self.reports.items() if name == node]
         return max(found, key=lambda report: report.time_s).values if found else {}
 
     def is_active(self, nodes: Sequence[str]) -> bool:
@@ -103,14 +103,11 @@ class Client:
         return future.result() if self.wait(future.done, CALL_S) else None
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
-        """The result of setting a parameter, to a `ParameterValue` or a value of Python; None without an answer."""
-        from rcl_interfaces.msg import Parameter, ParameterValue
+        """The result of setting a parameter; None without an answer."""
         from rcl_interfaces.srv import SetParameters
-        from rclpy.parameter import Parameter as PythonParameter
+        from rclpy.parameter import Parameter
 
-        if not isinstance(value, ParameterValue):
-            value = PythonParameter(name, value=value).get_parameter_value()
-        request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         answer = self.call(SetParameters, f"{NAMESPACE}/{node}/set_parameters", request)
         return None if answer is None else answer.results[0]
 
@@ -130,21 +127,20 @@ def prepare_domain(domain: int) -> None:
     prepare_environment()
 
 
-def spawn(
-    nodes: Sequence[str], parameters: Mapping[str, Any], log: Path | None = None, start: Sequence[str] = ()
-) -> subprocess.Popen[bytes]:
+def spawn(nodes: Sequence[str], parameters: Mapping[str, Any], log: Path | None = None) -> subprocess.Popen[bytes]:
     """Start nodes in a child process.
 
     Args:
         nodes: Names.
         parameters: Of all of them.
         log: File that receives what the child writes, after what it holds; else it is not kept.
-        start: Arguments of Python before the names of the nodes; their usual executable if empty.
     """
-    code = "import sys; from foretouch.ros.executables import run; n = sys.argv.index('--ros-args'); "
-    usual = ("-c", code + "sys.exit(run(*sys.argv[1:n], args=[sys.argv[0], *sys.argv[n:]]))")
+    code = (
+        "import sys; from foretouch.ros.executables import run; n = sys.argv.index('--ros-args'); "
+        "sys.exit(run(*sys.argv[1:n], args=[sys.argv[0], *sys.argv[n:]]))"
+    )
     given = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
-    command = [sys.executable, *(start or usual), *nodes, "--ros-args", *given]
+    command = [sys.executable, "-c", code, *nodes, "--ros-args", *given]
     with (log or Path(os.devnull)).open("ab") as file:
         return subprocess.Popen(command, stdout=file, stderr=file, cwd=ROOT)
 

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import signal_cases
 from every_case import every_case
 from process_domain import process_environment
 from recording_builders import write_dataset
 from scene_builders import scene_cloud, write_scenes
 
-from benchmarks.soak import signals
 from foretouch.cloud.io.files import write_cloud
 from foretouch.types import Cloud
 
@@ -154,7 +154,7 @@ def wait_for(abuse: Abuse, process: subprocess.Popen[bytes]) -> None:
             pass
         return
     end = time.monotonic() + PATIENCE_S
-    while process.poll() is None and not signals.catches(process.pid):
+    while process.poll() is None and not signal_cases.catches(process.pid):
         assert time.monotonic() < end
         time.sleep(0.002)
     time.sleep(abuse.after)
@@ -169,7 +169,7 @@ def check_end(abuse: Abuse, process: subprocess.Popen[bytes], out: bytes, err: s
     assert bool(lines) >= (process.returncode > 0), err
     assert len(lines) <= 5, err
     end = time.monotonic() + 20.0
-    while left := list(signals.members(process.pid)):
+    while left := list(signal_cases.members(process.pid)):
         assert time.monotonic() < end, left
         time.sleep(0.05)
     if "--json" in abuse.words:
@@ -206,14 +206,12 @@ def test_a_signal_at_any_moment_ends_it_in_order(commands, start, tmp_path) -> N
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("name", signals.COMMANDS)
+@pytest.mark.parametrize("name", signal_cases.COMMANDS)
 def test_signals_at_random_moments_leave_no_process_no_shared_memory_and_no_open_recording(name, tmp_path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    rng, scenes = np.random.default_rng(7), signals.write_clouds(tmp_path)
-    domain = int(process_environment()["ROS_DOMAIN_ID"])
-    for _ in range(3):  # `python -m benchmarks.soak.signals` has 200 cases, and the time within which they end
-        one = signals.run_case(*signals.draw(rng, (name,)), scenes, domain, allowed_s=60.0)
-        assert one.fault == "", one
+    rng, scenes = np.random.default_rng(7), signal_cases.write_clouds(tmp_path)
+    for _ in range(int(os.environ.get("FORETOUCH_SIGNALS", "3"))):
+        assert signal_cases.fault_of(name, rng, scenes, process_environment(), allowed_s=60.0) == ""
 
 
 @pytest.mark.ros

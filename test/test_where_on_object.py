@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands for where on an object: shuffled within it, and never from a later grasp; tables are made of the rows."""
+"""What stands for where on an object is never from a later grasp; tables are made of the rows."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from calibrated_models import make_calibration
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, predicted, recorded, variant
+from benchmarks.where_on_object import EXPERIMENT, Grasps, features_of, predicted, recorded
 from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import MODALITIES, biotac_touch
 from foretouch_lab.experiments import find_experiment
@@ -24,27 +24,16 @@ def parameters() -> TrackerParameters:
     return replace(make_calibration().tracker_parameters, where_scale=deviation, where_ratio=np.full(4, 2.0))
 
 
-def test_orders_are_shuffled_within_an_object() -> None:
-    assert variant("level", RECORDING, FEATURES_OF, 0) is None
-    assert_array_equal(variant("where", RECORDING, FEATURES_OF, 0), FEATURES_OF)
-    found = variant("shuffled", RECORDING, FEATURES_OF, 0)
-    assert not np.array_equal(found, FEATURES_OF)
-    for first in (0, 8, 16):
-        own = slice(first, first + 8)
-        assert_array_equal(np.sort(found[own], axis=0), np.sort(FEATURES_OF[own], axis=0))
-
-
 def test_no_later_grasp_changes_an_earlier_prediction() -> None:
     target, own = SAMPLES[8].object, RECORDING.objects == SAMPLES[8].object
-    counts, half = predicted(RECORDING, FEATURES_OF, target, parameters())
-    assert np.isfinite(counts[own]).all()
-    assert np.isnan(counts[~own]).all()
+    whole = predicted(RECORDING, FEATURES_OF, target, parameters())
+    assert np.isfinite(whole[own]).all()
+    assert np.isnan(whole[~own]).all()
     later = np.arange(24) > 12
     changed = replace(RECORDING, readings=RECORDING.readings + 50.0 * later[:, None])
-    others = predicted(changed, FEATURES_OF + 0.01 * later[:, None], target, parameters())
-    for whole, other in zip((counts, half), others, strict=True):
-        assert_array_equal(other[8:13], whole[8:13])
-        assert not np.array_equal(other[13:16], whole[13:16])
+    other = predicted(changed, FEATURES_OF + 0.01 * later[:, None], target, parameters())
+    assert_array_equal(other[8:13], whole[8:13])
+    assert not np.array_equal(other[13:16], whole[13:16])
 
 
 def test_rows_and_tables_are_those_of_the_cells() -> None:
@@ -54,7 +43,7 @@ def test_rows_and_tables_are_those_of_the_cells() -> None:
     ]
     data = Grasps(samples, "0" * 64)
     assert find_experiment("benchmarks.where_on_object") is EXPERIMENT
-    settings = EXPERIMENT.resolve("smoke", {"variants": ["level", "where", "shuffled"]})
+    settings = EXPERIMENT.resolve("smoke", {"variants": ["level", "where"]})
     cells = EXPERIMENT.cells(settings, data)
     assert len(cells) == 6
     rows = EXPERIMENT.tabulate(
@@ -70,5 +59,4 @@ def test_rows_and_tables_are_those_of_the_cells() -> None:
     assert_allclose(later["gain"], later["skill"] - level["skill"])
     each = select(rows, regime="later", object="all", variant="where")
     assert [row["modality"] for row in each] == [*MODALITIES, MEAN]
-    titles = [table.title.partition(":")[0] for table in EXPERIMENT.summarise(rows)]
-    assert titles[:2] == ["first three", "later"]
+    assert [table.title.partition(":")[0] for table in EXPERIMENT.summarise(rows)] == ["first three", "later"]

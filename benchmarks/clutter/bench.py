@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are objects that touch separated, beside PCL's local convexity and clusters alone? See README.md."""
+"""Are objects that touch separated, beside clusters alone? See README.md."""
 
 import argparse
 import hashlib
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from itertools import islice
@@ -14,97 +13,39 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import frontier, lccp, models, physics, piles
+from benchmarks.clutter import frontier, models, physics, piles
 from benchmarks.clutter.metrics import SceneScore, score, summary
-from benchmarks.clutter.picture import Shown, draw
-from benchmarks.clutter.scenes import LabelledCloud, load_scenes, recorded_objects
+from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
-from foretouch.types import Float64, Int32
 
 HERE: Final = Path(__file__).parent
-OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
+OURS, CLUSTERS, PERFECT = "foretouch", "clusters alone", "perfect splitting of the clusters"
 _REPEATS: Final = 5
-_COLUMNS: Final = ("precision", "recall", "f", "found", "boundary_precision", "boundary_recall", "boundary_f", "merged", "cut")  # fmt: skip
+_COLUMNS: Final = ("precision", "recall", "f", "found", "merged", "cut")
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What a method found in one scene."""
-
-    labels: Int32  # (H, W) int32
-    score: SceneScore  # against the truth
-    whole_ms: float  # CPU time from the cloud to its objects; NaN where it was not measured
-    splitting_ms: float  # of it the splitting
-
-
-Answers = dict[str, list[Answer]]  # by method, in the order of the scenes
-
-
-def without_splitting() -> SegmentationConfig:
-    """The defaults, with the splitting of clusters switched off."""
-    return SegmentationConfig().updated({"split.angle_deg": 180.0})
-
-
-def answers(scenes: Sequence[LabelledCloud], timed: bool) -> Answers:
-    """What each method finds in each scene."""
-    plain = without_splitting()
-    truth = [_measured(scene, scene.labels) for scene in scenes]
-    ours = [segment(scene.cloud).labels for scene in scenes]
-    clusters = [_measured(scene, segment(scene.cloud, plain).labels) for scene in scenes]
-    perfect = [np.where(found > 0, true, 0) for found, true in zip(clusters, truth, strict=True)]
-    nothing = np.full(len(scenes), np.nan)
-    whole, alone = _times(scenes, plain) if timed else (nothing, nothing)
-    found = {
-        OURS: (ours, whole, whole - alone),
-        CLUSTERS: (clusters, alone, nothing),
-        PERFECT: (perfect, nothing, nothing),
-    }
-    if (program := lccp.program()) is not None:
-        runs = [lccp.split([scene.cloud for scene in scenes], clusters, program) for _ in range(3 if timed else 1)]
-        peer_ms = np.min([times for _, times in runs], axis=0)
-        found[LCCP] = runs[0][0], alone + peer_ms, peer_ms
-    return {
-        method: [
-            Answer(labels, score(_measured(scene, labels), true), float(whole_ms), float(splitting_ms))
-            for scene, true, labels, whole_ms, splitting_ms in zip(scenes, truth, *columns, strict=True)
-        ]
-        for method, columns in found.items()
-    }
-
-
-def _measured(scene: LabelledCloud, labels: Int32) -> Int32:
-    """The labels of pixels with depth, 0 elsewhere."""
-    return np.where(np.isfinite(scene.cloud.xyz[..., 2]), labels, 0).astype(np.int32)
-
-
-def _times(scenes: Sequence[LabelledCloud], plain: SegmentationConfig) -> tuple[Float64, Float64]:
-    """Least CPU times of each scene [ms]: with and without splitting, in turn."""
-    rows = []
-    for scene in scenes:
-        jobs = [partial(_again, scene, config) for config in (None, plain)]
-        rows.append(np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0))
-    both = np.array(rows)
-    return both[:, 0], both[:, 1]
-
-
-def _again(scene: LabelledCloud, config: SegmentationConfig | None) -> None:
-    """Segment a new copy of the cloud, as from a camera."""
-    segment(replace(scene.cloud, xyz=scene.cloud.xyz.copy()), config)
-
-
-def table(name: str, scenes: Sequence[LabelledCloud], found: Answers) -> list[dict[str, Any]]:
+def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
     """A row for each method over all scenes, and for each kind of scene."""
-    kinds = ["all", *dict.fromkeys(scene.kind for scene in scenes)]
-    rows = []
+    nan, plain = float("nan"), SegmentationConfig().updated({"split.angle_deg": 180.0})  # which does not split
+    found: dict[str, list[tuple[SceneScore, float, float]]] = {method: [] for method in (OURS, CLUSTERS, PERFECT)}
+    for scene in scenes:
+        depth = np.isfinite(scene.cloud.xyz[..., 2])
+        every = (segment(scene.cloud).labels, segment(scene.cloud, plain).labels, scene.labels)
+        ours, clusters, true = (np.where(depth, labels, 0).astype(np.int32) for labels in every)
+        jobs = [partial(segment_anew, scene.cloud, config) for config in (None, plain)]  # in turn
+        whole_ms, alone_ms = np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0).tolist()
+        found[OURS].append((score(ours, true), whole_ms, whole_ms - alone_ms))
+        found[CLUSTERS].append((score(clusters, true), alone_ms, nan))
+        found[PERFECT].append((score(np.where(clusters > 0, true, 0), true), nan, nan))
+    kinds, rows = ["all", *dict.fromkeys(scene.kind for scene in scenes)], []
     for kind in kinds if len(kinds) > 2 else kinds[:1]:
-        chosen = [k for k, scene in enumerate(scenes) if kind in {"all", scene.kind}]
-        for method, every in found.items():
-            some = [every[k] for k in chosen]
-            means = summary(one.score for one in some)
+        for method, answers in found.items():
+            some = [one for scene, one in zip(scenes, answers, strict=True) if kind in {"all", scene.kind}]
+            means = summary(one for one, *_ in some)
             row = {"scenes": name, "kind": kind, "count": len(some), "method": method}
             row |= {column: round(means[column], 3) for column in _COLUMNS}
-            row |= {key: _median([getattr(one, key) for one in some]) for key in ("whole_ms", "splitting_ms")}
+            row |= {"whole_ms": _median([ms for _, ms, _ in some]), "splitting_ms": _median([ms for *_, ms in some])}
             rows.append(row)
     return rows
 
@@ -131,34 +72,23 @@ def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
     """A folder of scenes that are made once for each version of what makes them."""
     sources = [Path(module.__file__ or "").read_bytes() for module in (piles, models, physics)]
     name = hashlib.sha256(b"".join([*sources, repr(identity).encode()])).hexdigest()[:16]
-    folder = lccp.cache() / f"{kind}-{name}"
+    folder = cache_folder() / f"{kind}-{name}"
     if not folder.is_dir():
-        with tempfile.TemporaryDirectory(dir=lccp.cache()) as temporary:
+        with tempfile.TemporaryDirectory(dir=cache_folder()) as temporary:
             write(Path(temporary) / kind)
             (Path(temporary) / kind).rename(folder)
     return folder
 
 
-def _shown(scenes: Sequence[LabelledCloud], found: Answers) -> list[Shown]:
-    """The worst and the median scene of ours by F."""
-    order = np.argsort([one.score.f for one in found[OURS]])
-    chosen = {"worst": order[0], "2nd worst": order[1], "median": order[len(order) // 2]}
-    methods = [method for method in (OURS, LCCP, CLUSTERS) if method in found]
-    return [
-        Shown(f"{word}: {scenes[k].name}", scenes[k].labels, {method: found[method][k].labels for method in methods})
-        for word, k in chosen.items()
-    ]
-
-
 def main() -> None:
-    """Print the tables; write them and the picture beside this file if asked."""
+    """Print the tables; write them beside this file if asked."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="more folders of labelled scenes")
     parser.add_argument("--count", type=int, default=200, help="number of piles")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
     parser.add_argument("--frontier", action="store_true", help="F against time over settings of the splitting instead")
     parser.add_argument("--every", type=int, default=1, help="use every N-th scene of each set")
-    parser.add_argument("--write", action="store_true", help="write results.csv, clutter.png and the README's tables")
+    parser.add_argument("--write", action="store_true", help="write results.csv and the README's tables")
     add_data(parser)
     options = parser.parse_args()
     data = None if options.data is None else Path(options.data)
@@ -172,14 +102,10 @@ def main() -> None:
         frontier.run({name: list(islice(load_scenes(folder), 0, None, options.every)) for name, folder in sets.items()}, write=options.write)  # fmt: skip
         return
     single = made("single", lambda out: piles.write_singles(out, options.seed, data), *identity)
-    if lccp.program() is None:
-        print("PCL's LCCP is left out: no libpcl-dev or no C++ compiler (apt-get install libpcl-dev g++)\n")
-    rows, shown = [], []
+    rows = []
     for name, folder in sets.items():
         scenes = list(islice(load_scenes(folder), 0, None, options.every))
-        found = answers(scenes, timed=True)
-        rows += table(name, scenes, found)
-        shown += _shown(scenes, found)
+        rows += table(name, scenes)
     print_rows(rows)
     rendered = list(load_scenes(single))  # views in turn
     alone = [pieces("rendered, obliquely", rendered[::2]), pieces("rendered, from above", rendered[1::2])]
@@ -189,7 +115,6 @@ def main() -> None:
     print_rows(alone)
     if options.write:
         write_csv(HERE / "results.csv", rows)
-        draw(shown, HERE / "clutter.png")
         tables = (markdown(list(some[0]), [["" if cell is None else cell for cell in row.values()] for row in some]) for some in (rows, alone))  # fmt: skip
         replace_marked(HERE / "README.md", "\n".join(tables).strip())
 

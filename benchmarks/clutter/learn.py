@@ -25,12 +25,12 @@ from safetensors.numpy import save_file
 from scipy.ndimage import gaussian_filter
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from benchmarks.clutter import lccp, shapes
+from benchmarks.clutter import shapes
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.models import Model, write_mesh
 from benchmarks.clutter.physics import Pile, Placed
 from benchmarks.clutter.piles import Scene, alone, look, make, save
-from benchmarks.clutter.scenes import LabelledCloud
+from benchmarks.clutter.scenes import LabelledCloud, cache_folder
 from foretouch.cloud.segmentation import parts
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.types import Cloud, Float32, Float64
@@ -133,11 +133,8 @@ def touching(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     rng = np.random.default_rng([14, number])
     kind = ("stacked", "beside", "plain", "stacked", "bowls", "stepped", "beside", "balls")[number % 8]
     if kind in {"plain", "stepped"}:
-        makers = (
-            (shapes.stepped,)
-            if kind == "stepped"
-            else (shapes.box, shapes.packet, shapes.can, shapes.tube, shapes.ball)
-        )
+        plain = (shapes.box, shapes.packet, shapes.can, shapes.tube, shapes.ball)
+        makers = (shapes.stepped,) if kind == "stepped" else plain
         model = replace(makers[rng.integers(len(makers))](rng), name="o0").scaled(rng.uniform(0.9, 1.5))
         lying = model.shape == "box" and rng.random() < 0.4
         model = replace(model, size=model.size[rng.permutation(3)]) if lying else model
@@ -348,25 +345,20 @@ def variant(path: Path) -> LabelledCloud:
 def pairs_of(trees: Float32, path: Path) -> tuple[Float64, Float64, bool]:
     """Of one file: features, whether both are one object, and whether objects touch."""
     scene = variant(path)
-    return (*_recorder(trees).pairs(scene), scene.kind not in {"single", "arranged"})
+    _the_recorder().use(trees)
+    return (*_the_recorder().pairs(scene), scene.kind not in {"single", "arranged"})
 
 
 def score_of(trees: Float32, path: Path) -> SceneScore:
     """Of segmentation with trees in one file."""
     scene = variant(path)
-    _recorder(trees)
+    _the_recorder().use(trees)
     return score(segment(scene.cloud).labels, scene.labels)
 
 
 @cache
 def _the_recorder() -> Recorder:
     return Recorder()
-
-
-def _recorder(trees: Float32) -> Recorder:
-    recorder = _the_recorder()
-    recorder.use(trees)
-    return recorder
 
 
 def learned(rows: Sequence[Float64], same: Sequence[Float64], weights: Sequence[Float64], count: int) -> Float32:
@@ -401,7 +393,7 @@ def _fill(tree: Float32, nodes: Any, node: int, at: int) -> None:
 def main() -> None:
     """Make scenes, learn, and write the trees."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=Path, default=lccp.cache() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
+    parser.add_argument("--scenes", type=Path, default=cache_folder() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
     parser.add_argument("--jobs", type=int, default=2, help="processes; the result does not depend on them")
     options = parser.parse_args()
     write_scenes(options.scenes, options.jobs)
@@ -421,10 +413,8 @@ def learn(files: Sequence[Path], jobs: int) -> Float32:
                 piled.append(np.full(len(y), touch))
         trees = learned(rows, same, [np.where(one, weight, 1.0) for one in piled], count)
         with Pool(jobs) as pool:
-            scores = {
-                name: round(value, 3)
-                for name, value in summary(pool.imap(partial(score_of, trees), new, chunksize=8)).items()
-            }
+            means = summary(pool.imap(partial(score_of, trees), new, chunksize=8))
+        scores = {name: round(value, 3) for name, value in means.items()}
         print(f"{sum(map(len, same))} pairs: {scores}", flush=True)
     write(trees, scores, len(known), sum(map(len, same)))
     return trees

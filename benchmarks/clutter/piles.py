@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Piles of objects that touch, lean and stack, at rest by physics, seen by the simulated D415: labelled clouds.
 
-`python -m benchmarks.clutter.piles OUT --count 200 --seed 0`. The same seed gives the same piles on one machine.
+The same seed gives the same piles on one machine.
 """
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.clutter.models import Model, catalogue, write_mesh
 from benchmarks.clutter.physics import Pile, Placed, settle
-from benchmarks.common import add_data, scene
+from benchmarks.common import scene
 from foretouch.types import Bool, Float32, Float64, Int32
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
 from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
@@ -266,22 +265,3 @@ def write_singles(out: Path, seed: int, data: Path | None) -> None:
     """Write objects alone."""
     for number, seen in enumerate(singles(*prepare(out, data), seed)):
         save(seen, out / f"{seen.names[0]}{number % (_POSES * _VIEWS):02d}.npz")
-
-
-def main() -> None:
-    """Write piles, or objects alone."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path, help="folder of the .npz files")
-    parser.add_argument("--count", type=int, default=200, help="number of piles")
-    parser.add_argument("--single", action="store_true", help="write each object alone instead, in 8 poses and 2 views")
-    parser.add_argument("--seed", type=int, default=0)
-    add_data(parser)
-    arguments = parser.parse_args()
-    if arguments.single:
-        write_singles(arguments.out, arguments.seed, arguments.data)
-    else:
-        write_piles(arguments.out, arguments.count, arguments.seed, arguments.data)
-
-
-if __name__ == "__main__":
-    main()

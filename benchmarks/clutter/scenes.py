@@ -6,14 +6,16 @@ cy), or `xyz` (H, W, 3) [m], and `label` with object × 10 + part, 0 to 9 the ba
 int32 with 1 and up for objects, and `kind`.
 """
 
+import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from foretouch.cloud.io.files import read_cloud
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import AnyArray, Cloud, Float32, Float64, Int32, Int64
 
 # The database lists its scenes by kind: the first number of each, of the scenes for learning and for testing.
@@ -93,3 +95,15 @@ def _pixels(slope: Float64, centre: float) -> Int64:
     fraction = np.angle(np.exp(2j * np.pi * slope * _FOCAL_PX).mean()) / (2.0 * np.pi)
     pixels: Int64 = np.rint(slope * _FOCAL_PX - fraction + centre).astype(np.int64)
     return pixels
+
+
+def segment_anew(cloud: Cloud, config: SegmentationConfig | None) -> None:
+    """Segment a new copy of a cloud, as from a camera."""
+    segment(replace(cloud, xyz=cloud.xyz.copy()), config)
+
+
+def cache_folder() -> Path:
+    """The folder of what is made once."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foretouch" / "benchmarks"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

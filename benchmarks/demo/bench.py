@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from benchmarks.common import ROOT, Rows, command, scene
+from benchmarks.common import ROOT, print_rows, scene, write_csv
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
@@ -22,14 +22,6 @@ from foretouch_lab.simulation.simulate import Simulation
 HERE = Path(__file__).parent
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
 TOUCHES = (0, 2)  # of the object before the grasps that are drawn and counted
-
-
-def tables(arguments: argparse.Namespace) -> dict[Path, Rows]:
-    """The table, and the picture."""
-    model = load_model(arguments.model)
-    runs = [demo_run(model, seed) for seed in range(arguments.runs)]
-    draw(runs, arguments.picture)
-    return {HERE / "demo.csv": demo_rows(runs)}
 
 
 def demo_run(model: TouchModel, seed: int) -> ModelReplay:
@@ -85,10 +77,20 @@ def draw(runs: Sequence[ModelReplay], path: Path) -> None:
     print(f"{path}: seed {seed}, {total[seed]:.3f} inside")
 
 
+def main() -> None:
+    """Print and write the table, and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--model", default="simulated")
+    parser.add_argument("--out", type=Path, default=HERE / "demo.csv")
+    parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "touch.png")
+    options = parser.parse_args()
+    model = load_model(options.model)
+    runs = [demo_run(model, seed) for seed in range(options.runs)]
+    draw(runs, options.picture)
+    print_rows(demo_rows(runs))
+    write_csv(options.out, demo_rows(runs))
+
+
 if __name__ == "__main__":
-    picture = {"type": Path, "default": ROOT / "docs" / "touch.png"}
-    command(
-        __doc__,
-        tables,
-        {"--runs": {"type": int, "default": 20}, "--model": {"default": "simulated"}, "--picture": picture},
-    )
+    main()

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison with the original C++ GeoGrasp and with grasps that a robot executed."""
 
-import csv
 from collections import Counter
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.common import read_csv
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.ranking import find_grasp_plane
-from foretouch.types import Cloud, Float64, Plane
+from foretouch.types import Float64, Plane
 
 COUNTS = ("n_filtered", "n_voxel", "n_plane", "n_first", "n_second", "n_fv", "n_sv", "n_nan_normals")
 INITIAL_TOLERANCE_M = 1e-6
@@ -29,23 +30,14 @@ TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 class ReferenceRow:
     """One run of the original: the cloud, its settings, and the results."""
 
-    name: str
     cloud: Path
     plane: Plane
-    tip_mm: float
+    config: GeoGraspConfig
     counts: dict[str, int]
-    initial_points: Float64  # (2, 3) [m]
-    contacts: Float64  # (2, 3) [m]
-    score: float
-    rotation: Float64  # (3, 3)
-    axis: Float64  # (3,)
-    centroid: Float64  # (3,) [m]
+    found: dict[
+        str, Float64
+    ]  # initial (2, 3), contacts (2, 3), rotation (3, 3), axis (3,), centroid (3,) [m], score (1,)
     is_initial: bool
-
-    @property
-    def config(self) -> GeoGraspConfig:
-        """The settings of that run."""
-        return GeoGraspConfig(method="original", tip_mm=self.tip_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,74 +50,74 @@ class ExecutedGrasp:
     slide_range_m: tuple[float, float]
 
 
+_COLUMNS = {
+    "initial": "i1x i1y i1z i2x i2y i2z", "contacts": "g1x g1y g1z g2x g2y g2z", "axis": "axx axy axz", "centroid": "cx cy cz",
+    "rotation": "r00 r01 r02 r10 r11 r12 r20 r21 r22", "score": "ranking",
+}  # fmt: skip
+
+
 def read_reference(data: Path) -> list[ReferenceRow]:
     """All rows of the original's output, in a folder next to the recordings."""
-    path = data.parent / "reference" / "geograsp_reference.csv"
-    with path.open(encoding="utf-8", newline="") as stream:
-        return [_reference_row(row, data) for row in csv.DictReader(stream)]
+    rows = []
+    for row in read_csv(data.parent / "reference" / "geograsp_reference.csv"):
+        found = {name: np.array([float(row[one]) for one in words.split()]) for name, words in _COLUMNS.items()}
+        found |= {name: found[name].reshape(-1, 3) for name in ("initial", "contacts", "rotation")}
+        plane = Plane.from_coefficients([float(word) for word in row["plane"].split()])
+        config = GeoGraspConfig(method="original", tip_mm=float(row["tip"]))
+        cloud, counts = _folder(data, row) / "cloud-object.pcd", {name: int(row[name]) for name in COUNTS}
+        rows.append(ReferenceRow(cloud, plane, config, counts, found, row["fallback"] == "1"))
+    return rows
 
 
 def read_executed(data: Path) -> list[ExecutedGrasp]:
     """The executed grasps, with the known interval of slides of each."""
-    path = data.parent / "reference" / "executed_slab_offsets.csv"
     grasps = []
-    with path.open(encoding="utf-8", newline="") as stream:
-        for row in csv.DictReader(stream):
-            folder = data / "vision2tactile" / row["object"] / row["sample"]
-            numbers = (folder / "best-grasp.txt").read_text(encoding="utf-8").replace(",", " ").split()
-            contacts = np.array([float(word) for word in numbers[:6]]).reshape(2, 3)
-            limits = (float(row["delta_lo_m"]), float(row["delta_hi_m"]))
-            grasps.append(ExecutedGrasp(folder / "cloud-object.pcd", contacts, float(row["delta_mid_m"]), limits))
+    for row in read_csv(data.parent / "reference" / "executed_slab_offsets.csv"):
+        folder = _folder(data, row)
+        numbers = (folder / "best-grasp.txt").read_text(encoding="utf-8").replace(",", " ").split()
+        contacts = np.array([float(word) for word in numbers[:6]]).reshape(2, 3)
+        limits = (float(row["delta_lo_m"]), float(row["delta_hi_m"]))
+        grasps.append(ExecutedGrasp(folder / "cloud-object.pcd", contacts, float(row["delta_mid_m"]), limits))
     return grasps
+
+
+def _folder(data: Path, row: dict[str, str]) -> Path:
+    return data / "vision2tactile" / row["object"] / row["sample"]
 
 
 def faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
     """Names of the differences from the original; `score_undefined` if the original score is not finite."""
     if plan.status == "no_grasp":
         return ["status"]
-    best = plan.grasps[0]
+    best, known, score = plan.grasps[0], row.found, float(row.found["score"][0])
     contacts = np.stack([best.g1, best.g2])
-    found = [name for name in COUNTS if plan.counts[name] != row.counts[name]]
-    if np.abs(plan.initial_points - row.initial_points).max() > INITIAL_TOLERANCE_M:
-        found.append("initial_points")
-    if np.linalg.norm(contacts - row.contacts, axis=1).max() > GRASP_TOLERANCE_M:
-        found.append("grasp")
     # The original marks a grasp as initial by its points, so a ranked pair of the very same points is one too.
     at_initial = np.abs(contacts - plan.initial_points).max() < INITIAL_TOLERANCE_M
-    if row.is_initial != (plan.status == "initial_points" or at_initial):
-        found.append("status")
-    if not np.isfinite(row.score):
-        found.append("score_undefined" if np.isnan(best.score) else "score")
-    elif not abs(best.score - row.score) <= SCORE_TOLERANCE:
-        found.append("score")
-    return found + _pose_faults(row, plan)
-
-
-def _pose_faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
-    """Axis and rotation, up to the sign of the axis, which the rule leaves open in some side views."""
-    sign = 1.0 if plan.axis @ row.axis > 0 else -1.0
-    best = plan.grasps[0]
-    found = [] if sign > 0 else ["axis_sign"]
-    if np.abs(sign * plan.axis - row.axis).max() > POSE_TOLERANCE:
-        found.append("axis")
-    if np.abs(plan.centroid - row.centroid).max() > INITIAL_TOLERANCE_M * 2:
-        found.append("centroid")
-    turned = best.rotation * np.array([sign, sign, 1.0])  # X and Y follow the axis, Z the contacts
-    if np.abs(turned - row.rotation).max() > POSE_TOLERANCE * 2:
-        found.append("rotation")
-    if not np.array_equal(best.rotation, hand_rotation(best.g1, best.g2, plan.axis)):
-        found.append("rotation")
-    return found
+    # The axis is known up to its sign, which the rule leaves open in some side views: X and Y follow it, Z the contacts.
+    sign = 1.0 if plan.axis @ known["axis"] > 0 else -1.0
+    differs = {
+        **{name: plan.counts[name] != count for name, count in row.counts.items()},
+        "initial_points": np.abs(plan.initial_points - known["initial"]).max() > INITIAL_TOLERANCE_M,
+        "grasp": np.linalg.norm(contacts - known["contacts"], axis=1).max() > GRASP_TOLERANCE_M,
+        "status": row.is_initial != (plan.status == "initial_points" or at_initial),
+        "score_undefined": not np.isfinite(score) and np.isnan(best.score),
+        "score": np.isfinite(best.score) if not np.isfinite(score) else not abs(best.score - score) <= SCORE_TOLERANCE,
+        "axis_sign": sign < 0,
+        "axis": np.abs(sign * plan.axis - known["axis"]).max() > POSE_TOLERANCE,
+        "centroid": np.abs(plan.centroid - known["centroid"]).max() > INITIAL_TOLERANCE_M * 2,
+        "rotation": np.abs(best.rotation * [sign, sign, 1.0] - known["rotation"]).max() > POSE_TOLERANCE * 2
+        or not np.array_equal(best.rotation, hand_rotation(best.g1, best.g2, plan.axis)),
+    }
+    return [name for name, there in differs.items() if there]
 
 
 def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
     """Number of rows with each difference."""
-    clouds: dict[Path, Cloud] = {}
     found: Counter[str] = Counter()
-    for row in rows:
-        if row.cloud not in clouds:
-            clouds = {row.cloud: read_cloud(row.cloud)}  # rows of one cloud follow each other
-        found.update(set(faults(row, plan_grasps(clouds[row.cloud], row.plane, row.config))))
+    for cloud, of_cloud in groupby(rows, lambda row: row.cloud):
+        points = read_cloud(cloud)
+        for row in of_cloud:
+            found.update(set(faults(row, plan_grasps(points, row.plane, row.config))))
     return found
 
 
@@ -152,23 +144,3 @@ def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
 
 def _are_executed(grasp: ExecutedGrasp, points: npt.NDArray[np.floating]) -> bool:
     return bool(np.abs(points - grasp.contacts).max() <= EXECUTED_TOLERANCE_M)
-
-
-def _reference_row(row: dict[str, str], data: Path) -> ReferenceRow:
-    def vector(*names: str) -> Float64:
-        return np.array([float(row[name]) for name in names])
-
-    return ReferenceRow(
-        name=f"{row['object']}/{row['sample']} plane {row['plane']} tip {row['tip']}",
-        cloud=data / "vision2tactile" / row["object"] / row["sample"] / "cloud-object.pcd",
-        plane=Plane.from_coefficients([float(word) for word in row["plane"].split()]),
-        tip_mm=float(row["tip"]),
-        counts={name: int(row[name]) for name in COUNTS},
-        initial_points=vector("i1x", "i1y", "i1z", "i2x", "i2y", "i2z").reshape(2, 3),
-        contacts=vector("g1x", "g1y", "g1z", "g2x", "g2y", "g2z").reshape(2, 3),
-        score=float(row["ranking"]),
-        rotation=vector(*(f"r{i}{j}" for i in range(3) for j in range(3))).reshape(3, 3),
-        axis=vector("axx", "axy", "axz"),
-        centroid=vector("cx", "cy", "cz"),
-        is_initial=row["fallback"] == "1",
-    )

@@ -3,11 +3,9 @@
 
 import argparse
 import math
-import multiprocessing
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, get_args
@@ -17,10 +15,8 @@ import yaml
 
 from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics.camera import VIEWS, see
-from benchmarks.grasp_physics.figure import Case, draw
 from benchmarks.grasp_physics.objects import Item, read_items
-from benchmarks.grasp_physics.simulation import HELD, OPENING_M, Verdict, held
-from benchmarks.grasp_physics.surface import Placed, best_grasps, cones_hold
+from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
@@ -29,8 +25,7 @@ from foretouch.types import Float64
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
 OURS: Final = get_args(GraspMethod)
-FIRST, ANY = "true surface, first", "true surface, best of 10"
-METHODS: Final = (*OURS, RULE, FIRST, ANY)
+METHODS: Final = (*OURS, RULE)
 DEFAULT: Final = PipelineConfig().grasp.method
 REFERENCE: Final = "original"  # whose time the others are compared with
 NO_OBJECT: Final = "no object found"
@@ -50,32 +45,16 @@ class Task:
 
     item: Item
     poses: int = 8
-    views: Sequence[str] = VIEWS
     methods: Sequence[str] = METHODS
     conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
-    opening_mm: float = 1e3 * OPENING_M
     settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
 
-    def row(
-        self, pose: int, view: str, method: str, one: tuple[float, float], closed: Row, ms: float = math.nan
-    ) -> Row:
-        """What became of one grasp."""
-        found = {"object": self.item.name, "pose": pose, "view": view, "method": method}
-        return found | {"tip_mm": one[0], "friction": one[1]} | closed | {"ms": ms}
-
-    def close(self, one: tuple[float, float], surface: Placed, contacts: Float64 | None, reason: str = NO_GRASP) -> Row:
-        """The simulated closing on contacts (2, 3) in the world, and whether the friction cones hold; `reason` where there are none.
-
-        It is "held", the kind of failure, or why there was no grasp.
-        """
-        if contacts is None:
-            return Verdict(False, False, reason)._asdict() | {"analytic": False}
-        verdict = held(self.item, surface.pose, *contacts, one[0] * 1e-3, one[1], self.opening_mm * 1e-3)
-        return verdict._asdict() | {"analytic": cones_hold(surface, contacts, one[1])}
-
-    def pipeline(self, method: str) -> Pipeline:
-        """That plans by a method."""
-        return Pipeline(PipelineConfig().updated({"grasp.method": method, **self.settings} if method in OURS else {}))
+    def close(self, pose: Float64, contacts: Float64 | None, one: tuple[float, float], reason: str) -> Row:
+        """What became of a grasp with contacts (2, 3) in the world: "held", the kind of failure, or why there was no grasp."""
+        verdict = Verdict(False, False, reason)
+        if contacts is not None:
+            verdict = held(self.item, pose, *contacts, one[0] * 1e-3, one[1])
+        return {"tip_mm": one[0], "friction": one[1]} | verdict._asdict()
 
 
 def rows_of(task: Task) -> list[Row]:
@@ -84,29 +63,19 @@ def rows_of(task: Task) -> list[Row]:
 
 
 def _of_pose(task: Task, number: int) -> Iterator[Row]:
-    """The rows of one pose: what is planned on images, and on the true surface, where the view does not matter."""
-    surface = Placed(task.item, task.item.pose(number))
-    chosen = [method for method in task.methods if method not in {FIRST, ANY}]
-    for view in task.views if chosen else ():
+    """The rows of one pose."""
+    for view in VIEWS:
         seen = see(task.item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
-        for method in chosen:
-            pipeline = task.pipeline(method)
+        for method in task.methods:
+            changes = {"grasp.method": method, **task.settings} if method in OURS else {}
+            pipeline = Pipeline(PipelineConfig().updated(changes))
             start = time.thread_time()
             contacts = propose(method, pipeline, targets[0]) if targets else None
             ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
             world = None if contacts is None else seen.camera.to_world(contacts)
-            for one in task.conditions:
-                yield task.row(number, view, method, one, task.close(one, surface, world, reason), ms)
-    for one in task.conditions if {FIRST, ANY} & set(task.methods) else ():
-        grasps = best_grasps(surface, one[0] * 1e-3, one[1], task.opening_mm * 1e-3)
-        closed = [task.close(one, surface, grasp) for grasp in grasps or [None]]
-        for method, best in (
-            (FIRST, closed[0]),
-            (ANY, max(closed, key=lambda found: (found["held"], found["strict"]))),
-        ):
-            for view in task.views if method in task.methods else ():
-                yield task.row(number, view, method, one, best)
+            facts = {"object": task.item.name, "pose": number, "view": view, "method": method, "ms": ms}
+            yield from (facts | task.close(seen.pose, world, one, reason) for one in task.conditions)
 
 
 def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
@@ -139,14 +108,6 @@ def simple_rule(target: FoundObject) -> Float64:
     return np.stack([(middle + end * across) @ axes + level * up for end in (low[k], high[k])])
 
 
-def measure(tasks: Sequence[Task], workers: int = 1) -> list[Row]:
-    """All rows, in the order of the tasks."""
-    if workers == 1:
-        return [row for task in tasks for row in rows_of(task)]
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        return [row for rows in pool.map(rows_of, tasks) for row in rows]
-
-
 # --- tables: intervals are over objects ------------------------------------------------------------------------------
 
 
@@ -174,15 +135,13 @@ def share(rows: Sequence[Row], what: str) -> str:
 
 
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Held and strict by view, of the best on the true surface, and time beside that of the reference."""
+    """Held and strict by view, and time beside that of the reference."""
     found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
     for (method,) in values(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
         for (view,) in values(rows, "view"):
-            mine, best = (select(rows, method=name, view=view) for name in (method, FIRST))
+            mine = select(rows, method=method, view=view)
             line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
-            if any(row["held"] for row in best):
-                line[f"{view}: of the best"] = f"{mean(mine, 'held') / mean(best, 'held'):.2f}"
         times = [row["ms"] for row in select(rows, method=method)]
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
@@ -216,54 +175,6 @@ def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
     }
 
 
-def committed(rows: Sequence[Row]) -> Iterator[Row]:
-    """One row for each method, conditions, view and object: how many grasps ended how. Without times."""
-    names = ("tip_mm", "friction", "method", "view", "object")
-    order = {name: values(rows, name) for name in names}
-    keys = sorted(
-        values(rows, *names), key=lambda key: [order[name].index((one,)) for name, one in zip(names, key, strict=True)]
-    )
-    for key in keys:
-        own = select(rows, **dict(zip(names, key, strict=True)))
-        ended = "; ".join(f"{reason} {len(select(own, reason=reason))}" for (reason,) in values(own, "reason"))
-        counts = {what: sum(row[what] for row in own) for what in ("held", "strict", "analytic")}
-        yield dict(zip(names, key, strict=True)) | {"grasps": len(own), **counts, "reasons": ended}
-
-
-def agreement(rows: Sequence[Row]) -> str:
-    """How often simulation and friction cones agree, on grasps of all conditions."""
-    closed = [row for row in rows if row["reason"] not in {NO_GRASP, NO_OBJECT} and row["method"] != ANY]
-    alone = [len(select(closed, held=simulated, analytic=not simulated)) for simulated in (True, False)]
-    return (
-        f"The friction cones agree with the simulation in {1.0 - sum(alone) / max(1, len(closed)):.3f} of {len(closed)} grasps; "
-        f"{alone[0]} hold in the simulation alone, {alone[1]} by the cones alone."
-    )
-
-
-def pictured(rows: Sequence[Row], tasks: Sequence[Task]) -> Iterator[Case]:
-    """A grasp that holds and one of each kind of failure, planned again, under the first conditions.
-
-    Of the default method where there is one, last of the simple rule, and of as many objects as possible.
-    """
-    order = [DEFAULT, *(method for method in OURS if method != DEFAULT), RULE]
-    tip, friction = values(rows, "tip_mm", "friction")[0]
-    planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] in order]
-    reasons = {row["reason"] for row in planned} - {NO_GRASP, NO_OBJECT}
-    objects: Counter[str] = Counter()
-    for reason in sorted(reasons, key=lambda text: (text != HELD, HELD not in text, text)):
-        name, number, view, method = min(
-            values(select(planned, reason=reason), "object", "pose", "view", "method"),
-            key=lambda row: (order.index(row[3]), row[2] != "oblique", objects[row[0]]),
-        )
-        objects[name] += 1
-        (task,) = (task for task in tasks if task.item.name == name)
-        seen = see(task.item, number, view)
-        target = Pipeline().segment(seen.cloud).targets[0]
-        contacts, points = propose(method, task.pipeline(method), target), target.cloud.xyz.astype(np.float64)
-        title = f"{reason.replace(f'{HELD}, ', f'{HELD}, but ')}\n{name}, {method}, {view}"
-        yield Case(title, Placed(task.item, seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
-
-
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table in Markdown."""
     return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
@@ -276,41 +187,31 @@ def main() -> None:
     parser.add_argument("--objects", type=Path, help="folder of objects (default: ycb in the folder of recordings)")
     parser.add_argument("--only", nargs="+", metavar="OBJECT", help="these objects alone")
     parser.add_argument("--poses", type=int, default=8, help="of each object")
-    parser.add_argument("--views", nargs="+", choices=VIEWS, default=VIEWS)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS, metavar="METHOD")
-    parser.add_argument("--tip-mm", nargs="+", type=float, default=TIPS_MM[:1], help="radius of the tips [mm]")
-    parser.add_argument("--friction", nargs="+", type=float, default=FRICTIONS[:1], help="between tip and object")
-    parser.add_argument("--opening-mm", type=float, default=1e3 * OPENING_M, help="how far the hand opens [mm]")
     parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
-    parser.add_argument("--workers", type=int, choices=(1, 2), default=1)
     parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
-    parser.add_argument("--renew", action="store_true", help="write the committed tables and the picture")
+    parser.add_argument("--renew", action="store_true", help="write the committed tables")
     options = parser.parse_args()
     ensure_libusb()
-    tips, frictions = (TIPS_MM, FRICTIONS) if options.all else (options.tip_mm, options.friction)
-    conditions = [(tips[0], friction) for friction in frictions] + [(tip, frictions[0]) for tip in tips[1:]]
-    chosen = options.poses, options.views, options.methods, conditions, options.opening_mm
+    conditions = [(TIPS_MM[0], friction) for friction in FRICTIONS] + [(tip, FRICTIONS[0]) for tip in TIPS_MM[1:]]
+    chosen = options.poses, options.methods, conditions if options.all else conditions[:1]
     settings = {name: yaml.safe_load(value) for name, _, value in (text.partition("=") for text in options.set)}
     items = read_items(options.objects or Path(options.data or "") / "ycb")
     todo = [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
     if not todo:
         parser.error(f"--only: {', '.join(options.only)}: there is no such object")
-    rows = measure(todo, options.workers)
+    rows = [row for task in todo for row in rows_of(task)]
     if options.rows:
         write_csv(options.rows, rows)
     found = tables(rows)
     for title, lines in found.items():
         print(f"\n{title}")
         print_rows(lines)
-    print(f"\n{agreement(rows)}")
     if options.renew:
-        write_csv(HERE / "results.csv", committed(rows))
-        text = [f"{len(todo)} objects, {options.poses} poses each, opening {options.opening_mm:g} mm."]
+        text = [f"{len(todo)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
         text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
-        text.append(agreement(rows))
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
-        draw(list(pictured(rows, todo)), HERE / "grasps.png")
 
 
 if __name__ == "__main__":

@@ -94,19 +94,12 @@ def placed(item: Item, pose: Float64, at: Float64) -> Float64:
 
 
 def read_item(folder: Path) -> Item:
-    """An object from its folder.
-
-    Raises:
-        FileError: If a file is absent, or holds no part or no mass.
-    """
-    for name in (PARTS, MASS):
-        if not (folder / name).is_file():
-            raise FileError(folder / name, "is absent")
+    """An object from its folder."""
     loaded = trimesh.load(folder / PARTS, process=False, split_object=True, group_material=False)
     meshes = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
     mass = re.search(r'mass value="([\d.]+)"', (folder / MASS).read_text(encoding="utf-8"))
-    if not meshes or mass is None:
-        raise FileError(folder / (PARTS if mass else MASS), "holds no part" if mass else "holds no mass")
+    if mass is None:
+        raise FileError(folder / MASS, "holds no mass")
     parts = tuple(trimesh.Trimesh(mesh.vertices, mesh.faces).convex_hull for mesh in meshes)
     return Item(folder.name, parts, float(mass[1]))
 

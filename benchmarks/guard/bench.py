@@ -7,7 +7,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import importlib.util
 import math
 import statistics
 import sys
@@ -22,7 +21,7 @@ from benchmarks.guard.cases import Case, all_cases
 RATIOS = Path(__file__).parent / "ratios.csv"
 ALLOWED = 0.8  # of the committed ratio: a loss of 20 %
 AGAIN = 2  # times that a ratio which is too low is measured again, after all others
-RENEWED = 3  # measurements of which the median is committed, by default
+RENEWED = 3  # measurements of which the median is committed
 _TURNS = 15
 _FEWEST_TURNS = 3
 _TURN_S = 0.03  # CPU time of a turn, at least: beside it the clock costs nothing
@@ -74,87 +73,57 @@ class Runner:
         return (time.process_time() - began) / calls
 
 
-def lost(measured: Measured, committed: float | None) -> bool:
-    """Whether a ratio has lost more than 20 %."""
-    return committed is not None and not measured.ratio >= ALLOWED * committed
+def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> bool:
+    """Measure all, those that lost 20 % again after all others, of which the best counts; print the table. Whether none is lost."""
 
+    def lost(name: str) -> bool:
+        return not best[name].ratio >= ALLOWED * committed.get(name, 0.0)
 
-def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> dict[str, Measured]:
-    """Measure all; those that lost are measured again after all others, and the best counts."""
     best = {one.case.name: one.measure() for one in runners}
     for _ in range(AGAIN):
         for one in runners:
-            name = one.case.name
-            if lost(best[name], committed.get(name)):
+            if lost(name := one.case.name):
                 print(f"  {name}: {best[name].ratio:.3g} of {committed[name]:.3g}, measured again", flush=True)
                 best[name] = max(best[name], one.measure(), key=lambda measured: measured.ratio)
-    return best
-
-
-def read_ratios(path: Path) -> dict[str, float]:
-    """Committed ratios by name."""
-    return {row["name"]: float(row["ratio"]) for row in read_csv(path)}
-
-
-def renew(runners: Sequence[Runner], path: Path, count: int = RENEWED) -> None:
-    """Write the median of several measurements, each over all cases; rows of other cases stay."""
-    found: dict[str, list[Measured]] = {}
-    for _ in range(count):
-        for one in runners:
-            found.setdefault(one.case.name, []).append(one.measure())
-            print(f"  {one.case.name}: {found[one.case.name][-1].ratio:.3g}", flush=True)
-    rows = {row["name"]: row for row in read_csv(path)}
-    for one in runners:
-        measured = found[one.case.name]
-        rows[one.case.name] = {
-            "name": one.case.name,
-            "peer": one.case.peer,
-            "ratio": f"{statistics.median(each.ratio for each in measured):.4g}",
-            "cpu_ms": f"{1e3 * statistics.median(each.ours_s for each in measured):.4g}",
-        }
-    write_csv(path, [rows[case.name] for case in all_cases() if case.name in rows])
-
-
-def table(runners: Sequence[Runner], best: Mapping[str, Measured], committed: Mapping[str, float]) -> bool:
-    """Print ratio now, committed and allowed; returns whether none is lost."""
     rows = []
     for one in runners:
         measured, known = best[one.case.name], committed.get(one.case.name)
         limits = {"committed": known, "allowed": None if known is None else ALLOWED * known}
         found = {"CPU ms": 1e3 * measured.ours_s, "ratio now": measured.ratio, **limits, "peer": one.case.peer}
-        rows.append({"": one.case.name, **found, "is": "LOST" if lost(measured, known) else ""})
+        rows.append({"": one.case.name, **found, "is": "LOST" if lost(one.case.name) else ""})
     print_rows(rows)
     return not any(row["is"] for row in rows)
+
+
+def renew(runners: Sequence[Runner], path: Path) -> None:
+    """Write the median of several measurements, each over all cases; rows of other cases stay."""
+    every = [[one.measure() for one in runners] for _ in range(RENEWED)]
+    rows = {row["name"]: row for row in read_csv(path)}
+    for one, found in zip(runners, zip(*every, strict=True), strict=True):
+        ratio, ours_s = (statistics.median(getattr(each, name) for each in found) for name in ("ratio", "ours_s"))
+        facts = {"name": one.case.name, "peer": one.case.peer, "ratio": f"{ratio:.4g}", "cpu_ms": f"{1e3 * ours_s:.4g}"}
+        rows[one.case.name] = facts
+    write_csv(path, [rows[case.name] for case in all_cases() if case.name in rows])
 
 
 def main() -> int:
     """Exit status 1 if a ratio has lost more than 20 %."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", action="append", metavar="TEXT", help="cases whose name contains it; may be repeated")
-    renewing = f"write the median of N measurements (default {RENEWED}) on this machine to ratios.csv, to commit"
-    parser.add_argument("--renew", type=int, nargs="?", const=RENEWED, metavar="N", help=renewing)
+    renewing = f"write the median of {RENEWED} measurements on this machine to ratios.csv, to commit"
+    parser.add_argument("--renew", action="store_true", help=renewing)
     arguments = parser.parse_args()
-    began, runners = time.monotonic(), []
-    for case in all_cases():
-        if arguments.only and not any(text in case.name for text in arguments.only):
-            continue
-        if case.needs and importlib.util.find_spec(case.needs) is None:
-            print(f"  {case.name}: skipped: {case.needs} is not installed")
-        else:
-            runners.append(Runner(case))
+    began, only = time.monotonic(), arguments.only or [""]
+    runners = [Runner(case) for case in all_cases() if any(text in case.name for text in only)]
     if not runners:
         parser.error("--only: no case has such a name")
     if arguments.renew:
-        renew(runners, RATIOS, arguments.renew)
-        print(f"{RATIOS}: renewed in {time.monotonic() - began:.0f} s")
+        renew(runners, RATIOS)
         return 0
-    committed = read_ratios(RATIOS)
-    kept = table(runners, guard(runners, committed), committed)
-    load = os.getloadavg()[0]
-    print(
-        f"\n{time.monotonic() - began:.0f} s at a load of {load:.1f}: {'nothing is' if kept else 'something is'} lost"
-    )
-    return 0 if kept else 1
+    kept = guard(runners, {row["name"]: float(row["ratio"]) for row in read_csv(RATIOS)})
+    load, what = os.getloadavg()[0], "nothing is" if kept else "something is"
+    print(f"\n{time.monotonic() - began:.0f} s at a load of {load:.1f}: {what} lost")
+    return int(not kept)
 
 
 if __name__ == "__main__":

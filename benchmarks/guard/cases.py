@@ -8,7 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from benchmarks.common import cpu_ms, scene
-from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.models.registry import load_model
 from foretouch.pipeline import FoundObject, Pipeline
@@ -42,7 +42,6 @@ class Case:
     peer: str  # what it is compared with
     make: Callable[[], tuple[Job, Job]]  # our way, and the peer
     own_clock: bool = False  # whether the jobs return their CPU seconds themselves, as programs do
-    needs: str = ""  # an optional package of the peer
 
 
 @cache
@@ -65,18 +64,6 @@ def grasps() -> list[Grasp]:
     pairs = np.random.default_rng(0).choice(len(xyz), (1000, 2))
     pairs = pairs[np.linalg.norm(xyz[pairs[:, 0]] - xyz[pairs[:, 1]], axis=1) > 0.01]
     return [Grasp(xyz[a], xyz[b], np.eye(3)) for a, b in pairs[np.arange(1000) % len(pairs)]]
-
-
-def segmentation(width: int, height: int) -> Job:
-    """The objects of a scene."""
-    cloud = scene_cloud(width, height)
-    return lambda: segment(cloud, SegmentationConfig())
-
-
-def geograsp(config: GeoGraspConfig) -> Job:
-    """A plan on the target."""
-    one = target()
-    return lambda: plan_grasps(one.cloud, one.plane, config, pixels=one.pixels, image_shape=one.image_shape)
 
 
 def touch(model: str, count: int) -> Job:
@@ -108,12 +95,6 @@ def simulator(name: str) -> Job:
     made = scene(name)
     engine = Engine(made, EFFECTS, ("cloud", "touch"))
     return lambda: [engine.run(SampleKey(made.seed, slot)) for slot in range(4)]
-
-
-def pipeline() -> Job:
-    """From a cloud to the touch of the best grasp."""
-    cloud, made = scene_cloud(seed=2), Pipeline()
-    return lambda: made.run(cloud)
 
 
 def yardstick() -> None:
@@ -166,11 +147,15 @@ def all_cases() -> list[Case]:
     def yard(name: str, make: Callable[[], Job]) -> Case:
         return Case(name, "a yardstick of NumPy", lambda: (make(), yardstick))
 
+    def plan(method: str) -> Job:
+        one, config = target(), GeoGraspConfig(method=method)
+        return lambda: plan_grasps(one.cloud, one.plane, config, pixels=one.pixels, image_shape=one.image_shape)
+
     return [
-        yard("segmentation 848x480", lambda: segmentation(848, 480)),
-        yard("segmentation 1280x720", lambda: segmentation(1280, 720)),
-        yard("GeoGrasp original", lambda: geograsp(GeoGraspConfig(method="original"))),
-        yard("GeoGrasp completed", lambda: geograsp(GeoGraspConfig())),
+        yard("segmentation 848x480", lambda: partial(segment, scene_cloud(848, 480))),
+        yard("segmentation 1280x720", lambda: partial(segment, scene_cloud(1280, 720))),
+        yard("GeoGrasp original", lambda: plan("original")),
+        yard("GeoGrasp completed", lambda: plan("completed")),
         yard("contact model, 1 grasp", lambda: touch("default", 1)),
         yard("contact model, 100 grasps", lambda: touch("default", 100)),
         yard("contact model, 1000 grasps", lambda: touch("default", 1000)),
@@ -178,6 +163,6 @@ def all_cases() -> list[Case]:
         yard("simulator, rigid", lambda: simulator("rigid")),
         yard("simulator, deformables", lambda: simulator("deformables")),
         yard("training step", training_step),
-        yard("cloud to touch", pipeline),
-        Case("graph in one process", "Pipeline.run", graph, own_clock=True, needs="rclpy"),
+        yard("cloud to touch", lambda: partial(Pipeline().run, scene_cloud(seed=2))),
+        Case("graph in one process", "Pipeline.run", graph, own_clock=True),
     ]

@@ -6,6 +6,8 @@ was recorded before the other, whatever drifts looks like the outcome. So the pl
 is a baseline, and grasps are also compared in the other order alone: a grasp that held with those before it in its session that did not.
 """
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,18 +15,24 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.other_recordings.results import summarise, tabulate
-from benchmarks.other_recordings.touch_hold import electrodes, fit
 from foretouch.config import Settings, setting
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import content_sha256
 from foretouch.errors import ConfigError
+from foretouch.models.novelty import standardisation
+from foretouch.models.touch_hold import TouchHold, patterns
 from foretouch.types import Bool, Float64
+from foretouch.types.channels import Channels
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 _POSTURE_FOLDS: Final = 3
 HOLD_METHODS: Final = ("place in session", "electrode mean", "logistic", "boosted trees", "patterns")
+
+FINGERS: Final = ("TH", "MF", "FF")
+CONFIG: Final = {"networks": 5, "units": 16, "decay": 1.0, "epochs": 60}
+_USUAL: Final = (0.001, 0.999)  # quantiles of the training readings, between which a pattern is in range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,40 +46,23 @@ class OtherSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-@dataclass(frozen=True, eq=False)
 class Records:
-    """The labelled grasps of a dataset."""
+    """The labelled grasps of a dataset, and of each (S,): object, posture of the hand, session and place in it.
 
-    records: list[SampleRecord]
-    sha256: str
+    A session are the grasps on an object in a file, in the order in which they were recorded; the file names the posture, but for
+    the suffix that tells the test set of its authors.
+    """
 
-    @property
-    def objects(self) -> Any:
-        """(S,) names."""
-        return np.array([one.sample.object for one in self.records])
-
-    @property
-    def touches(self) -> Float64:
-        """(S, D)."""
-        return np.array([one.sample.touch.values for one in self.records if one.sample.touch is not None])
-
-    @property
-    def postures(self) -> Any:
-        """(S,) file of each grasp, without the suffix that tells the test set of its authors."""
-        return np.array([one.note.partition(".")[0].removesuffix("_test") for one in self.records])
-
-    @property
-    def sessions(self) -> Any:
-        """(S,) number of the session of each grasp: those on its object in its file, in the order in which they were recorded."""
-        return np.unique(
-            [f"{one.sample.object} {one.note.partition(',')[0]}" for one in self.records], return_inverse=True
-        )[1]
-
-    @property
-    def places(self) -> Float64:
-        """(S,) number of grasps before each in its session."""
-        sessions = self.sessions
-        return np.array([np.count_nonzero(sessions[:k] == one) for k, one in enumerate(sessions)], np.float64)
+    def __init__(self, records: Sequence[SampleRecord], sha256: str) -> None:
+        self.records, self.sha256 = records, sha256
+        self.touches = np.array([one.sample.touch.values for one in records if one.sample.touch is not None])  # (S, D)
+        self.objects: Any = np.array([one.sample.object for one in records])
+        self.postures: Any = np.array([one.note.partition(".")[0].removesuffix("_test") for one in records])
+        files = [one.note.partition(",")[0] for one in records]
+        names = [f"{one} {file}" for one, file in zip(self.objects, files, strict=True)]
+        self.sessions: Any = np.unique(names, return_inverse=True)[1]
+        earlier = [np.count_nonzero(self.sessions[:k] == one) for k, one in enumerate(self.sessions)]
+        self.places = np.array(earlier, np.float64)
 
 
 def _load(_settings: OtherSettings, path: Path) -> Records:
@@ -135,6 +126,36 @@ def hold_chance(method: str, settings: OtherSettings, data: Records, learnt: Boo
         model = HistGradientBoostingClassifier(max_iter=settings.trees, learning_rate=0.08, random_state=settings.seed)
     found: Float64 = model.fit(features[learnt], held[learnt]).predict_proba(features)[:, 1]
     return found
+
+
+def electrodes(touches: Float64, channels: Channels) -> Float64 | None:
+    """(S, 3, 24) electrodes of (S, D) touches by `FINGERS`; None of another sensor."""
+    names = [f"E_{finger}" for finger in FINGERS]
+    if not set(names) <= set(channels.modalities):
+        return None
+    return touches[:, channels.columns(names)].reshape(len(touches), len(FINGERS), -1)
+
+
+def fit(readings: Float64, held: Bool, seed: int) -> TouchHold:
+    """A model of (S, 3, 24) readings and whether the grasps held, not calibrated."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPClassifier
+
+    found = patterns(readings)
+    mean, deviation = standardisation(found)
+    how = {"activation": "tanh", "alpha": CONFIG["decay"], "max_iter": CONFIG["epochs"]}
+    networks = [MLPClassifier((CONFIG["units"],), random_state=seed + k, **how) for k in range(CONFIG["networks"])]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is part of the recipe
+        for one in networks:
+            one.fit((found - mean) / deviation, held)
+    # The standardisation is part of the first layer.
+    hidden = np.stack([one.coefs_[0] / deviation[:, None] for one in networks])
+    bias = np.stack([one.intercepts_[0] for one in networks]) - np.einsum("d,kdh->kh", mean, hidden)
+    out = np.stack([one.coefs_[1][:, 0] for one in networks])
+    last = np.array([one.intercepts_[1][0] for one in networks])
+    low, high = np.quantile(found, _USUAL, axis=0)
+    return TouchHold(low, high, hidden, bias, out, last, np.array([1.0, 0.0]))
 
 
 EXPERIMENT = Experiment(

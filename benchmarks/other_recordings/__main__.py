@@ -12,8 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.common import read_csv
-from benchmarks.other_recordings import folds_of
-from benchmarks.other_recordings.touch_hold import CONFIG, FINGERS, electrodes, fit
+from benchmarks.other_recordings import CONFIG, FINGERS, electrodes, fit, folds_of
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import content_sha256
 from foretouch.models.card import save_model

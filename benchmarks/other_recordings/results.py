@@ -40,12 +40,11 @@ def calibration_error(chance: Float64, held: Bool, bins: int = BINS) -> float:
 
 def _draws(objects: int, config: BootstrapConfig) -> Float64:
     """(draws, O) how often each object is in a resample."""
-    return (
-        np.random.default_rng(0).multinomial(objects, np.full(objects, 1.0 / objects), config.draws).astype(np.float64)
-    )
+    rng, shares = np.random.default_rng(0), np.full(objects, 1.0 / objects)
+    return rng.multinomial(objects, shares, config.draws).astype(np.float64)
 
 
-def _interval(scores: Sequence[float] | Float64, name: str = "score") -> dict[str, float]:
+def _interval(scores: Sequence[float] | Float64, name: str) -> dict[str, float]:
     low, high = np.nanpercentile(scores, [2.5, 97.5])
     return {f"{name}_low": float(low), f"{name}_high": float(high)}
 
@@ -60,7 +59,7 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
         names, numbers = np.unique(objects, return_inverse=True)
         drawn = _draws(len(names), config)[:, numbers]  # how often each grasp is in a resample
         facts: Row = {"grasps": len(held), "objects": len(names), "score": roc_auc_score(held, chance)}
-        facts |= _interval([roc_auc_score(held, chance, sample_weight=one) for one in drawn])
+        facts |= _interval([roc_auc_score(held, chance, sample_weight=one) for one in drawn], "score")
         facts["calibration_error"] = calibration_error(chance, held)
         won, against = slip_first(chance, held, sessions)
         if against.any():
@@ -73,23 +72,24 @@ def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
 
 def summarise(rows: Sequence[Row]) -> list[Table]:
     """A table for each way of leaving out."""
-    tables = []
+    tables, columns = [], ("method", "AUC", "AUC, slip before stable", f"calibration error, {BINS} bins")
     for left_out, parts in grouped(rows, "left_out"):
         lines = [
             [
-                str(row["method"]),
-                _between(row),
-                "" if row["slip_first"] in (None, "") else _between(row, "slip_first"),
+                row["method"],
+                _between(row, "score"),
+                _between(row, "slip_first"),
                 f"{float(row['calibration_error']):.3f}",
             ]
             for row in parts
         ]
         head = f"will it hold, {left_out} left out: {parts[0]['grasps']} grasps, {parts[0]['objects']} objects"
-        columns = ("method", "AUC", "AUC, slip before stable", f"calibration error, {BINS} bins")
         pairs = f"; of {parts[0]['slip_first_pairs']} pairs of a session with the slip before the stable grasp, over sessions"
         tables.append(Table(head, columns, lines, [_NOTE + pairs * bool(parts[0]["slip_first_pairs"])]))
     return tables
 
 
-def _between(row: Row, name: str = "score") -> str:
+def _between(row: Row, name: str) -> str:
+    if row[name] in (None, ""):
+        return ""
     return f"{float(row[name]):.3f} [{float(row[f'{name}_low']):.3f}, {float(row[f'{name}_high']):.3f}]"

@@ -1,12 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kills a recorder with SIGKILL at random instants, and counts acknowledged and lost samples.
+"""Kills a recorder with SIGKILL at random instants, and counts acknowledged and lost samples (see README.md).
 
-Each round starts a process that records samples and messages as fast as it can, ending its session and resuming
-the dataset every few samples. It writes the id of each sample to a pipe once `append` has returned. It is killed after
-a random time, measured from its start or, every second round, from its first sample. Then the dataset is repaired and
-verified: every acknowledged id must be in it, with the content that belongs to that id.
-
-    python benchmarks/recorder/kill.py [--rounds 100] [--seed 0] [--json]
+python benchmarks/recorder/kill.py [--rounds 100] [--seed 0] [--json]
 """
 
 import argparse
@@ -62,12 +57,12 @@ def contents(folder: Path) -> dict[str, int]:
     return result
 
 
-def record_forever(folder: Path, fsync_samples: int) -> None:
+def record_forever(folder: Path) -> None:
     """Record until killed; runs in the child process."""
     rng = np.random.default_rng()
     message = b"\0\1\0\0" + bytes(300)
     writer_module.CHUNK_S, writer_module.COUNTS_S = 0.01, 0.1
-    config = RecordingConfig(fsync_samples=fsync_samples)
+    config = RecordingConfig(fsync_samples=1)
     number = max(contents(folder).values(), default=0)
     os.write(1, b"ready\n")
     while True:
@@ -82,13 +77,13 @@ def record_forever(folder: Path, fsync_samples: int) -> None:
                 os.write(1, f"{given} {number}\n".encode())
 
 
-def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> dict[str, Any]:
+def kill_once(number: int, folder: Path, delay_s: float) -> dict[str, Any]:
     """Start the recorder, kill it after a while, repair, verify and compare.
 
     Every second kill waits for the first sample, so that the kill hits appending, not only starting, on a busy machine too.
     """
     known = set(contents(folder))
-    command = [sys.executable, __file__, "--child", str(folder), "--fsync-samples", str(fsync_samples)]
+    command = [sys.executable, __file__, "--child", str(folder)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         if process.stdout.readline() != b"ready\n":
@@ -100,15 +95,11 @@ def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> 
     printed = [line.split() for line in output.splitlines() if line.count(" ") == 1]
     acknowledged = {given: int(content) for given, content in printed}
     repairs = repair_dataset(folder) if folder.exists() and (folder / "manifest.json").exists() else []
-    cut = sum(r.original.stat().st_size - r.path.stat().st_size for r in repairs if r.original)
     clean = all(report.clean for report in verify_dataset(folder)) if repairs else not acknowledged
     there = contents(folder)
     return {
         "number": number,
-        "killed_after_ms": 1e3 * delay_s,
         "acknowledged": len(acknowledged),
-        "sessions": len(repairs),
-        "cut_bytes": max(0, cut),
         "found": len(there.keys() - known),
         "lost": len((acknowledged.keys() | known) - there.keys()),
         "wrong": sum(there.get(given, content) != content for given, content in acknowledged.items()),
@@ -120,21 +111,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--fsync-samples", type=int, default=1, help="0: never wait for the disk")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.child:
-        record_forever(arguments.child, arguments.fsync_samples)
+        record_forever(arguments.child)
     rng, rounds = np.random.default_rng(arguments.seed), []
     with tempfile.TemporaryDirectory(prefix="foretouch-kill-") as root:
         for number in range(arguments.rounds):
             folder = Path(root) / "dataset"
-            if (
-                number % ROUNDS_A_DATASET == 0
-            ):  # several kills in succession hit one dataset, which each recorder resumes
+            if number % ROUNDS_A_DATASET == 0:  # several kills hit one dataset, which each recorder resumes
                 shutil.rmtree(folder, ignore_errors=True)
-            rounds.append(kill_once(number, folder, float(rng.uniform(0.0, LONGEST_S)), arguments.fsync_samples))
+            rounds.append(kill_once(number, folder, float(rng.uniform(0.0, LONGEST_S))))
             if not arguments.json:
                 print(", ".join(f"{name} {value}" for name, value in rounds[-1].items()), flush=True)
     total = {name: sum(one[name] for one in rounds) for name in ("acknowledged", "lost", "wrong", "not_clean")}

@@ -6,16 +6,17 @@ real recordings: 400 grasps of rigid objects, 22 steady touches, and the clouds 
 """
 
 import argparse
+import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common import print_rows, scene
-from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.errors import SimulationError
 from foretouch.types import GraspSample
 from foretouch_lab.simulation.effects import EFFECTS
@@ -27,7 +28,35 @@ from foretouch_lab.simulation.world import SampleKey
 Array = npt.NDArray[np.float64]
 Row = tuple[str, float, float, float]  # what, found, least, most
 
-_TH_MF = (("TH", slice(2, 26), 0), ("MF", slice(26, 50), 1))
+# Of each finger its electrodes and its pressure among the readings, and the bounds of the drops of an electrode [counts].
+_TH_MF = (("TH", slice(2, 26), 0, (78, 176), (657, 1479)), ("MF", slice(26, 50), 1, (48, 108), (461, 1037)))
+
+
+@dataclass(frozen=True)
+class SteadyNoise:
+    """Noise of electrodes in steady touch."""
+
+    sd: float  # of the white part [counts]: root mean square of the steps that move, over √2; a slow change hardly enters
+    repeated: float  # share of values equal to the one before
+    lag1: float  # autocorrelation at one row about each channel's straight line, median of the channels that depart from it
+
+
+def steady_noise(series: Sequence[npt.ArrayLike]) -> SteadyNoise:
+    """Estimate the noise of series of (T, C) counts at a steady rate; T and C may differ."""
+    rows = [np.asarray(one, np.float64) for one in series]
+    steps = np.concatenate([np.diff(counts, axis=0).ravel() for counts in rows])
+    moves = steps[steps != 0.0]
+    lags = np.concatenate([_lag1(counts) for counts in rows])
+    return SteadyNoise(math.sqrt(np.mean(moves**2) / 2.0), 1.0 - moves.size / steps.size, float(np.median(lags)))
+
+
+def _lag1(counts: Array) -> Array:
+    time = np.arange(len(counts)) - (len(counts) - 1) / 2.0
+    rest = counts - counts.mean(axis=0)
+    rest -= np.outer(time, time @ rest / (time @ time))
+    squares = (rest**2).sum(axis=0)
+    moving = squares > 0.0
+    return np.asarray((rest[1:] * rest[:-1]).sum(axis=0)[moving] / squares[moving])
 
 
 def states(config: SceneConfig, count: int, *outputs: str) -> Iterator[Any]:
@@ -73,17 +102,13 @@ def sensor() -> Iterator[Row]:
     yield "electrode noise, lag-1 correlation", noise.lag1, 0.30, 0.46
 
 
-_DROPS = {"TH": ((78, 176), (657, 1479)), "MF": ((48, 108), (461, 1037))}
-
-
 def counts(samples: list[GraspSample]) -> Iterator[Row]:
     """Spread of the counts over grasps of rigid objects."""
     touches = np.array([s.touch.values for s in samples if s.touch is not None])
-    for name, columns, pdc in _TH_MF:
+    for name, columns, pdc, median, most in _TH_MF:
         electrodes = touches[:, columns]
         drop = np.percentile(electrodes, 95, axis=0) - electrodes
         variances = np.linalg.svd(electrodes - electrodes.mean(axis=0), compute_uv=False) ** 2
-        median, most = _DROPS[name]
         yield f"rigid {name}: drop of an electrode, median [counts]", float(np.median(drop)), *median
         yield f"rigid {name}: drop, 99 % [counts]", float(np.percentile(drop, 99)), *most
         share = float(variances[:4].sum() / variances.sum())
@@ -116,14 +141,9 @@ def main() -> None:
     rows = [*camera(), *sensor(), *counts(samples), ("rigid: calls of the layer solver", layer_calls, 0, 0)]
     rows += [*forces("rigid", 60), *forces("deformables", 60)]
     lines = [
-        {
-            "what": what,
-            "found": f"{found:.3g}",
-            "must": f"{least:g} to {most:g}",
-            "": "ok" if least <= found <= most else "no",
-        }
+        {"what": what, "found": f"{found:.3g}", "must": f"{least:g} to {most:g}", "": "ok" if least <= found <= most else "no"}
         for what, found, least, most in rows
-    ]
+    ]  # fmt: skip
     print_rows(lines)
     print(f"Failed tries in {arguments.n} rigid grasps: {rigid.failures_by_reason or 'none'}")
     sys.exit(any(line[""] == "no" for line in lines))

@@ -5,8 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 STAGES = (("segmentation", ("object_cloud", "table")), ("grasp", ("grasps",)), ("touch_predictor", ("touch",)))
 """Node and the topics of its answer, in the order of the chain."""
 
@@ -15,9 +13,7 @@ _SOURCES = {"segmentation": ("camera",), "grasp": ("segmentation",), "touch_pred
 
 QUEUED_S = 2.0  # a node that ends takes along what arrived so shortly before
 MATCHED_S = 1.0  # an active node is found by its publishers within this time
-COUNTED_S = (
-    20.0  # a drop is counted this long after the cloud at most: one that waits for what belongs to it is given up
-)
+COUNTED_S = 20.0  # a drop is counted this long after the cloud at most: one that waits for others is given up
 
 
 @dataclass(frozen=True)
@@ -86,10 +82,3 @@ def account(
 
 def _explains(drop: Drop, node: str, time_s: float) -> bool:
     return drop.node == node and drop.end_s >= time_s and drop.start_s <= time_s + COUNTED_S
-
-
-def slope_per_hour(times_s: Sequence[float], values: Sequence[float]) -> float:
-    """Slope of a least-squares line through values over time [value/h]; NaN for fewer than three."""
-    if len(times_s) < 3:
-        return float("nan")
-    return float(np.polyfit(np.asarray(times_s) / 3600.0, np.asarray(values), 1)[0])

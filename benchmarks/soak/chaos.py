@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the graph in separate processes, breaks one thing after the other, and accounts for every cloud (see README.md).
-
-With `--quiet` nothing is broken: for hours, memory and latency must stay flat.
-"""
+"""Runs the graph in separate processes, breaks one thing after the other, and accounts for every cloud (see README.md)."""
 
 import argparse
 import os
@@ -11,9 +8,9 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +18,7 @@ import numpy as np
 
 from benchmarks.common import ROOT, write_csv
 from benchmarks.ros import NAMESPACE, end, prepare_domain, spawn
-from benchmarks.soak.accounting import Outage, account, slope_per_hour
+from benchmarks.soak.accounting import Outage, account
 from benchmarks.soak.observer import DOMAIN, Observer
 
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
@@ -36,28 +33,23 @@ TMPFS_MB = 64
 
 def memory_row(node: str, sizes: Sequence[tuple[float, float]], warm_up_s: float) -> dict[str, Any] | None:
     """A row of `memory.csv` from times [s] and sizes [MB] of a process, if it lived long enough."""
-    kept = [one for one in sizes if one[0] >= sizes[0][0] + warm_up_s]
+    kept = np.array([one for one in sizes if one[0] >= sizes[0][0] + warm_up_s])
     if len(kept) < 60:
         return None
-    times, values = zip(*kept, strict=True)
-    ends = {"first_mb": values[0], "last_mb": values[-1], "greatest_mb": max(values)}
-    found = {"process": node, "watched_s": round(times[-1] - times[0])} | {k: round(v, 1) for k, v in ends.items()}
-    return {**found, "slope_mb_per_h": round(slope_per_hour(times, values), 2)}
+    times, values = kept.T
+    slope = np.polyfit(times / 3600.0, values, 1)[0]
+    found = {"first_mb": values[0], "last_mb": values[-1], "greatest_mb": values.max(), "slope_mb_per_h": slope}
+    return {"process": node, "watched_s": round(times[-1] - times[0])} | {k: round(v, 2) for k, v in found.items()}
 
 
 class Soak:
-    """The graph, and what is done to it.
+    """The graph, which records into a folder, and what is done to it."""
 
-    Args:
-        folder: For recordings.
-        rate_hz: Clouds per second.
-    """
-
-    def __init__(self, folder: Path, rate_hz: int) -> None:
+    def __init__(self, folder: Path) -> None:
         scene = {"scene.path": ROOT / "config" / "scenes" / "clean.yaml", "scene.origin_ns": time.time_ns()}
         patience = {"camera.silence_s": 20.0}
         self._parameters: dict[str, dict[str, Any]] = {
-            "camera": {"source": "scene", "camera.fps": rate_hz, **patience, **scene},
+            "camera": {"source": "scene", "camera.fps": 5, **patience, **scene},
             "hand": scene,
             "recorder": {"folder": folder, "record": "main", "writing.min_free_mb": 0.0},  # written to until it refuses
         }
@@ -68,7 +60,6 @@ class Soak:
         self.unexpected: list[str] = []  # processes that ended by themselves
         self.seen = Observer()
         self._sessions = 0
-        self._sampling = threading.Event()
 
     # Processes.
 
@@ -80,32 +71,25 @@ class Soak:
         self.memory[name] = []
         return self.seen.wait(lambda: self.seen.active(name, before), START_S)
 
-    def sample(self, period_s: float = 1.0) -> None:
-        """Read the memory of all processes until the end, in a thread: resident, without the pages that they share.
+    def watch(self, until_s: float) -> None:
+        """Until then, read the memory of all processes once a second, and note those that ended by themselves.
 
-        Each reads the 64 MB of shared memory into which another writes its messages, page by page, which counts as resident.
+        It is what is resident without the pages that they share: each reads the 64 MB of shared memory into which another
+        writes its messages, page by page, which counts as resident.
         """
-        while not self._sampling.wait(period_s):
-            for name, process in list(self.processes.items()):
-                try:
-                    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
-                except OSError:
-                    continue
+        while time.monotonic() < until_s:
+            for name, process in self.processes.items():
+                if (status := process.poll()) is not None:
+                    self.unexpected.append(f"{name}: exit status {status}")
+                    self.start(name)
+                lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
                 sizes = [int(line.split()[1]) for line in lines if line.startswith(("RssAnon:", "RssFile:"))]
                 if sizes:  # a process that has just ended has none
                     self.memory[name].append((time.monotonic(), sum(sizes) * 1024 / 1e6))
-
-    def watch(self) -> None:
-        """Note processes that ended by themselves, and start them again."""
-        for name, process in list(self.processes.items()):
-            status = process.poll()
-            if status is not None:
-                self.unexpected.append(f"{name}: exit status {status}")
-                self.start(name)
+            time.sleep(1.0)
 
     def close(self) -> None:
         """End all processes, and leave the graph."""
-        self._sampling.set()
         for process in self.processes.values():
             process.terminate()
         ended = {name: end(process, 15.0) for name, process in self.processes.items()}
@@ -157,24 +141,19 @@ class Soak:
             time.sleep(5.0 if skew else 0.0)
         return ""
 
-    def record(self, path: Path | str) -> str:
-        """Begin a recording; gives the error."""
-        from foretouch_msgs.srv import StartRecording
+    def record_anew(self, path: Path | None = None) -> str:
+        """End the recording and begin another one, by default in a new dataset on the disk; gives the error."""
+        from foretouch_msgs.srv import StartRecording, StopRecording
 
-        request, seen = StartRecording.Request(path=str(path), object="can"), self.seen
+        seen = self.seen
+        seen.call(StopRecording, f"{NAMESPACE}/stop_recording", StopRecording.Request())
+        self._sessions += path is None
+        request = StartRecording.Request(path=str(path or f"main-{self._sessions}"), object="can")
         answer = seen.call(StartRecording, f"{NAMESPACE}/start_recording", request)
         if answer is None or not answer.success:
             return "no answer" if answer is None else str(answer.message)
         shown = seen.wait(lambda: seen.recorder.recording and seen.recorder.path == answer.path, PATIENCE_S)
         return "" if shown else "recorder_status does not show it"
-
-    def record_anew(self, path: Path | None = None) -> str:
-        """End the recording and begin another one, by default in a new dataset on the disk; gives the error."""
-        from foretouch_msgs.srv import StopRecording
-
-        self.seen.call(StopRecording, f"{NAMESPACE}/stop_recording", StopRecording.Request())
-        self._sessions += path is None
-        return self.record(path or f"main-{self._sessions}")
 
     def reported(self, began: float) -> str:
         """How soon the recorder has reported the end of its recording, and how."""
@@ -243,24 +222,23 @@ def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str
 
     Processes are killed at the beginning only, so that the memory of the others can be watched for a long time.
     """
-    transitions = {
-        "deactivate": ("deactivate", "activate"),
-        "clean up": ("deactivate", "cleanup", "configure", "activate"),
-    }
-    kills = [(f"kill {name}", lambda name=name: soak.kill(name)) for name in NODES]
+    kills = [(f"kill {name}", partial(soak.kill, name)) for name in NODES]
     cycles = [
-        (f"{what} {name}", lambda name=name, steps=steps: soak.cycle(name, *steps))
+        (f"{what} {name}", partial(soak.cycle, name, *steps))
         for name in NODES
-        for what, steps in transitions.items()
+        for what, steps in (
+            ("deactivate", ("deactivate", "activate")),
+            ("clean up", ("deactivate", "cleanup", "configure", "activate")),
+        )
     ]
-    stalls = [(f"stall {name}", lambda name=name: soak.stall(name)) for name in ("camera", "hand", *PERCEPTION)]
-    jumps = [(f"clock of hand {skew:+.0f} s", lambda skew=skew: soak.jump(skew)) for skew in (-5.0837, 3599.0837)]
+    stalls = [(f"stall {name}", partial(soak.stall, name)) for name in ("camera", "hand", *PERCEPTION)]
+    jumps = [(f"clock of hand {skew:+.0f} s", partial(soak.jump, skew)) for skew in (-5.0837, 3599.0837)]
     disk = [("disk full", soak.fill_disk), ("folder removed", soak.remove_folder)]
     if every:
         rest = [*cycles, *stalls, *jumps, *disk]
         mixed = [one for k in range(4) for one in rest[k::4]]
         return [*kills, *mixed, *mixed]
-    return [kills[2], cycles[0], disk[0], stalls[0], cycles[3], jumps[0], disk[1], jumps[3], kills[4]]
+    return [kills[2], cycles[0], disk[0], stalls[0], cycles[3], jumps[0], disk[1], jumps[1], kills[4]]
 
 
 def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[dict[str, Any]], float]:
@@ -272,24 +250,20 @@ def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[dict[str, Any]
     if not soak.seen.wait(lambda: bool(soak.seen.answers), START_S):
         raise SystemExit("the first cloud is not answered")
     soak.outages += [Outage(name, "not yet connected", began, time.monotonic()) for name in PERCEPTION]
-    threading.Thread(target=soak.sample, daemon=True).start()
     origin = time.monotonic()
     plan = [] if quiet else disturbances(soak, every=minutes >= 10)
     quiet_s = min(60.0, minutes * 6.0)
     interval_s = (minutes * 60.0 - 2 * quiet_s) / max(len(plan), 1)
     done = []
-    time.sleep(quiet_s)
+    soak.watch(origin + quiet_s)
     for number, (name, action) in enumerate(plan):
         if time.monotonic() - origin > minutes * 60.0 - quiet_s:
             print(f"{len(plan) - number} disturbances were left out: time is over", flush=True)
             break
-        soak.watch()
         done.append(soak.disturb(name, action, origin))
         print("  ".join(done[-1].values()), flush=True)
-        time.sleep(max(0.0, origin + quiet_s + (number + 1) * interval_s - time.monotonic()))
-    while (left := origin + minutes * 60.0 - time.monotonic()) > 0.0:
-        time.sleep(min(left, 10.0))
-        soak.watch()
+        soak.watch(origin + quiet_s + (number + 1) * interval_s)
+    soak.watch(origin + minutes * 60.0)
     soak.cycle("camera", "deactivate")
     time.sleep(4.0)  # what is in work is answered, and counted once more
     return done, origin
@@ -364,7 +338,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=2.0, help="30 is the long form (default: 2)")
     parser.add_argument("--quiet", action="store_true", help="disturb nothing")
-    parser.add_argument("--rate", type=int, default=5, help="clouds per second (default: 5)")
     parser.add_argument("--out", type=Path, default=Path("soak"), help="folder of the results (default: soak)")
     options = parser.parse_args()
     if os.geteuid() != 0:
@@ -375,7 +348,7 @@ def main() -> int:
     prepare_domain(DOMAIN)
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="foretouch-soak-") as name:
-        soak = Soak(Path(name), options.rate)
+        soak = Soak(Path(name))
         try:
             done, origin = run(soak, options.minutes, quiet=options.quiet)
         finally:

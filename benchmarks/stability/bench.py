@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp, real and made objects."""
+"""How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp on recorded objects."""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Rows, command
+from benchmarks.common import add_data, print_rows, write_csv
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
 from foretouch.types import Cloud, Float32, Float64, Plane
@@ -50,20 +50,6 @@ CHANGES: Mapping[str, Change] = {
 }
 
 
-def tables(arguments: argparse.Namespace) -> dict[Path, Rows]:
-    """The one table."""
-    groups = {"made": list(made_clouds())}
-    paths = sorted(Path(arguments.data).glob("vision2tactile/*/*/cloud-object.pcd")) if arguments.data else []
-    if not paths:
-        print("no recordings: --data or FORETOUCH_DATA; only made objects are measured")
-    for name, tuned in (("real, tuned on", True), ("real, others", False)):
-        chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
-        if chosen and (tuned or arguments.all):
-            groups[name] = [read_cloud(path).xyz.reshape(-1, 3) for path in chosen]
-    rows = (row for name, clouds in groups.items() for row in measure(name, clouds))
-    return {Path(__file__).parent / "results.csv": rows}
-
-
 def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, Any]]:
     """The rows of the table for some clouds."""
     moved: dict[tuple[str, str], list[float]] = {(change, method): [] for change in CHANGES for method in METHODS}
@@ -96,30 +82,24 @@ def distance_mm(before: GraspPlan, after: GraspPlan, change: Change, centre: Flo
     return float(np.linalg.norm(change.carry(one, centre) - other, axis=1).max() * 1e3)
 
 
-def made_clouds() -> Iterator[Float32]:
-    """Boxes, lying cylinders, domes and rings of several sizes, as a depth camera 1.2 m above the table sees them."""
-    rng = np.random.default_rng(11)
-    u, v = np.meshgrid(np.arange(-0.15, 0.15, 0.002), np.arange(-0.15, 0.15, 0.002))
-
-    def dome(distance: Float64, radius: float) -> Float64:
-        return np.sqrt(np.maximum(radius**2 - distance**2, 0.0))
-
-    for size in (0.05, 0.08, 0.11):
-        half = size / 2
-        for shape in ("box", "cylinder", "dome", "ring"):
-            for turn in rng.uniform(0.0, np.pi, 3):
-                a, b = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
-                flat, radius = (np.abs(a) < size) & (np.abs(b) < half), np.hypot(a, b)
-                inside, height = {
-                    "box": (flat, np.full(a.shape, 0.05)),
-                    "cylinder": (flat, dome(b, half)),
-                    "dome": (radius < half, dome(radius, half)),
-                    "ring": ((radius < half) & (radius > size / 4), np.full(a.shape, 0.02)),
-                }[shape]
-                depth = 1.2 - height + rng.normal(0.0, 0.0007, a.shape)
-                yield np.stack([u, v, depth], axis=-1)[inside].astype(np.float32)
+def main() -> None:
+    """Print and write the one table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_data(parser)
+    parser.add_argument("--all", action="store_true", help="also the clouds that did not tune an earlier method")
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("results.csv"))
+    options = parser.parse_args()
+    paths = sorted(Path(options.data or "").glob("vision2tactile/*/*/cloud-object.pcd"))
+    if not paths:
+        raise SystemExit("no recordings: --data or FORETOUCH_DATA")
+    rows: list[dict[str, Any]] = []
+    for name, tuned in (("real, tuned on", True), ("real, others", False)):
+        if tuned or options.all:
+            chosen = [path for k, path in enumerate(paths) if (k % TUNED_ON == 0) == tuned]
+            rows += measure(name, [read_cloud(path).xyz.reshape(-1, 3) for path in chosen])
+    print_rows(rows)
+    write_csv(options.out, rows)
 
 
 if __name__ == "__main__":
-    more = {"action": "store_true", "help": "also the recorded clouds that did not tune an earlier method"}
-    command(__doc__, tables, {"--all": more}, data=True)
+    main()

@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stamp of a cloud to received touch: stages, processor time and losses (see README.md)."""
+"""Stamp of a cloud to received touch: latency, processor time and losses (see README.md)."""
 
 import argparse
 import itertools
-import json
 import os
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib import pyplot as plt
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
@@ -25,6 +19,7 @@ from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
 from benchmarks.transport.round_trip import compare
 from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline
+from foretouch.report.panels import new_figure, save_small
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.types import Cloud
 from foretouch_lab.simulation.depth_scene import random_scene
@@ -35,63 +30,15 @@ RESULTS = Path(__file__).with_name("results.csv")
 REQUESTS = Path(__file__).with_name("requests.csv")
 PICTURE = ROOT / "docs" / "stamp_to_touch.png"
 NODES = ("segmentation", "grasp", "touch_predictor")
-STAGES = ("cloud: send, read", "wait", "segmentation", "hand over targets", "grasps", "hand over grasps", "touch",
-          "answer: send, read")  # fmt: skip
 PERCENTILES = ("p50_ms", "p95_ms", "p99_ms")
 RATES = [1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0]
 REST_S = 3.0  # without clouds
 
 
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
-    parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="clouds a second, in turn [Hz]")
-    parser.add_argument("--processes", nargs="*", choices=["one", "three"], default=["one"])
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME:=VALUE", help="parameters of all nodes")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one)")
-    parser.add_argument(
-        "--requests",
-        type=Path,
-        metavar="CHECKOUT",
-        help="only measure round trips of predict_touch, in turns with an older checkout that has an environment of its own",
-    )
-    parser.add_argument("--busy", action="store_true", help="beside a process that takes all of a core")
-    parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
-    return parser.parse_args()
-
-
-class Processes:
-    """The nodes of the graph in one process or in three, while the context is open."""
-
-    def __init__(self, options: argparse.Namespace, kind: str) -> None:
-        parameters = {"diagnostics_period_s": 0.5, "grasp_hold": 0.0}
-        parameters |= dict(given.split(":=", 1) for given in options.set)
-        self._folder = tempfile.TemporaryDirectory()
-        self._traces, self._children = [], []
-        for number, names in enumerate([NODES] if kind == "one" else [(name,) for name in NODES]):
-            self._traces.append(Path(self._folder.name) / f"{number}.json")
-            start = ("-m", "benchmarks.transport.traced", str(self._traces[-1]))
-            self._children.append(spawn(names, parameters, start=start))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for child in self._children:
-            end(child)
-        self._folder.cleanup()
-
-    def cpu_s(self) -> float:
-        """Processor time of all threads so far [s]."""
-        texts = [Path(f"/proc/{child.pid}/stat").read_text(encoding="utf-8") for child in self._children]
-        return sum(sum(map(int, text.rpartition(")")[2].split()[11:13])) for text in texts) / os.sysconf("SC_CLK_TCK")
-
-    def trace(self) -> list[dict[str, Any]]:
-        """End the processes, and return the rows of their traces."""
-        ended = [end(child, 180.0) for child in self._children]  # ten minutes at 90 clouds a second are 160,000 rows
-        if not all(ended):
-            raise SystemExit("a process of nodes did not end within 180 s: its trace may be lost")
-        return [row for path in self._traces for row in json.loads(path.read_text(encoding="utf-8"))]
+def cpu_s(pid: int) -> float:
+    """Processor time of all threads of a process so far [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
 
 class Bench(Client):
@@ -133,32 +80,19 @@ class Bench(Client):
         self.wait(lambda: all(stamp in self.answers for stamp in stamps), 3.0)
         return stamps
 
-    def accounts(self) -> str:
-        """Whether received = used + dropped + waiting in every node, and what was dropped."""
-        texts = []
-        for name in NODES:
-            known = self.report(name)
-            received, *parts = (int(known[key]) for key in ("received", "used", "dropped", "waiting"))
-            drops = {key.removeprefix("dropped."): n for key, n in known.items() if key.startswith("dropped.")}
-            sign = "=" if received == sum(parts) else "IS NOT"
-            texts.append(
-                f"  {name}: received {received} {sign} used, dropped and waiting: {parts}, {drops or 'no drops'}"
-            )
-        return "\n".join(texts)
-
     def _hear(self, message: Any) -> None:
         arrived = time.time_ns()  # whole messages of ten minutes would take gigabytes
         values = [value for touch in message.predictions for value in touch.scalars]
         self.answers[stamp_ns(message.header.stamp)] = arrived, values
 
 
-def scenes(width: int = 848, height: int = 480, n_objects: int = 3, count: int = 5) -> list[Cloud]:
-    """Clouds of seeded scenes, with noise and without stamps, in which all objects are found."""
+def scenes(n_objects: int = 3, count: int = 5) -> list[Cloud]:
+    """Clouds (480, 848) of seeded scenes, with noise and without stamps, in which all objects are found."""
     clouds: list[Cloud] = []
     for seed in itertools.takewhile(lambda _: len(clouds) < count, itertools.count()):
         rng = np.random.default_rng(seed)
         try:
-            scene = random_scene(rng, width=width, height=height, n_objects=n_objects)
+            scene = random_scene(rng, width=848, height=480, n_objects=n_objects)
         except ConfigError:  # the objects find no place
             continue
         cloud = scene.render(rng, noise_m=0.001).cloud(frame_id="camera_depth_optical_frame")
@@ -181,73 +115,45 @@ def check(bench: Bench, clouds: Sequence[Cloud], messages: Sequence[Any]) -> Non
     print(f"equal answers: {len(messages)} of {len(messages)} clouds, bit by bit", flush=True)
 
 
-def stages(trace: Sequence[dict[str, Any]], bench: Bench, stamps: Sequence[int]) -> tuple[Any, Any, float]:
-    """(N, 8) times of answered clouds by stage, (N,) from stamp to reception; sum of the nodes' median CPU times [ms]."""
-    by_key = {(row["node"], row["stamp_ns"]): row for row in trace}
-    rows, totals, cpu = [], [], []
-    for stamp in stamps:
-        arrived, values = bench.answers.get(stamp, (0, []))
-        found = [by_key[name, stamp] for name in NODES if (name, stamp) in by_key]
-        if not values or len(found) < len(NODES):
-            continue
-        began, took = ([row[name] for row in found] for name in ("began_ns", "computed_ns"))
-        handed = [after - start - work for start, work, after in zip(began, took, [*began[1:], arrived], strict=True)]
-        received = found[0]["received_ns"]
-        steps = [value for pair in zip(took, handed, strict=True) for value in pair]
-        rows.append([received - stamp, began[0] - received, *steps])
-        totals.append(arrived - stamp)
-        cpu.append([row["computed_cpu_ns"] for row in found])
-    times, ends, computed = (np.array(values, np.float64) / 1e6 for values in (rows, totals, cpu))
-    return times, ends, float(np.median(computed, axis=0).sum())
-
-
-def measure(options: argparse.Namespace, kind: str, clouds: Sequence[Cloud]) -> list[dict[str, Any]]:
-    """One start of the graph: a row of the results for each rate."""
+def measure(rates: Sequence[float], seconds: float) -> list[dict[str, Any]]:
+    """A row of the results for each rate, of one start of the graph."""
+    clouds, others, rows = scenes(), OthersLoad(), []
     messages = [cloud_to_msg(cloud) for cloud in clouds]
-    others, runs = OthersLoad(), []
-    with Processes(options, kind) as graph:
-        bench = Bench()
+    graph = spawn(NODES, {"diagnostics_period_s": 0.5, "grasp_hold": 0.0})
+    bench = Bench()
+    try:
         bench.ready()
         check(bench, clouds, messages)
-        before = graph.cpu_s()
+        before = cpu_s(graph.pid)
         time.sleep(REST_S)
-        rest = (graph.cpu_s() - before) / REST_S
+        rest = (cpu_s(graph.pid) - before) / REST_S
         bench.send_at(messages, 10.0, 2.0)  # warm
-        for rate in options.rates:
-            before, began = graph.cpu_s(), time.monotonic()
-            stamps = bench.send_at(messages, rate, options.seconds)
-            cpu = graph.cpu_s() - before - rest * (time.monotonic() - began)
-            runs.append((rate, stamps, cpu))
-        time.sleep(1.2)  # one more round of diagnostics
-        print(bench.accounts(), flush=True)
-        trace = graph.trace()
+        for rate in rates:
+            before, began = cpu_s(graph.pid), time.monotonic()
+            stamps = bench.send_at(messages, rate, seconds)
+            cpu = cpu_s(graph.pid) - before - rest * (time.monotonic() - began)
+            ages = [(bench.answers[one][0] - one) / 1e6 for one in stamps if bench.answers.get(one, (0, []))[1]]
+            p50, p95, p99 = np.percentile(ages, (50, 95, 99))
+            row = {"p50_ms": p50, "p95_ms": p95, "p99_ms": p99, "p95_periods": 1e-3 * p95 * len(ages) / seconds,
+                   "cpu_ms": 1e3 * cpu / len(ages), "rest_percent": 100.0 * rest}  # fmt: skip
+            counts = {"rate_hz": f"{rate:g}", "seconds": seconds, "sent": len(stamps), "lost": len(stamps) - len(ages)}
+            rows.append(counts | {name: f"{value:.4g}" for name, value in row.items()})
+    finally:
+        end(graph)
         bench.leave()
-    rows = []
-    for rate, stamps, cpu in runs:
-        times, totals, computation = stages(trace, bench, stamps)
-        p50, p95, p99 = np.percentile(totals, (50, 95, 99))
-        row = {"seconds": options.seconds, "sent": len(stamps), "lost": len(stamps) - len(totals),
-               "p50_ms": p50, "p95_ms": p95, "p99_ms": p99, "p95_periods": 1e-3 * p95 * len(totals) / options.seconds,
-               "cpu_ms": 1e3 * cpu / max(len(totals), 1), "computation_cpu_ms": computation,
-               "rest_percent": 100.0 * rest, "other_cores": others.cores(),
-               **dict(zip(STAGES, np.median(times, axis=0), strict=True))}  # fmt: skip
-        texts = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in row.items()}
-        rows.append({"processes": kind, "rate_hz": f"{rate:g}", **texts})
-    return rows
+    return [row | {"other_cores": others.cores()} for row in rows]
 
 
 def write_table(rows: Sequence[dict[str, Any]]) -> None:
     """All runs as a table of the README."""
-    most = max((float(row["rate_hz"]) for row in rows if (row["processes"], row["lost"]) == ("one", "0")), default=0.0)
+    most = max((float(row["rate_hz"]) for row in rows if row["lost"] == "0"), default=0.0)
     text = (
         f"The graph in one process answered every 848x480 cloud at up to {most:g} a second ({state(rows)} machine).\n\n"
     )
-    columns = ["processes", "clouds a second", "lost", "p50, p95, p99 [ms]", "p95 in periods of the answers",
-               "CPU a cloud, of which computation [ms]"]  # fmt: skip
+    columns = ["clouds a second", "lost", "p50, p95, p99 [ms]", "p95 in periods of the answers", "CPU a cloud [ms]"]
     lines = [
-        (row["processes"], row["rate_hz"], f"{row['lost']} of {row['sent']}",
-         ", ".join(f"{float(row[key]):.0f}" for key in PERCENTILES), f"{float(row['p95_periods']):.1f}",
-         f"{float(row['cpu_ms']):.1f}, {float(row['computation_cpu_ms']):.1f}")
+        (row["rate_hz"], f"{row['lost']} of {row['sent']}", ", ".join(f"{float(row[key]):.0f}" for key in PERCENTILES),
+         f"{float(row['p95_periods']):.1f}", f"{float(row['cpu_ms']):.1f}")
         for row in rows
     ]  # fmt: skip
     replace_marked(Path(__file__).with_name("README.md"), text + markdown(columns, lines))
@@ -259,13 +165,9 @@ def state(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def draw(rows: Sequence[dict[str, Any]]) -> None:
-    """Latency and losses of the graph in one process against the rate of the clouds."""
-    mpl.use("Agg")
-    mpl.rcParams.update({"axes.grid": True, "axes.grid.which": "both", "grid.alpha": 0.3})
-    rows = [row for row in rows if row["processes"] == "one"]
-    figure, (top, bottom) = plt.subplots(
-        2, 1, figsize=(8.0, 5.0), sharex=True, height_ratios=[3, 1], layout="constrained"
-    )
+    """Latency and losses of the graph against the rate of the clouds."""
+    figure = new_figure(8.0, 5.0)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     rates = [float(row["rate_hz"]) for row in rows]
     for key in PERCENTILES:
         top.plot(rates, [float(row[key]) for row in rows], "o-", label=key.removesuffix("_ms"))
@@ -275,23 +177,27 @@ def draw(rows: Sequence[dict[str, Any]]) -> None:
     for one in (top.yaxis.set_major_formatter, top.yaxis.set_minor_formatter):
         one("{x:g}")
     bottom.set(xlabel="848x480 clouds a second", ylabel="lost [%]", ylim=(-5.0, 105.0))
-    figure.savefig(PICTURE, dpi=100)
+    for one in (top, bottom):
+        one.grid(which="both", alpha=0.3)
+    save_small(figure, PICTURE)
 
 
 def main() -> int:
-    options = arguments()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
+    parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="clouds a second, in turn [Hz]")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one)")
+    parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
+    parser.add_argument("--requests", type=Path, metavar="CHECKOUT", help="only measure predict_touch, in turns with an older checkout that has an environment of its own")  # fmt: skip
+    options = parser.parse_args()
     if options.requests:
         write_csv(REQUESTS, compare(options.requests.resolve(), ROOT, DOMAIN + 1))
         return 0
     prepare_domain(DOMAIN)
     if not options.draw:
-        clouds = scenes()
-        with ExitStack() as stack:
-            if options.busy:
-                stack.callback(subprocess.Popen([sys.executable, "-c", "while True: pass"]).kill)
-            new = [row for kind in options.processes for row in measure(options, kind, clouds)]
-        print_rows(new)
-        write_csv(options.out, new)
+        rows = measure(options.rates, options.seconds)
+        print_rows(rows)
+        write_csv(options.out, rows)
     if options.out == RESULTS:
         draw(read_csv(RESULTS))
         write_table(read_csv(RESULTS))

@@ -7,7 +7,6 @@ kernel on the geometry among them, are fitted without the object that is predict
 
     level         nothing: the tracker as it was before
     where         the features of the grasp in the frame of the hand (`foretouch.models.contact.features`)
-    shuffled      the same, those of the object's grasps in another order: they are as many and as wide, and say nothing
 
 Samples without stamps, as of a simulated day, are taken object by object, a minute apart.
 """
@@ -36,13 +35,9 @@ from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
 
 LEVEL: Final = "level"
-VARIANTS: Final = (LEVEL, "where", "shuffled")
+VARIANTS: Final = (LEVEL, "where")
 _MINUTE_NS: Final = 60 * 10**9
-REGIMES: Final[Mapping[str, tuple[int, int]]] = {
-    "first three": (0, 2),
-    "later": (3, 10**9),
-    **{f"{low}-{high}": (low, high) for low, high in ((0, 2), (3, 5), (6, 10), (11, 20), (21, 35), (36, 49))},
-}
+REGIMES: Final[Mapping[str, tuple[int, int]]] = {"first three": (0, 2), "later": (3, 10**9)}
 """Ranges of the number of touches of the object before a grasp, both ends included, by name."""
 
 
@@ -51,7 +46,6 @@ class WhereSettings(Settings):
     """Settings of the experiment."""
 
     variants: tuple[str, ...] = setting(VARIANTS, "What stands for where on the object", choices=VARIANTS)
-    seed: int = setting(0, "Seed of the shuffled orders", minimum=0)
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
@@ -88,25 +82,13 @@ def recorded(samples: Sequence[GraspSample]) -> TimedReadings:
     return replace(recording, expected=other_objects_mean(recording), tares=None, tare_tdc=None)
 
 
-def variant(name: str, recording: TimedReadings, features: Float64, seed: int) -> Float64 | None:
-    """(S, P) what stands for where on the object; None for nothing."""
-    rng, runs = np.random.default_rng(seed), recording.runs()
-    order = np.arange(len(runs))
-    for run in np.unique(runs) if name == "shuffled" else ():
-        own = np.flatnonzero(runs == run)
-        order[own] = rng.permutation(own)
-    return None if name == LEVEL else features[order]
-
-
-def predicted(
-    recording: TimedReadings, where: Float64 | None, target: str, parameters: TrackerParameters
-) -> tuple[Float64, Float64]:
-    """(S, D) predictions of the grasps on one object and half widths, each from earlier readings alone; NaN for the others.
+def predicted(recording: TimedReadings, where: Float64 | None, target: str, parameters: TrackerParameters) -> Float64:
+    """(S, D) predictions of the grasps on one object, each from earlier readings alone; NaN for the others.
 
     What is expected is the mean of the readings before the run on other objects. Nothing is predicted of the first run.
     """
     runs = recording.runs()
-    counts, half = np.full((2, *recording.readings.shape), np.nan)
+    counts = np.full(recording.readings.shape, np.nan)
     for run in np.unique(runs[(recording.objects == target) & (runs > 0)]):
         shown, last = runs <= run, runs == run
         others = (runs < run) & (recording.objects != target)
@@ -115,9 +97,8 @@ def predicted(
             expected=np.tile(recording.readings[others].mean(axis=0), (shown.sum(), 1)),
             where=None if where is None else where[shown],
         )
-        played = replay(SensorTracker(parameters), before)
-        counts[last], half[last] = played.counts[last[shown]], played.half[last[shown]]
-    return counts, half
+        counts[last] = replay(SensorTracker(parameters), before).counts[last[shown]]
+    return counts
 
 
 def _cells(_settings: WhereSettings, data: Grasps) -> list[Cell]:
@@ -136,17 +117,12 @@ def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
     level, features = fit_tracker(others, group, group), features_of(data.samples)
     reference, touches, rows = other_objects_mean(recording), recording.touches(), []
     for name in settings.variants:
-        where, parameters = variant(name, recording, features, settings.seed), level
+        where, parameters = None if name == LEVEL else features, level
         if where is not None:
             parameters = fit_places(level, replace(others, where=where[~own]))
-        counts, half = predicted(recording, where, target, parameters)
+        counts = predicted(recording, where, target, parameters)
         scored, off = np.isfinite(counts).all(axis=1), counts - recording.readings
-        sums = {
-            "squared": off**2,
-            "reference": (reference - recording.readings) ** 2,
-            "inside": np.abs(off) <= half,
-            "half": half,
-        }
+        sums = {"squared": off**2, "reference": (reference - recording.readings) ** 2}
         for regime, (low, high) in REGIMES.items():
             chosen = scored & (touches >= low) & (touches <= high)
             if chosen.any():
@@ -158,7 +134,7 @@ def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
 
 _COLUMNS: Final = (
     *("variant", "regime", "object", "modality", "grasps", "skill", "skill_low", "skill_high", "gain", "gain_low"),
-    *("gain_high", "gain_verdict", "coverage", "half_width"),
+    *("gain_high", "gain_verdict"),
 )
 
 
@@ -176,13 +152,9 @@ def _tabulate(settings: WhereSettings, cells: Sequence[Row]) -> list[Row]:
         for name, found in own.items():
             estimates, grasps = skills(errors[name], settings.bootstrap), sum(row["count"] for row in found)
             gains = compare(errors[name], errors[LEVEL], settings.bootstrap)
-            shares = {key: sum(np.array(row[key]) for row in found) / grasps for key in ("inside", "half")}
             for modality in (*sizes, MEAN):
                 row: Row = {"variant": name, "regime": regime, "object": ALL_OBJECTS, "modality": modality}
                 row |= interval_columns("skill", estimates[modality]) | {"grasps": grasps}
-                if modality != MEAN:
-                    row |= {"coverage": float(shares["inside"][columns[modality]].mean())}
-                    row |= {"half_width": float(shares["half"][columns[modality]].mean())}
                 if name != LEVEL:
                     row |= interval_columns("gain", gains[modality]) | {"gain_verdict": gains[modality].verdict}
                 rows.append({column: row.get(column) for column in _COLUMNS})
@@ -200,7 +172,7 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     notes = [
         "skill: 0 is the mean of all readings of the other objects, 1 is perfect; gain: skill minus that of level",
         "[95 % interval of the gain by bootstrap over objects]; ▲ ▼ =: significantly better, worse or not different from level",
-        "first three: grasps before which the object was touched at most twice; later: all others; ranges: touches before",
+        "first three: grasps before which the object was touched at most twice; later: all others",
     ]
     return with_notes(tables, notes)
 

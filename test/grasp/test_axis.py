@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
-import pytest
 from every_case import every_case
 
-from foretouch.errors import CloudError
-from foretouch.grasp import GeoGraspConfig, object_axis
+from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.axis import _side, find_axis
-from foretouch.types import Cloud, Plane
+from foretouch.types import Plane
 
 SIDE_VIEW = Plane.from_coefficients([0.0, 1.0, 0.0, 0.0])
 CONFIG = GeoGraspConfig(method="original")
@@ -51,17 +49,3 @@ def test_sign_in_top_view_whatever_the_order_of_points_and_the_sign_of_the_plane
         flipped = Plane(-SIDE_VIEW.normal, -SIDE_VIEW.offset)
         axes = [find_axis(xyz, plane, CONFIG).direction for plane in (SIDE_VIEW, flipped)]
         np.testing.assert_array_equal(*axes)
-
-
-def test_an_outlier_does_not_turn_the_axis_of_which_a_ball_has_none(top_view):
-    directions = np.random.default_rng(1).normal(size=(20000, 3))
-    ball = 0.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True) + [0.0, 0.0, 1.0]
-    assert find_axis(ball.astype(np.float32), top_view, CONFIG).ratio > 0.9
-    clean = _rod([0.0, 1.0, 0.0], 2000)
-    outliers = np.array([[0.5, 0.0, 1.0], [0.55, 0.0, 1.0]], np.float32)
-    with_outliers, _ = object_axis(Cloud(np.concatenate([clean, outliers])), top_view, CONFIG)
-    assert abs(with_outliers @ object_axis(Cloud(clean), top_view, CONFIG)[0]) > 0.9999
-    with pytest.raises(CloudError, match=r"60 points in 1 voxel of 0\.0125 m have no axis"):
-        object_axis(Cloud(np.full((60, 3), 0.501, np.float32)), top_view, CONFIG)
-    with pytest.raises(CloudError, match="2 finite points"):
-        object_axis(Cloud(np.ones((2, 3), np.float32)), top_view, CONFIG)

@@ -6,10 +6,8 @@ import pytest
 from every_case import every_case
 from seen_solids import Camera, Solid, about_vertical, ball, box, can
 
-from foretouch.cloud.geometry.flying import flying_mask
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.cloud.io.files import read_cloud
-from foretouch.errors import GraspError
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, object_axis, plan_grasps
 from foretouch.grasp.reach import check_reach
 from foretouch.types import Cloud, Float64, Plane
@@ -68,41 +66,6 @@ def test_the_best_grasp_goes_through_the_middle_of_the_whole_solid() -> None:
     assert np.mean(errors) < 0.004
 
 
-def test_an_upright_box_is_taken_at_a_side_that_is_seen_and_at_one_that_is_not() -> None:
-    for yaw in (0.0, 0.4, 1.0):
-        _, found = plan_of(SOLIDS["upright box"], Camera(55.0), yaw)
-        x = np.sort(found[:, 0])
-        np.testing.assert_allclose(x, [-0.025, 0.025], atol=0.008)  # the pair of sides that is 50 mm apart
-        normals = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]) @ about_vertical(yaw).T
-        to_camera = Camera(55.0).eye
-        assert (normals @ to_camera > 0.0).sum() == 1
-
-
-def test_the_middle_of_what_is_seen_is_not_that_of_the_solid() -> None:
-    """The published method closes in front of the middle: the reason for this one."""
-    camera, upright = Camera(50.0), SOLIDS["can"]
-    cloud = camera.see(upright)
-    published = plan_grasps(cloud, camera.table(), GeoGraspConfig(method="original"))
-    for plan, off in ((published, True), (plan_grasps(cloud, camera.table(), CONFIG), False)):
-        middle = camera.to_world(contacts(plan)).mean(axis=0)
-        assert (np.linalg.norm(middle - [0.0, 0.0, 0.06]) > 0.012) == off
-
-
-def test_noise_does_not_matter(rng: np.random.Generator) -> None:
-    def check(solid: Solid) -> None:
-        camera = Camera(55.0)
-        cloud, (_, before) = camera.see(solid, yaw=0.3), plan_of(solid, camera, 0.3)
-        for _ in range(3):
-            noisy = cloud.xyz * (1.0 + rng.normal(0.0, 0.001, (*cloud.xyz.shape[:2], 1)))  # a millimetre
-            plan = plan_grasps(Cloud(noisy.astype(np.float32)), camera.table(), CONFIG)
-            after = camera.to_world(contacts(plan)) @ about_vertical(0.3)
-            across = (after[1] - after[0]) / np.linalg.norm(after[1] - after[0])
-            assert abs(np.cross([*after.mean(axis=0)[:2], 0.0], across)[2]) < 0.015
-            assert abs(np.linalg.norm(after[1] - after[0]) - np.linalg.norm(before[1] - before[0])) < 0.012
-
-    every_case(SOLIDS, check)
-
-
 def test_a_turn_about_the_vertical_carries_the_grasp_along() -> None:
     """Seen from above, by a turn of the solid; obliquely, by a turn of the image, which is one of the camera."""
     above, solid = Camera(90.0), box(0.05, 0.11, 0.04)
@@ -117,19 +80,6 @@ def test_a_turn_about_the_vertical_carries_the_grasp_along() -> None:
         turned = Cloud((cloud.xyz @ roll.T).astype(np.float32))
         after = contacts(plan_grasps(turned, Plane(roll @ table.normal, table.offset), CONFIG))
         assert gap_mm(after @ roll, first) < 10.0, degrees
-
-
-def test_a_shift_carries_the_grasp_along_and_a_far_point_is_dropped(box_cloud: Cloud, top_view: Plane) -> None:
-    box_cloud = Cloud(box_cloud.xyz[:1400])  # so few that none is left out
-    before = plan_grasps(box_cloud, top_view, CONFIG)
-    for shift in ([0.001, 0.0, 0.0], [0.0, 0.002, 0.0]):
-        after = contacts(plan_grasps(Cloud((box_cloud.xyz + shift).astype(np.float32)), top_view, CONFIG))
-        assert gap_mm(after, contacts(before) + shift) < 2.0
-    for offset in ([0.25, 0.0, 0.0], [0.0, -0.2, 0.1], [0.0, 0.0, -0.3]):
-        far = box_cloud.xyz.mean(axis=0) + np.float32(offset)
-        after = plan_grasps(Cloud(np.vstack([box_cloud.xyz, far]).astype(np.float32)), top_view, CONFIG)
-        assert (before.counts["n_isolated"], after.counts["n_isolated"]) == (0, 1)
-        assert gap_mm(contacts(after), contacts(before)) < 5.0
 
 
 def test_neither_the_order_nor_points_without_depth_change_a_bit(rng: np.random.Generator) -> None:
@@ -199,16 +149,6 @@ def test_what_is_too_flat_for_a_fingertip_has_no_grasp() -> None:
     assert plan_grasps(cloud, camera.table(), CONFIG, hand=small).status == "ok"
 
 
-def test_a_fingertip_keeps_its_clearance_from_the_table() -> None:
-    camera, low = Camera(60.0), box(0.05, 0.08, 0.018)
-    for clearance in (0.0, 0.002, 0.006):
-        hand = HandConfig(clearance_m=clearance)
-        plan = plan_grasps(camera.see(low), camera.table(), CONFIG, hand=hand)
-        heights = camera.to_world(contacts(plan))[:, 2]
-        assert heights.min() >= hand.tip_radius_m + clearance - 1e-6
-        assert heights.max() <= 0.018 + hand.tip_radius_m / 2.0
-
-
 def wall(camera: Camera, middle: Float64, across: Float64, distance_m: float) -> Float64:
     """(N, 3) float32 [m], camera frame: a wall across a line at a distance from its middle, 60 mm wide, 120 mm high."""
     beside = np.cross([0.0, 0.0, 1.0], across)
@@ -252,22 +192,7 @@ def test_what_stands_in_the_way_of_a_finger_blocks_a_grasp() -> None:
     assert {int(one) for one in named.split(", ")} <= set(ring)
 
 
-def test_obstacles_are_the_sampled_points_of_the_others(rng: np.random.Generator) -> None:
-    clouds = {k: rng.normal(0.0, 0.01, (n, 3)).astype(np.float32) for k, n in ((3, 5000), (12, 30), (4, 400))}
-    assert Obstacles.of([(3, clouds[3])]) is None  # alone
-    around = Obstacles.of(list(clouds.items()))
-    assert set(around.object_ids.tolist()) == set(clouds)
-    for k, xyz in clouds.items():
-        mine = around.xyz[around.object_ids == k]
-        assert len(mine) <= 400
-        assert {tuple(one) for one in mine.tolist()} <= {tuple(one) for one in xyz.tolist()}
-        assert len(mine) > 0.9 * min(len(xyz), 200)
-        rest = around.without(str(k))
-        assert k not in rest.object_ids.tolist()
-        assert len(rest.xyz) == len(around.xyz) - len(mine) == len(rest.object_ids)
-
-
-def test_a_slide_moves_the_grasp_along_the_axis(box_cloud: Cloud, top_view: Plane, rng: np.random.Generator) -> None:
+def test_a_slide_moves_the_grasp_along_the_axis(box_cloud: Cloud, top_view: Plane) -> None:
     still = plan_grasps(box_cloud, top_view, CONFIG)
     assert abs(still.axis[1]) > 0.99
     for slide_m in (-0.03, 0.02):
@@ -284,8 +209,6 @@ def test_a_slide_moves_the_grasp_along_the_axis(box_cloud: Cloud, top_view: Plan
         assert beyond.reason
         for grasp in beyond.grasps:
             check_reach(grasp, box_cloud.xyz, 0.1, 0.025)
-    with pytest.raises(GraspError, match=r"a slide of 0\.01 m and a random one exclude each other"):
-        plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.01, rng=rng)
 
 
 def test_a_cloud_in_the_objects_own_frame_is_admitted_by_the_setting_that_the_refusal_names() -> None:
@@ -303,29 +226,6 @@ def test_a_cloud_in_the_objects_own_frame_is_admitted_by_the_setting_that_the_re
     assert np.abs(plan.grasps[0].midpoint).max() < 0.012
     assert plan.grasps[0].width_m == pytest.approx(0.05, abs=0.008)
     assert abs(plan.grasps[0].rotation[0, 2]) > 0.97
-
-
-def test_millimetres_are_named(box_cloud: Cloud, top_view: Plane) -> None:
-    for method in ("completed", "original"):
-        plan = plan_grasps(Cloud(1000.0 * box_cloud.xyz), top_view, GeoGraspConfig(method=method))
-        assert plan.status == "no_grasp"
-        assert plan.reason.endswith("is it in metres?")
-    plan = plan_grasps(box_cloud, Plane(top_view.normal, 1000.0 * top_view.offset), CONFIG)
-    assert (plan.status, plan.reason.endswith("is it in metres?")) == ("no_grasp", True)
-
-
-def test_flying_points_do_not_move_the_plan(box_cloud, top_view, rng) -> None:
-    xyz = box_cloud.xyz
-    some = rng.random(len(xyz)) < 0.05
-    flying = np.where(some[:, None], xyz * (1.0 - rng.uniform(0.01, 0.08, (len(xyz), 1))), xyz).astype(np.float32)
-    marked = flying_mask(flying, CONFIG.flying_share)
-    assert np.count_nonzero(marked & some) > 0.85 * np.count_nonzero(some)
-    assert np.count_nonzero(marked & ~some) < 0.01 * len(xyz)
-    plans = [plan_grasps(Cloud(one), top_view, CONFIG) for one in (xyz, flying)]
-    assert "n_flying" not in plans[0].counts
-    assert plans[1].counts["n_flying"] == np.count_nonzero(marked)
-    assert gap_mm(contacts(plans[0]), contacts(plans[1])) < 10.0
-    assert "n_flying" not in plan_grasps(Cloud(flying), top_view, CONFIG.replace(flying_share=1.0)).counts
 
 
 @pytest.mark.real_data

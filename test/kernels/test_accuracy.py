@@ -25,11 +25,9 @@ from kernels.references.exact import (
     gap_up_to_sign,
     norm,
     real,
-    relative_gap,
     rotation,
     span,
     spread_points,
-    sqrt,
 )
 
 from benchmarks.common import read_csv
@@ -41,7 +39,6 @@ from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.frame import WeightedPoints, object_frame
 from foretouch.grasp.pose import hand_rotation
 from foretouch.types import ASSUMED_TABLE, Plane
-from foretouch_lab.learning.training.calibration import _shrunk
 
 pytestmark = pytest.mark.committed_numbers
 
@@ -81,22 +78,12 @@ def test_errors_are_within_their_bounds() -> None:
     assert all(float(row["worst"]) <= float(row["C"]) for row in TABLE.values())
 
 
-def test_a_difference_of_large_numbers_and_what_is_no_number_break_the_bound() -> None:
-    def family(_: float, rng: np.random.Generator) -> tuple[float, float]:
-        x = 1e4 + 0.05 * rng.normal(size=50)
-        variance = (exact(x) ** 2).sum() / 50 - (exact(x).sum() / 50) ** 2
-        return 1e4 / 0.05, relative_gap((x**2).mean() - x.mean() ** 2, variance)  # the mistake
-
-    assert max(ratios("object axis, original", family, 3, 1)) > 100.0
-    assert max(ratios("object axis, original", lambda *_: (1.0, float("nan")), 3, 1)) == float("inf")
-
-
 @kernel("plane fit")
 def _plane_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """A table that becomes a narrow strip, at up to 10 km."""
     flat = rng.uniform(-1.0, 1.0, (60, 3)) * [1.0, span(t, 0.8, 0.06), 1e-4]
     points = float32_cloud(flat @ rotation(rng).T + span(t, 1.0, 1e4) * np.array([0.1, -0.2, 1.0]))
-    plane = fit_plane(points, PlaneConfig()).plane
+    plane, *_ = fit_plane(points, PlaneConfig())
     assert plane is not None
     centre, spread = covariance(exact(points))
     values, vectors = eigen(spread)
@@ -115,7 +102,7 @@ def _near_round(t: float, rng: np.random.Generator) -> tuple[ObjectAxis, Exact, 
     shape = spread_points(rng, 40, [0.1, 0.1 * (1.0 - difference), 0.04]) @ rotation(rng).T
     points = float32_cloud(shape + far * np.array([0.1, 0.1, 1.0]))
     found = find_axis(points, ASSUMED_TABLE, GeoGraspConfig())
-    members = [exact(points)[found.grid.cell == k] for k in range(len(found.grid.counts))]
+    members = [exact(points)[found.cells[0] == k] for k in range(len(found.cells[1]))]
     centre, spread = covariance(np.stack([one.sum(axis=0) / len(one) for one in members]))
     return found, centre, spread, float(np.abs(points).max())
 
@@ -175,15 +162,15 @@ def _object(t: float, rng: np.random.Generator, n: int = 40) -> WeightedPoints:
 def _frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = _object(t, rng)
     plane = Plane.from_coefficients(np.append(rng.normal(size=3), -1.0))
-    found = object_frame(points, plane)
+    _, found = object_frame(points, plane)
     _, spread = covariance(exact(points.xyz), exact(points.area))
     plain, _ = eigen(spread)
     preferred = exact(np.array([0.95, 0.3, 0.08]))
     values, vectors = eigen(spread + exact(0.01) * plain[2] * np.outer(preferred, preferred))
     axis = vectors[:, 2]
     _, middle, high = real(values)
-    sign = 1 if found.axis @ real(axis) > 0 else -1  # the rule for it has its own row
-    return high / (high - middle), gap(found.axis, sign * axis)
+    sign = 1 if found @ real(axis) > 0 else -1  # the rule for it has its own row
+    return high / (high - middle), gap(found, sign * axis)
 
 
 @kernel("rotation of the hand")
@@ -199,27 +186,3 @@ def _hand(t: float, rng: np.random.Generator) -> tuple[float, float]:
     sine = norm(x)
     x = x / sine
     return 1.0 / float(sine), gap(hand_rotation(g1, g2, axis), np.column_stack([x, np.cross(z, x), z]))
-
-
-@kernel("calibration: B")
-def _between(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Moments of 25 pairs of values: from covariances to what has a negative eigenvalue, or almost no variance."""
-    diagonal = rng.uniform(0.5, 1.0, (25, 2)) * span(t, 1.0, 1e-9) * 1e4
-    product = rng.uniform(-1.0, 1.0, 25) * (0.5 + 2.0 * t) * np.sqrt(diagonal.prod(axis=1))
-    within, shrinkage = rng.uniform(50.0, 500.0, 50), 0.2
-    order = rng.permutation(50).reshape(25, 2)
-    moments = np.zeros((50, 50))
-    for (i, j), (a, b), c in zip(order, diagonal, product, strict=True):
-        moments[i, i], moments[j, j], moments[i, j], moments[j, i] = a, b, c, c
-    found = _shrunk(moments, within, shrinkage)
-    error = 0.0
-    for pair in order:
-        part = exact(moments[np.ix_(pair, pair)])
-        deviation = sqrt(np.maximum(np.diag(part), exact(0.05) * exact(within[pair])))
-        values, vectors = eigen(part / np.outer(deviation, deviation))
-        clipped = (vectors * np.maximum(values, exact(0.0))) @ vectors.T
-        size = sqrt(np.maximum(np.diag(clipped), exact(1.0)))
-        correlation = exact(shrinkage) * clipped / np.outer(size, size)
-        np.fill_diagonal(correlation, exact(1.0).item())
-        error = max(error, gap(exact(found[np.ix_(pair, pair)]) / np.outer(deviation, deviation), correlation))
-    return 1.0, error

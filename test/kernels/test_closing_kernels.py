@@ -96,23 +96,6 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
     assert n_hidden > 1000
 
 
-def test_plans_through_the_references(monkeypatch: pytest.MonkeyPatch) -> None:
-    def check(solid: Solid, camera: Camera) -> None:
-        ours = planned(solid, camera)
-        with monkeypatch.context() as patch:
-            patch.setattr(completed, "_closing_lines", reference.closing_lines)
-            patch.setattr(completed, "_complete_object", reference.complete_object)
-            patch.setattr(completed, "_outline", reference.outline)
-            plain = planned(solid, camera)
-        assert ours.status == plain.status == "ok"
-        first, other = ours.grasps[0], plain.grasps[0]
-        assert abs(first.score - other.score) < 0.02
-        np.testing.assert_allclose(first.midpoint, other.midpoint, atol=0.001)
-        assert abs(first.width_m - other.width_m) < 0.001
-
-    every_case(SOLIDS, check)
-
-
 def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     """A block of points that is filled from 0 to 80 mm: worked by hand."""
     axis = np.arange(-0.03, 0.0301, 0.001)

@@ -10,7 +10,7 @@ from corpus.clouds import scene_cases
 from every_case import every_case
 from kernels.references import segmentation as reference
 
-from foretouch.cloud.segmentation import clusters, objects, plane
+from foretouch.cloud.segmentation import objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
@@ -23,7 +23,6 @@ def _with_references(cloud: Cloud, config: SegmentationConfig) -> Segmentation:
         for module, names in (
             (segment_module, {"_count_depths": "count_range", "_every": "every", "label_organised": "label_organised"}),
             (plane, {"_counts": "counts", "_near": "near", "_residuals": "residuals"}),
-            (clusters, {"_plane_heights": "plane_heights"}),
             (objects, {"_segments": "segments", "_write_ids": "write_ids"}),
         ):
             for name, other in names.items():
@@ -61,8 +60,8 @@ def test_hard_and_generated_scenes_and_any_settings(rng: np.random.Generator) ->
     xyz = random_scene(rng, 640, 480).render(rng, 0.001, True).cloud().xyz
     xyz[rng.random(xyz.shape[:2]) < 0.05] = np.nan
     settings = {
-        "all apart": ClusterConfig(gap_m=0.001, max_slope=1.0, flying_slope=1.0, min_points=1, min_top_m=0.0),
-        "connected": ClusterConfig(gap_m=0.1, max_slope=99.0, flying_slope=99.0, noise_factor=0.0, min_height_m=0.001),
+        "all apart": ClusterConfig(gap_m=0.001, min_points=1, min_top_m=0.0),
+        "connected": ClusterConfig(gap_m=0.1, min_height_m=0.001),
         "all too large": ClusterConfig(max_extent_m=0.05, min_points=5000),
     }
     every_case(settings, lambda one: _assert_same(Cloud(xyz), replace(SegmentationConfig(), clusters=one)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.cloud.geometry.pcl_filters import VoxelGrid, mean_neighbour_distance, voxel_grid
+from foretouch.cloud.geometry.pcl_filters import Voxels, cell_means, mean_neighbour_distance, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.frame import object_frame, weigh_points
@@ -26,7 +26,7 @@ class ObjectAxis:
     centroid: Float64  # (3,) float64 [m], mean of the voxel points
     ratio: float  # middle over major eigenvalue, 0 ... 1; near 1 the object has no main axis
     side: int  # index of the coordinate whose extremes are the initial points: 0 for x, 1 for y, 2 for z
-    grid: VoxelGrid  # the voxel grid from which both were computed
+    cells: Voxels  # from which both were computed
 
 
 def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Float64, Float64]:
@@ -47,8 +47,8 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
     if config.method == "completed":
         points = finite_points(cloud).in_canonical_order().downsampled(config)
         distance = mean_neighbour_distance(points.xyz, config.neighbours)
-        frame = object_frame(weigh_points(points.xyz, distance, config), plane)
-        return frame.axis, frame.centroid
+        centroid, direction = object_frame(weigh_points(points.xyz, distance, config), plane)
+        return direction, centroid
     axis = find_axis(finite_points(cloud).downsampled(config).without_outliers(config), plane, config)
     return axis.direction, axis.centroid
 
@@ -67,8 +67,8 @@ def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:
     Raises:
         CloudError: If all points are in one voxel.
     """
-    grid = voxel_grid(xyz, config.voxel_m)
-    voxels = grid.mean(xyz)
+    cells = voxel_grid(xyz, config.voxel_m)
+    voxels = cell_means(xyz, cells)
     if len(voxels) < 2:
         raise CloudError(f"xyz: {len(xyz)} points in {len(voxels)} voxel of {config.voxel_m} m have no axis")
     centroid = voxels.mean(axis=0)
@@ -79,7 +79,7 @@ def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:
         direction = -direction
     if _is_flipped(direction, plane):
         direction = -direction
-    return ObjectAxis(direction, centroid, float(max(values[1], 0.0) / values[2]), _side(direction, plane), grid)
+    return ObjectAxis(direction, centroid, float(max(values[1], 0.0) / values[2]), _side(direction, plane), cells)
 
 
 def _side(axis: Float64, plane: Plane) -> int:

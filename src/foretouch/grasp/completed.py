@@ -110,7 +110,6 @@ class ClosingLines:
     low: Float64  # float64 [m], where the line enters the object, from its middle; NaN where it meets nothing
     high: Float64  # float64 [m], where it leaves it
     height: Float64  # float64 [m], above the table
-    top: Float64  # float64 [m], of the object there
     blocker: Int64  # int64, index of the first obstacle in the way of a finger, or -1
     cost: Float64  # float64, infinite for lines that the hand cannot execute
     counts: dict[str, int]  # of lines: all, and those refused by each filter
@@ -209,7 +208,7 @@ class CompletedObject:
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
         found = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
-        low, high, height, top, blocker, solid = found
+        low, high, height, _, blocker, solid = found
         slope, refused = _slopes(found[:2]), self._refused(found)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
@@ -221,9 +220,7 @@ class CompletedObject:
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
-        return ClosingLines(
-            low, high, height, top, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost
-        )
+        return ClosingLines(low, high, height, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost)
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
         """Which lines (6, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
@@ -347,9 +344,9 @@ def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> l
 
 def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:
     """Ids of the objects that block lines, ascending."""
-    return (
-        () if obstacles is None else tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
-    )
+    if obstacles is None:
+        return ()
+    return tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
 
 
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:

@@ -35,15 +35,6 @@ class WeightedPoints:
     n_isolated: int  # points far from all others
 
 
-@dataclass(frozen=True, eq=False)
-class ObjectFrame:
-    """The object's own frame."""
-
-    centroid: Float64  # (3,) float64 [m], of the visible surface
-    axis: Float64  # (3,) float64, the object's main axis
-    ratio: float  # middle over major eigenvalue, 0 ... 1
-
-
 def smoothstep(values: Floating, low: float, high: float) -> Float64:
     """0 below `low`, 1 above `high`, with a continuous slope between."""
     t = np.minimum(np.maximum((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0), 1.0)
@@ -70,8 +61,10 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
     return WeightedPoints(xyz.astype(np.float64, order="C"), inlier, inlier * d * d, int(np.count_nonzero(isolated)))
 
 
-def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
-    """Centroid and main axis; its sign follows the object's asymmetry along it and across it.
+def object_frame(points: WeightedPoints, plane: Plane) -> tuple[Float64, Float64]:
+    """(3,) centroid of the visible surface [m], and (3,) main axis.
+
+    The sign of the axis follows the object's asymmetry along it and across it.
 
     Across is the table's normal x the axis, and for an upright object the axis x the direction of view; it changes
     its sign with the axis. Of the two signs, that with the larger sum of the third moments along both directions is
@@ -88,7 +81,7 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
     offset = points.xyz - centroid
     covariance = (offset * points.area[:, None]).T @ offset / total
     largest = float(np.linalg.eigvalsh(covariance)[2])
-    values, vectors = np.linalg.eigh(covariance + _AXIS_BIAS * largest * np.outer(PREFERRED, PREFERRED))
+    _, vectors = np.linalg.eigh(covariance + _AXIS_BIAS * largest * np.outer(PREFERRED, PREFERRED))
     axis = vectors[:, 2]
     up = np.asarray(plane.normal, np.float64)
     if up @ centroid > 0.0:
@@ -105,7 +98,7 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
     skew = sum(_third_moment(weight, along) for along in (offset @ axis, offset @ across))
     if skew + _SIGN_BIAS * (across @ PREFERRED) < 0.0:
         axis = -axis
-    return ObjectFrame(centroid, axis, float(max(values[1], 0.0) / values[2]))
+    return centroid, axis
 
 
 def _third_moment(weight: Float64, along: Float64) -> float:

@@ -54,11 +54,10 @@ class GraspPlan:
     reason: str = ""  # explanation of the status
     grasps: tuple[Grasp, ...] = ()  # best first
     initial_points: Float64 | None = (
-        None  # (2, 3) float64 [m], the extremes near the grasp plane; `completed`: its contacts
+        None  # (2, 3) float64 [m], extremes near the grasp plane; `completed`: its contacts
     )
     axis: Float64 | None = None  # (3,) float64, the object's axis
     centroid: Float64 | None = None  # (3,) float64 [m], of the object
-    axis_ratio: float | None = None  # middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary
     slide_m: float = 0.0  # shift of the grasp plane along the axis [m]
     lost: float = 0.0  # score of the best grasp that other objects cost; infinite if they block all ("completed" only)
     blocked_by: tuple[int, ...] = ()  # ids of the objects that block some grasps, ascending
@@ -151,8 +150,8 @@ def _plan_original(
         counts["n_filtered"] = len(xyz)
     with timed(plan.ms, "axis"):
         found = find_axis(xyz, plane, config)
-        plan.axis, plan.centroid, plan.axis_ratio = found.direction, found.centroid, found.ratio
-        counts["n_voxel"] = len(found.grid.counts)
+        plan.axis, plan.centroid = found.direction, found.centroid
+        counts["n_voxel"] = len(found.cells[1])
         counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with timed(plan.ms, "slab"):
         if rng is not None:
@@ -173,13 +172,13 @@ def _best_grasps(
 ) -> None:
     """The best ranked pairs, or the initial points if no pair passes the filters."""
     with timed(plan.ms, "ranking"):
-        ranking = rank_pairs(sides, grasp_plane, centroid)
-        plan.counts.update(ranking.counts)
-        ranked, pairs = len(ranking.score), ranking.counts["n_pairs"]
+        first, second, scores, counts = rank_pairs(sides, grasp_plane, centroid)
+        plan.counts.update(counts)
+        ranked, pairs = len(scores), counts["n_pairs"]
         score, unscored = (0.0, "") if ranked else initial_score(sides, grasp_plane, centroid)
     with timed(plan.ms, "pose"):
         if ranked:
-            best = zip(ranking.first[:count], ranking.second[:count], ranking.score[:count], strict=True)
+            best = zip(first[:count], second[:count], scores[:count], strict=True)
             contacts = [(sides[0].candidates.xyz[a], sides[1].candidates.xyz[b], float(s)) for a, b, s in best]
             reason = f"{ranked} of {pairs} pairs of candidates pass the filters"
         else:
@@ -217,13 +216,13 @@ def _plan_completed(
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
         counts["n_isolated"] = weighted.n_isolated
     with timed(plan.ms, "axis"):
-        frame = object_frame(weighted, plane)
-        plan.axis, plan.centroid, plan.axis_ratio = frame.axis, frame.centroid, frame.ratio
+        plan.centroid, axis = object_frame(weighted, plane)
+        plan.axis = axis
         if rng is not None:
             kept = xyz[weighted.inlier > 0.0]
-            plan.slide_m = _random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
+            plan.slide_m = _random_slide(kept, plan.centroid, axis, config.slide_fraction, rng)
     with timed(plan.ms, "completion"):
-        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * frame.axis)
+        completed = CompletedObject(weighted, spacing, plane, hand, obstacles, plan.slide_m * axis)
         counts["n_completed"] = completed.n_completed
     with timed(plan.ms, "candidates"):
         lines = completed.lines()
@@ -233,10 +232,10 @@ def _plan_completed(
         best = best_lines(completed, lines, config.count)
         ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
         found = [(*pair, SCORE_OF_NONE - float(lines.cost[one])) for pair, one in zip(ends, best, strict=True)]
-        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
+        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found)
         if held is not None and plan.grasps:
             last, margin = held
-            cost = float(lines.cost[completed.nearest_line(last.grasp)])
+            cost = float(lines.cost[completed.nearest_line(last[0])])
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
             plan.grasps = (first, *plan.grasps[1:])

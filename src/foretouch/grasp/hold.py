@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keep the best grasp of an object from cloud to cloud of a stream."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,22 +11,11 @@ from foretouch.types import Cloud, Float64, Grasp
 _OUTDONE = 3  # clouds in a row on which another grasp must be better
 
 
-@dataclass(frozen=True, eq=False)
-class HeldGrasp:
-    """The best grasp of an object in an earlier cloud of a stream."""
+HeldGrasp = tuple[Grasp, int]
+"""The best grasp of an object in an earlier cloud of a stream, and on how many clouds in a row another was better."""
 
-    grasp: Grasp
-    axis: Float64  # (3,) float64, the object's axis for which it was planned
-    outdone: int = 0  # clouds in a row on which another grasp was better
-
-
-@dataclass(frozen=True, eq=False)
-class _Object:
-    """An object as it was when its held grasp was planned."""
-
-    centroid: Float64  # (3,) float64 [m]
-    spread: Float64  # (3,) float64, mean deviation of x, y, z from the centroid [m]
-    held: HeldGrasp
+_Place = tuple[Float64, Float64]
+"""(3,) float64 centroid and (3,) float64 mean deviation of x, y, z from it, of the points of an object [m]."""
 
 
 class GraspHold:
@@ -41,40 +30,37 @@ class GraspHold:
 
     def __init__(self, tolerance_m: float) -> None:
         self._tolerance_m = tolerance_m
-        self._last: list[_Object] = []
-        self._fresh: list[_Object] = []
-        self._measured: tuple[Cloud, tuple[Float64, Float64]] | None = None  # by the last call
+        self._last: list[tuple[_Place, HeldGrasp]] = []  # where each object was when its held grasp was planned
+        self._fresh: list[tuple[_Place, HeldGrasp]] = []
+        self._measured: tuple[Cloud, _Place] | None = None  # by the last call
 
     def find(self, cloud: Cloud) -> HeldGrasp | None:
         """The grasp that was planned on this object, if the object is still the same."""
         found = self._find(self._measure(cloud))
-        return None if found is None else found.held
+        return None if found is None else found[1]
 
     def remember(self, cloud: Cloud, best: HeldGrasp) -> None:
-        """Keep the best grasp of an object for the next cloud, with the object's axis in the present one."""
+        """Keep the best grasp of an object for the next cloud."""
         now = self._measure(cloud)
         before = self._find(now)
-        if before is not None and np.array_equal(_contacts(before.held.grasp), _contacts(best.grasp)):
-            self._fresh.append(replace(before, held=replace(before.held, outdone=best.outdone)))
-        else:
-            self._fresh.append(_Object(*now, best))
+        same = before is not None and np.array_equal(_contacts(before[1][0]), _contacts(best[0]))
+        self._fresh.append((before[0], (before[1][0], best[1])) if before is not None and same else (now, best))
 
     def next_cloud(self) -> None:
         """Forget the objects that the last cloud did not hold."""
         self._last, self._fresh, self._measured = self._fresh, [], None
 
-    def _measure(self, cloud: Cloud) -> tuple[Float64, Float64]:
+    def _measure(self, cloud: Cloud) -> _Place:
         """`_measure` of a cloud, for which it is asked twice."""
         if self._measured is None or self._measured[0] is not cloud:
             self._measured = (cloud, _measure(cloud))
         return self._measured[1]
 
-    def _find(self, now: tuple[Float64, Float64]) -> _Object | None:
-        changes = (np.concatenate([one.centroid - now[0], one.spread - now[1]]) for one in self._last)
-        same = (
-            one for one, change in zip(self._last, changes, strict=True) if np.abs(change).max() <= self._tolerance_m
-        )
-        return next(same, None)
+    def _find(self, now: _Place) -> tuple[_Place, HeldGrasp] | None:
+        for place, held in self._last:
+            if np.abs(np.subtract(place, now)).max() <= self._tolerance_m:
+                return place, held
+        return None
 
 
 def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -> tuple[Grasp, int]:
@@ -85,15 +71,16 @@ def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -
     Returns:
         The best grasp, and for how many clouds in a row it has been outdone.
     """
-    outdone = 0 if new.score <= held_score + margin else held.outdone + 1
-    return (replace(held.grasp, score=held_score, id=""), outdone) if outdone < _OUTDONE else (new, 0)
+    grasp, before = held
+    outdone = 0 if new.score <= held_score + margin else before + 1
+    return (replace(grasp, score=held_score, id=""), outdone) if outdone < _OUTDONE else (new, 0)
 
 
 def _contacts(grasp: Grasp) -> Float64:
     return np.stack([grasp.g1, grasp.g2])
 
 
-def _measure(cloud: Cloud) -> tuple[Float64, Float64]:
+def _measure(cloud: Cloud) -> _Place:
     """Centroid and mean deviation from it of the finite points.
 
     At a few pixels of an object's outline the camera measures the table in some images and the object in others. They

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foretouch.cloud.geometry.pcl_filters import normals_and_curvature, voxel_grid
+from foretouch.cloud.geometry.pcl_filters import cell_means, normals_and_curvature, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.types import Float32, Float64, Int64
@@ -98,7 +98,7 @@ def _contact_side(xyz: Float32, initial: int, radius_m: float, config: GeoGraspC
     normal, curvature = normals_and_curvature(xyz, near, config.normal_radius_m)
     grid = voxel_grid(xyz[near], config.voxel_m)
     # A point without a normal leaves its voxel without one: NaN propagates through the sums.
-    mean = grid.mean(np.column_stack([xyz[near].astype(np.float64), normal, curvature]))
+    mean = cell_means(np.column_stack([xyz[near].astype(np.float64), normal, curvature]), grid)
     length = np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True)
     length[length == 0.0] = np.nan  # opposite normals cancel: the voxel has none
     own = near == initial
@@ -114,16 +114,6 @@ FREE_COSINE = 0.2  # between grasp and object axis, without penalty
 ALIGNMENT_WEIGHT = 10.0
 FIRST_WEIGHT = 1.5
 MIN_RANK = 1.0  # of either ranking
-
-
-@dataclass(frozen=True, eq=False)
-class Ranking:
-    """Pairs that pass every filter, best first."""
-
-    first: Int64  # (P,) int64, indices of a and b
-    second: Int64
-    score: Float64  # (P,) float64, finite
-    counts: dict[str, int]  # number of pairs: all, dropped by each filter, and ranked
 
 
 class _ScaledSide:
@@ -161,13 +151,18 @@ def _scaled(values: Float64, low: float, high: float) -> Float64:
     return np.asarray((values + _EPSILON - low) / (high - low), np.float64)
 
 
-def rank_pairs(sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64) -> Ranking:
+def rank_pairs(
+    sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64
+) -> tuple[Int64, Int64, Float64, dict[str, int]]:
     """All pairs of candidates that pass GeoGrasp's filters, best first; ties keep their order (a outer, b inner).
 
     Args:
         sides: The first and the second side.
         grasp_plane: The grasp plane.
         centroid: (3,) float64 [m], of the object.
+
+    Returns:
+        (P,) indices of a and of b, (P,) finite scores, and the number of pairs: all, dropped by each filter, and ranked.
     """
     a, b = (_ScaledSide(side.candidates, grasp_plane, centroid) for side in sides)
     p1, p2 = (side.initial for side in sides)
@@ -197,7 +192,7 @@ def rank_pairs(sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, 
         "n_pairs_low": int(np.count_nonzero((r1 < MIN_RANK) | (r2 < MIN_RANK))),
         "n_pairs_ranked": len(order),
     }
-    return Ranking(i[passed][order], j[passed][order], score[order], counts)
+    return i[passed][order], j[passed][order], score[order], counts
 
 
 def initial_score(

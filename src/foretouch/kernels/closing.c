@@ -360,16 +360,15 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
     const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
     const size_t sums = (size_t)bins * (HEIGHTS + 8 + ALONGS) * 2;
-    float *memory = malloc(((size_t)n * 12 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));
-    int64_t *start = malloc((size_t)(bins + 1) * 4 * sizeof(int64_t)), used = 0, highest = 0;
+    int64_t *start = malloc((size_t)(bins + 1) * 4 * sizeof(int64_t) + ((size_t)n * 12 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));
+    int64_t used = 0, highest = 0;
     for (int64_t i = 0; i < angles * lines * FOUND; i++) {
         found[i] = NAN;
     }
-    if (!memory || !start) {
-        free(memory), free(start);
+    if (!start) {
         return;
     }
-    float *along = memory, *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
+    float *along = (float *)(start + (bins + 1) * 4), *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
     float *place = share_of + n, *beside = place + n, *across = beside + n, *faded = across + n;
     int32_t *strip = (int32_t *)(faded + n);
     int64_t *least = start + bins + 3, *most = least + bins; /* bins along the line of the points in each strip of one step */
@@ -463,5 +462,5 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             }
         }
     }
-    free(memory), free(start);
+    free(start);
 }

@@ -72,6 +72,31 @@ INLINE void join(int32_t *parent, int32_t i, int32_t j) {
     }
 }
 
+/* Numbers the connected sets of the n cells with a number above 0, from 1 in the order of their first cells, 0 for those of fewer
+ * than `least` cells or, where that is given, with none that is tall. count: (n), zeros. Returns the largest number. */
+INLINE int32_t number_sets(int32_t *parent, int32_t *number, int64_t n, int64_t least, uint8_t *tall, int32_t *count) {
+    int32_t last = 0;
+    for (int64_t i = 0; i < n; i++) {
+        if (number[i] > 0) {
+            const int32_t root = root_of(parent, (int32_t)i);
+            count[root]++;
+            if (tall) {
+                tall[root] |= tall[i];
+            }
+        }
+    }
+    for (int64_t i = 0; i < n; i++) {
+        if (number[i] > 0) {
+            const int32_t root = root_of(parent, (int32_t)i);
+            if (root == i) { /* the first of its set: from here on its count is its number */
+                count[i] = count[i] >= least && (!tall || tall[i]) ? ++last : 0;
+            }
+            number[i] = count[root];
+        }
+    }
+    return last;
+}
+
 /* Patches of the coarse grid (h, w, 3) above the table; diagonal neighbours are in one patch.
  *
  * number: (h, w), from 1 in the order of their first pixels, without those of fewer than `min_nodes` pixels or nowhere
@@ -79,24 +104,22 @@ INLINE void join(int32_t *parent, int32_t i, int32_t j) {
  * end of each. found: the number of patches, -1 without memory; and whether a pixel is beside its ray. */
 VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t stride, int64_t min_nodes, const double *settings,
                              int32_t *number, int64_t *boxes, int64_t *found) {
-    if (h * w >= INT32_MAX) {
-        found[0] = -1;
-        return;
-    }
-    int32_t *parent = malloc((size_t)(h * w + 1) * sizeof(int32_t)), *count = calloc((size_t)(h * w + 1), sizeof(int32_t));
-    uint8_t *tall = calloc((size_t)(h * w + 1), 1);
+    const int64_t n = h * w;
+    int32_t *parent = n < INT32_MAX ? calloc((size_t)n + 1, 2 * sizeof(int32_t) + 1) : NULL;
     double s[RAY_Y + 3];
     memcpy(s, settings, sizeof s);
-    found[0] = -1;
-    found[1] = 0;
-    if (!parent || !count || !tall) {
-        goto done;
+    found[0] = -1, found[1] = 0;
+    if (!parent) {
+        return;
     }
+    int32_t *count = parent + n;
+    uint8_t *tall = (uint8_t *)(count + n);
     for (int64_t row = 0; row < h; row++) {
         for (int64_t column = 0; column < w; column++) {
             const int64_t i = row * w + column;
             const float *p = grid + 3 * i;
             number[i] = is_above(height_of(p, s), p[2], s);
+            tall[i] = height_of(p, s) > (float)s[TOP];
             parent[i] = (int32_t)i;
         }
         for (int64_t column = 0; column < w; column++) {
@@ -119,44 +142,24 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
             }
         }
     }
-    for (int64_t i = 0; i < h * w; i++) {
-        if (number[i] > 0) {
-            const int32_t root = root_of(parent, (int32_t)i);
-            count[root]++;
-            tall[root] |= height_of(grid + 3 * i, s) > (float)s[TOP];
-        }
+    const int32_t last = number_sets(parent, number, n, min_nodes, tall, count);
+    for (int64_t k = 0; k < last; k++) {
+        boxes[4 * k] = h, boxes[4 * k + 1] = 0, boxes[4 * k + 2] = w, boxes[4 * k + 3] = 0;
     }
-    int32_t last = 0;
-    for (int64_t i = 0; i < h * w; i++) {
-        if (number[i] <= 0) {
-            continue;
-        }
-        const int64_t root = root_of(parent, (int32_t)i), row = i / w, column = i % w;
-        if (root == i) { /* the first of its patch: from here on its count is its number */
-            const int keep = count[i] >= min_nodes && tall[i];
-            count[i] = keep ? ++last : 0;
-            if (keep) {
-                int64_t *box = boxes + 4 * (last - 1);
-                box[0] = row, box[1] = row + 1, box[2] = column, box[3] = column + 1;
-            }
-        }
-        number[i] = count[root];
+    for (int64_t i = 0; i < n; i++) {
+        const int64_t row = i / w, column = i % w;
         if (number[i] > 0) {
             int64_t *box = boxes + 4 * (number[i] - 1);
-            box[1] = row + 1;
-            box[2] = column < box[2] ? column : box[2];
-            box[3] = column + 1 > box[3] ? column + 1 : box[3];
+            box[0] = row < box[0] ? row : box[0], box[1] = row + 1;
+            box[2] = column < box[2] ? column : box[2], box[3] = column + 1 > box[3] ? column + 1 : box[3];
         }
     }
     found[0] = last;
-done:
     free(parent);
-    free(count);
-    free(tall);
 }
 
 enum { TAKEN = 1, BESIDE = 2 };   /* of a pixel, whatever the window */
-enum { ABOVE = 1, BELOW = 2, LOW_EDGE = 4 }; /* of a pixel by its height; LOW_EDGE may be the foot of an object */
+enum { ABOVE = 1, BELOW = 2, LOW_EDGE = 4, OFF = 8 }; /* of a pixel by its height; LOW_EDGE may be the foot of an object; OFF its ray */
 
 typedef struct {
     int64_t h, w, stride, gh, gw; /* size of the window, step and size of its part of the coarse grid */
@@ -189,9 +192,10 @@ INLINE int is_joined(const window *v, int64_t first, int64_t step) {
 /* Labels the nodes of one patch and drops small components; the largest label, -1 without memory. */
 INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, int64_t patch, int64_t min_nodes) {
     const int64_t gh = v->gh, gw = v->gw;
-    int32_t *parent = malloc((size_t)(gh * gw + 1) * sizeof(int32_t)), *count = calloc((size_t)(gh * gw + 1), sizeof(int32_t));
+    int32_t *parent = calloc((size_t)(gh * gw + 1), 2 * sizeof(int32_t));
     int64_t last = -1;
-    if (parent && count) {
+    if (parent) {
+        int32_t *count = parent + gh * gw;
         for (int64_t row = 0; row < gh; row++) {
             for (int64_t column = 0; column < gw; column++) {
                 const int32_t i = (int32_t)(row * gw + column);
@@ -209,22 +213,9 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
                 }
             }
         }
-        for (int64_t i = 0; i < gh * gw; i++) {
-            count[v->nodes[i] ? root_of(parent, (int32_t)i) : gh * gw]++;
-        }
-        last = 0;
-        for (int64_t i = 0; i < gh * gw; i++) {
-            if (v->nodes[i]) {
-                const int32_t root = root_of(parent, (int32_t)i);
-                if (root == i) {
-                    count[i] = count[i] >= min_nodes ? (int32_t)++last : 0;
-                }
-                v->nodes[i] = count[root];
-            }
-        }
+        last = number_sets(parent, v->nodes, gh * gw, min_nodes, NULL, count);
     }
     free(parent);
-    free(count);
     return last;
 }
 
@@ -388,16 +379,15 @@ INLINE float read_row(const window *v, const float *points, int64_t row, const f
         for (int64_t i = 0; i < v->w; i++) {
             const float dx = fabsf(points[3 * i] - ray_x[i] * z[i]), dy = fabsf(points[3 * i + 1] - ray_y[i] * z[i]);
             const float limit = z[i] * deviation;
-            beside |= ((dx > limit) | (dy > limit)) & (dx == dx) & (dy == dy) & (z[i] > 0.0f);
+            const int32_t off = ((dx > limit) | (dy > limit)) & (dx == dx) & (dy == dy) & (z[i] > 0.0f);
+            beside |= off, kinds[i] |= off * OFF;
         }
     }
     for (int64_t i = 0; i < v->w; i++) {
         kind[i] = (uint8_t)kinds[i];
     }
     for (int64_t i = 0; i < v->w && beside; i++) {
-        const float dx = fabsf(points[3 * i] - ray_x[i] * z[i]), dy = fabsf(points[3 * i + 1] - ray_y[i] * z[i]);
-        const float limit = z[i] * deviation;
-        if ((dx > limit || dy > limit) && dx == dx && dy == dy && z[i] > 0.0f) {
+        if (kind[i] & OFF) {
             if (z[i] >= nearest && z[i] <= farthest) {
                 marks[i] |= BESIDE;
                 *any_beside = 1;
@@ -436,17 +426,17 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
     const size_t size = (size_t)((h + 2) * line);
     double s[RAY_Y + 3];
     memcpy(s, settings, sizeof s);
-    float *memory = h * w < INT32_MAX ? malloc((size + 3 * (size_t)w) * sizeof(float)) : NULL;
+    const size_t nodes = (size_t)(((h + stride - 1) / stride) * ((w + stride - 1) / stride));
+    float *memory = h * w < INT32_MAX ? malloc((size + 3 * (size_t)w + nodes) * sizeof(float) + size) : NULL;
     window v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, line, NULL, NULL, NULL, s};
-    uint8_t *kinds = malloc(size);
-    v.nodes = malloc((size_t)(v.gh * v.gw) * sizeof(int32_t) + 1);
     found[0] = -1;
     found[1] = 0;
-    if (memory && kinds && v.nodes) {
+    if (memory) {
         v.z = memory + line + 1;
-        v.kind = kinds + line + 1;
         float *ray_x = memory + size, *ray_y = ray_x + w, least = INFINITY;
         int32_t *row_of_flags = (int32_t *)(ray_y + w);
+        v.nodes = row_of_flags + w;
+        v.kind = (uint8_t *)(v.nodes + nodes) + line + 1;
         for (int64_t i = 0; i < line; i++) {
             memory[i] = memory[(h + 1) * line + i] = NAN;
         }
@@ -487,8 +477,6 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
         }
     }
     free(memory);
-    free(kinds);
-    free(v.nodes);
 }
 
 /* The end of the pixels from `first` that are solid with one label, or that are not solid. */

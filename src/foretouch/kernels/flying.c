@@ -98,13 +98,13 @@ VECTORISED void flying_points(const float *xyz, int64_t n, const double *setting
     if (n <= FEWEST) {
         return;
     }
-    float *rays = malloc(5 * (size_t)n * sizeof(float)), *u = rays, *v = u + n, *sorted = v + n;
-    int64_t *order = malloc((size_t)n * sizeof(int64_t)), *first = NULL;
+    int64_t *order = malloc((size_t)n * (sizeof(int64_t) + 5 * sizeof(float))), *first = NULL;
     uint8_t *used = NULL;
-    if (!rays || !order) {
+    if (!order) {
         *radius = -1.0;
-        goto done;
+        return;
     }
+    float *u = (float *)(order + n), *v = u + n, *sorted = v + n;
     grid g = {u, v, {INFINITY, INFINITY}, 0.0f, 0, 0};
     float high[2] = {-INFINITY, -INFINITY};
     for (int64_t i = 0; i < n; i++) {
@@ -157,7 +157,6 @@ VECTORISED void flying_points(const float *xyz, int64_t n, const double *setting
         mark_alone(&g, &points, reach, settings, settings[SHARE_AGAIN], (int32_t)settings[SUPPORT_AGAIN], flying);
     }
 done:
-    free(rays);
     free(order);
     free(first);
     free(used);

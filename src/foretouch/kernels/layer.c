@@ -160,21 +160,15 @@ static Complex inverse(const Plan *plan, int64_t lines, Complex x, Complex y) {
 /* Room for one convolution: two arrays of m (n + 1) complex values. */
 typedef struct {
     Plan plan;
-    double *room;
     Complex x, y;
 } Convolution;
 
-static int prepare(Convolution *convolution, int64_t n) {
+/* room: 4 m (n + 1) + 2 m. */
+static void prepare(Convolution *convolution, int64_t n, double *room) {
     const int64_t m = 2 * n, size = m * (n + 1);
-    convolution->room = malloc((size_t)(4 * size + 2 * m) * sizeof(double));
-    if (convolution->room == NULL) {
-        return 0;
-    }
-    double *room = convolution->room;
     convolution->x = (Complex){room, room + size};
     convolution->y = (Complex){room + 2 * size, room + 3 * size};
     plan(&convolution->plan, m, room + 4 * size);
-    return 1;
 }
 
 /* result (n, n): the convolution of p (n, n) with the coefficients whose spectrum (2n, n + 1, 2) is given. */
@@ -255,13 +249,12 @@ void layer_descent(const double *gap, const double *spectrum, int64_t n, double 
                    double tolerance, int64_t most, double *pressure, double *end) {
     const int64_t size = n * n;
     Convolution convolution;
-    double *room = malloc((size_t)(6 * size) * sizeof(double));
-    end[3] = prepare(&convolution, n) && room != NULL;
-    if (end[3] == 0.0) {
-        free(convolution.room);
-        free(room);
+    double *room = malloc((size_t)(6 * size + 8 * n * (n + 1) + 4 * n) * sizeof(double));
+    end[3] = room != NULL;
+    if (!room) {
         return;
     }
+    prepare(&convolution, n, room + 6 * size);
     double *displacement = room, *t = room + size, *q = room + 2 * size, *r = room + 3 * size, *g = room + 4 * size;
     double *old = room + 5 * size, last = INFINITY, residual = INFINITY;
     int64_t iterations = 0;
@@ -328,6 +321,5 @@ void layer_descent(const double *gap, const double *spectrum, int64_t n, double 
     end[0] = by_force ? mean_depth(displacement, gap, pressure, size) : given;
     end[1] = (double)iterations;
     end[2] = residual;
-    free(convolution.room);
     free(room);
 }

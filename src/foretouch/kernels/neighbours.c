@@ -174,7 +174,7 @@ VECTORISED void mean_neighbour_distance(const float *xyz, int64_t n, int64_t k, 
         start = 1.2f * farthest;
     }
     free(memory);
-    free_tree(&t);
+    free(t.slots);
 }
 
 /* Sums of the moments of the points (n, 3) strictly within a squared radius of each of q places (q, 3).
@@ -184,21 +184,19 @@ VECTORISED void mean_neighbour_distance(const float *xyz, int64_t n, int64_t k, 
 VECTORISED void summed_moments(const float *xyz, int64_t n, const float *places, int64_t q, double limit, const float *origin,
                                double *sums) {
     tree t;
-    double *of_points = NULL, *of_nodes = NULL;
+    double *of_points = NULL;
     const float within = (float)limit;
     if (build_tree(&t, xyz, n)) {
-        of_points = calloc((size_t)t.leaves * LEAF * PADDED, sizeof(double));
-        of_nodes = calloc((size_t)t.width * 2 * PADDED, sizeof(double));
+        of_points = calloc((size_t)(t.leaves * LEAF + t.width * 2) * PADDED, sizeof(double));
     }
-    if (!of_points || !of_nodes) {
+    if (!of_points) {
         for (int64_t i = 0; i < q; i++) {
             sums[i * MOMENTS] = -1.0;
         }
-        free(of_points);
-        free(of_nodes);
-        free_tree(&t);
+        free(t.slots);
         return;
     }
+    double *of_nodes = of_points + t.leaves * LEAF * PADDED;
     for (int64_t i = 0; i < t.n; i++) {
         double *m = of_points + i * PADDED;
         moments_of(t.slots[i].c, origin, m);
@@ -244,8 +242,7 @@ VECTORISED void summed_moments(const float *xyz, int64_t n, const float *places,
         memcpy(sums + i * MOMENTS, sum, MOMENTS * sizeof(double));
     }
     free(of_points);
-    free(of_nodes);
-    free_tree(&t);
+    free(t.slots);
 }
 
 /* Normals and curvature from summed moments (q, 10): NaN where they span no plane.

@@ -7,16 +7,12 @@
 
 /* The order of n points (n, 3) by x, then y, then z; equal ones keep theirs. order: (n); its first is -1 without memory. */
 void canonical_order(const float *xyz, int64_t n, int64_t *order) {
-    uint32_t *keys = malloc((size_t)(n > 0 ? n : 1) * sizeof(uint32_t));
-    int64_t *other = malloc((size_t)(n > 0 ? n : 1) * sizeof(int64_t)), *from = order, *to = other;
-    if (!keys || !other || n < 1) {
-        if (n > 0) {
-            order[0] = -1;
-        }
-        free(keys);
-        free(other);
+    int64_t *other = n > 0 ? malloc((size_t)n * (sizeof(int64_t) + sizeof(uint32_t))) : NULL, *from = order, *to = other;
+    if (!other) {
+        memset(order, -1, n > 0 ? sizeof(int64_t) : 0);
         return;
     }
+    uint32_t *keys = (uint32_t *)(other + n);
     for (int64_t i = 0; i < n; i++) {
         order[i] = i;
     }
@@ -49,6 +45,5 @@ void canonical_order(const float *xyz, int64_t n, int64_t *order) {
     if (from != order) {
         memcpy(order, from, (size_t)n * sizeof(int64_t));
     }
-    free(keys);
     free(other);
 }

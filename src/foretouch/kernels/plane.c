@@ -28,27 +28,18 @@ void points_near(const double *points, const double *along, int64_t n, double of
     count[0] = found;
 }
 
-/* Residuals of the points within `reach` of a plane, and divided by the squares of their depths.
+/* Residuals of the points within `reach` of a plane, divided by the squares of their depths.
  *
- * depth_m: depth of the origin of the points. residuals, scaled: (n). counts: within reach, and within three times. */
+ * depth_m: depth of the origin of the points. scaled: (n). counts: within reach, and within three times. */
 void residuals_near(const double *points, const double *along, int64_t n, double offset, double reach, double depth_m,
-                    double *residuals, double *scaled, int64_t *counts) {
+                    double *scaled, int64_t *counts) {
     int64_t found = 0, wide = 0;
     for (int64_t i = 0; i < n; i++) {
         const double residual = along[i] + offset, depth = points[3 * i + 2] + depth_m, square = depth * depth;
-        residuals[found] = residual;
         scaled[found] = residual / (square > 1e-4 ? square : 1e-4);
         found += fabs(residual) < reach;
         wide += fabs(residual) < 3.0 * reach;
     }
     counts[0] = found;
     counts[1] = wide;
-}
-
-/* Heights (n) of the points (n, 3) above a plane (4). */
-VECTORISED void plane_heights(const float *xyz, int64_t n, const float *plane, float *heights) {
-    const float a = plane[0], b = plane[1], c = plane[2], d = plane[3];
-    for (int64_t i = 0; i < n; i++) {
-        heights[i] = xyz[3 * i] * a + xyz[3 * i + 1] * b + xyz[3 * i + 2] * c + d;
-    }
 }

@@ -22,19 +22,13 @@ typedef struct {
 
 typedef struct {
     int64_t n, leaves, width; /* points; leaves in use; leaves of the complete tree, a power of two */
-    slot *slots;              /* (n), by leaf */
+    slot *slots;              /* (n), by leaf; the others are in its memory */
     float *columns;           /* (leaves, 3, LEAF): x, y and z of each leaf, infinite where there is no point */
     float *boxes;             /* (2 width / 8, 6, 8): low x, y, z, high x, y, z; low above high where there is no point */
 } tree;
 
 /* The low x of a node's box; the other five numbers follow in steps of eight. */
 INLINE float *box_of(const tree *t, int64_t node) { return t->boxes + node / 8 * 48 + node % 8; }
-
-static void free_tree(tree *t) {
-    free(t->slots);
-    free(t->columns);
-    free(t->boxes);
-}
 
 static inline float smaller_of(float a, float b) { return a < b ? a : b; }
 
@@ -131,14 +125,12 @@ static int build_tree(tree *t, const float *xyz, int64_t n) {
     t->leaves = (n + LEAF - 1) / LEAF;
     for (t->width = 1; t->width < t->leaves; t->width *= 2) {
     }
-    t->slots = malloc((size_t)n * sizeof(slot));
-    t->columns = malloc((size_t)t->leaves * 3 * LEAF * sizeof(float));
     const int64_t groups = (2 * t->width + 7) / 8;
-    t->boxes = malloc((size_t)groups * 48 * sizeof(float));
-    if (!t->slots || !t->columns || !t->boxes) {
-        free_tree(t);
+    t->slots = malloc((size_t)n * sizeof(slot) + (size_t)(t->leaves * 3 * LEAF + groups * 48) * sizeof(float));
+    if (!t->slots) {
         return 0;
     }
+    t->columns = (float *)(t->slots + n), t->boxes = t->columns + t->leaves * 3 * LEAF;
     for (int64_t i = 0; i < groups * 48; i++) {
         t->boxes[i] = i % 48 < 24 ? INFINITY : -INFINITY;
     }

@@ -167,12 +167,11 @@ static void make_normals(graph *g) {
     }
 }
 
+/* In place: a bend is never as large as a step, as all normals face the camera. */
 static void make_bends(graph *g) {
-    float *bends = malloc((size_t)(2 * g->n) * sizeof(float) + 1);
-    for (int64_t k = 0; bends && k < 2 * g->n; k++) {
+    for (int64_t k = 0; k < 2 * g->n; k++) {
         const int dir = k & 1;
-        bends[k] = g->bends[k];
-        if (bends[k] == 0.0f) {
+        if (g->bends[k] == 0.0f) {
             const cell *a = g->cells + walk(g, k / 2, dir, -1, REACH);
             const cell *b = g->cells + walk(g, k / 2 + (dir ? g->w : 1), dir, 1, REACH);
             float chord = 0.0f, side = 0.0f;
@@ -180,13 +179,9 @@ static void make_bends(graph *g) {
                 const float turn = a->n[x] - b->n[x];
                 chord += turn * turn, side += turn * (a->p[x] - b->p[x]);
             }
-            bends[k] = chord == chord ? (side < 0.0f ? sqrtf(chord) : -sqrtf(chord)) : 0.0f;
+            g->bends[k] = chord == chord ? (side < 0.0f ? sqrtf(chord) : -sqrtf(chord)) : 0.0f;
         }
     }
-    if (bends) {
-        memcpy(g->bends, bends, (size_t)(2 * g->n) * sizeof(float));
-    }
-    free(bends);
 }
 
 INLINE int32_t root_of(int32_t *root, int32_t i) {
@@ -655,29 +650,23 @@ VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int6
                .rows = rows, .room = room, .counts = counts};
     const size_t n = (size_t)(g.n = g.h * g.w);
     memset(counts, 0, COUNTS * sizeof(int64_t));
-    g.cells = calloc(n + 1, sizeof(cell));
-    g.bends = malloc((2 * n + 1) * sizeof(float));
-    g.root = malloc((n + 1) * sizeof(int32_t));
-    g.fragments = malloc((n + 1) * sizeof(fragment));
-    g.borders = malloc((4 * n + 1) * sizeof(border));
-    if (g.cells && g.bends && g.root && g.fragments && g.borders) {
-        make_cells(&g, xyz, across, h, w, labels, solid, k);
-        find_steps(&g);
-        make_normals(&g);
-        make_bends(&g);
-        make_fragments(&g);
-        measure(&g);
-        look_behind(&g);
-        join_all(&g);
-        counts[PARTS] = write_parts(&g, xyz, across, h, w, labels);
-    } else {
+    g.fragments = calloc(1, (n + 1) * (sizeof(fragment) + sizeof(cell) + sizeof(int32_t)) + (4 * n + 1) * sizeof(border) + 2 * n * sizeof(float));
+    if (!g.fragments) {
         counts[PARTS] = -1;
+        return;
     }
-    free(g.cells);
-    free(g.bends);
-    free(g.root);
+    g.borders = (border *)(g.fragments + n + 1), g.cells = (cell *)(g.borders + 4 * n + 1);
+    g.root = (int32_t *)(g.cells + n + 1), g.bends = (float *)(g.root + n + 1);
+    make_cells(&g, xyz, across, h, w, labels, solid, k);
+    find_steps(&g);
+    make_normals(&g);
+    make_bends(&g);
+    make_fragments(&g);
+    measure(&g);
+    look_behind(&g);
+    join_all(&g);
+    counts[PARTS] = write_parts(&g, xyz, across, h, w, labels);
     free(g.fragments);
-    free(g.borders);
 }
 
 /* Whether clusters of a window call for splitting or joining, from every `stride`-th pixel: the nodes that lie deeper than the

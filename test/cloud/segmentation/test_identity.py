@@ -56,18 +56,6 @@ def test_a_hand_takes_no_id_and_a_hidden_object_gets_its_id_back() -> None:
     assert _place(after, 80, 80) == _place(before, 80, 80)
 
 
-def test_what_falls_apart_keeps_one_id_and_new_objects_get_new_ones() -> None:
-    identity = ObjectIdentity()
-    whole = identity.keep(_segmented(_put(_table(), 60, 60, size=60)))
-    split = _put(_table(), 60, 60, size=60)
-    split[60:120, 100:120] = 0.8
-    split = _put(split, 150, 200, size=40)
-    apart = identity.keep(_segmented(split))
-    assert (whole.counts["new_ids"], apart.counts["new_ids"]) == (1, 1)
-    assert _place(apart, 80, 80) == _place(whole, 80, 80)
-    assert _place(apart, 170, 220) not in {0, _place(whole, 80, 80)}
-
-
 def test_a_list_of_points_is_compared_by_centroid() -> None:
     identity, rng = ObjectIdentity(), np.random.default_rng(1)
     depth = _put(_put(_table(), 60, 60), 60, 220)

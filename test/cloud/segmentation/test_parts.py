@@ -113,18 +113,6 @@ def test_solids_that_touch_are_parts(name: str) -> None:
     assert (found.counts["clusters"], found.counts["parts"]) == (1, 2)
 
 
-@pytest.mark.parametrize("name", _TOUCHING)
-def test_a_mirrored_image_and_a_list_of_its_points_have_the_same_parts(name: str) -> None:
-    xyz, truth = _scene(*_TOUCHING[name])
-    mirrored = np.ascontiguousarray(xyz[:, ::-1] * np.array([-1, 1, 1], np.float32))
-    assert min(_iou(segment(Cloud(mirrored)), truth[:, ::-1])) > 0.85
-    order = np.random.default_rng(1).permutation(_H * _W)
-    listed = segment(Cloud(xyz.reshape(-1, 3)[order]))
-    image = segment(Cloud(xyz))
-    assert len(listed.objects) == len(image.objects)
-    assert (np.sort(listed.labels) == np.sort(image.labels.ravel())).mean() > 0.999
-
-
 @pytest.mark.parametrize("solid", [([_LOW], []), ([], [((0.0, 0.0, 0.06), 0.06)])])
 def test_one_convex_solid_is_not_processed(
     solid: tuple[list[_Box], list[tuple[tuple[float, float, float], float]]],
@@ -140,13 +128,6 @@ def test_a_box_on_both_sides_of_a_nearer_one_is_one_and_two_of_other_heights_are
     assert (len(whole.objects), whole.counts["joined_hidden"]) == (2, 1)
     other: list[_Box] = [((-0.13, 0.02, 0.0), (-0.01, 0.08, 0.08)), ((0.01, 0.05, 0.0), (0.13, 0.11, 0.11)), post]
     assert len(segment(Cloud(_scene(other)[0])).objects) == 3
-
-
-def test_a_handle_joins_and_an_angle_of_180_degrees_splits_nothing() -> None:
-    handle: _Box = ((0.08, 0.0, 0.02), (0.093, 0.015, 0.04))
-    assert len(segment(Cloud(_scene([_LOW, handle])[0])).objects) == 1
-    found = segment(Cloud(_scene(*_TOUCHING["one on another"])[0]), _NO_SPLIT)
-    assert len(found.objects) == 1
 
 
 _BODY: _Can = ((0.0, 0.0, 0.0), 0.045, 0.1)
@@ -175,12 +156,6 @@ def test_a_bowl_that_is_seen_into_is_one_and_two_are_two() -> None:
     found = segment(Cloud(two))
     assert len(found.objects) == 2
     assert min(_iou(found, truth)) > 0.85
-
-
-def test_the_probability_decides_what_is_joined() -> None:
-    image = Cloud(_scene(cans=[_BODY, ((0.0, 0.0, 0.1), 0.022, 0.16)])[0])
-    counts = [len(segment(image, SegmentationConfig().updated({"split.same_object": p})).objects) for p in (0.01, 0.99)]
-    assert counts[0] == 1 < counts[1]
 
 
 def test_without_a_table_or_with_two_or_its_edge_before_the_objects() -> None:

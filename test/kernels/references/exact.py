@@ -53,11 +53,6 @@ def gap(computed: npt.ArrayLike, reference: Exact) -> float:
     return float(np.max(np.abs(exact(computed) - exact(reference))))
 
 
-def relative_gap(computed: npt.ArrayLike, reference: Exact) -> float:
-    """Largest |computed - reference| / |reference|."""
-    return float(np.max(np.abs((exact(computed) - exact(reference)) / exact(reference))))
-
-
 def gap_up_to_sign(computed: npt.ArrayLike, reference: Exact) -> float:
     """`gap` of the nearer of a direction and its opposite."""
     return min(gap(computed, reference), gap(computed, -exact(reference)))

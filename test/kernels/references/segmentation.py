@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from foretouch.cloud.segmentation.clusters import Clusters, in_range, pixel_pitch
+from foretouch.cloud.segmentation.clusters import FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
 from foretouch.cloud.segmentation.objects import ObjectSegment
 
 Array = np.ndarray[Any, Any]
@@ -30,16 +30,11 @@ def near(points, along, offset, reach) -> Array:
     return points[np.abs(along + offset) < reach]
 
 
-def residuals(points, along, offset, reach, depth_m) -> tuple[Array, Array, int]:
+def residuals(points, along, offset, reach, depth_m) -> tuple[Array, int]:
     residual, depth = along + offset, points[:, 2] + depth_m
     inside = np.abs(residual) < reach
     scaled = residual / np.maximum(depth * depth, 1e-4)
-    return residual[inside], scaled[inside], np.count_nonzero(np.abs(residual) < 3.0 * reach)
-
-
-def plane_heights(xyz, count: int, plane, found) -> None:
-    assert count == len(xyz)
-    found[:] = _heights(plane, xyz)
+    return scaled[inside], np.count_nonzero(np.abs(residual) < 3.0 * reach)
 
 
 def _heights(plane, xyz) -> Array:
@@ -94,10 +89,10 @@ def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None) -> 
             z = points[..., 2]
             nodes = above[::stride, ::stride] & (patches[rows, columns] == number)
             below = height <= _least(threshold, z)
-            nodes = _label_nodes(nodes, z, below, stride, lambda z: step(z, config.max_slope))
+            nodes = _label_nodes(nodes, z, below, stride, lambda z: step(z, MAX_SLOPE))
             nodes = _kept(nodes, min_nodes)
             labels = _grow(nodes, z, above, stride)
-            solid = _refine(labels, z, height, above, threshold, lambda z: step(z, config.flying_slope))
+            solid = _refine(labels, z, height, above, threshold, lambda z: step(z, FLYING_SLOPE))
             labels[taken[part]] = 0  # base pixels may lie between two patches: they belong to the first
             solid &= labels > 0
             taken[part] |= solid

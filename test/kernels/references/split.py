@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 Array = np.ndarray[Any, Any]
 Pair = tuple[int, int]
@@ -110,7 +108,7 @@ class Split:
         return float(np.linalg.norm(turn) * (1.0 if turn @ (self.p[a] - self.p[b]) < 0.0 else -1.0))
 
     def depths(self) -> Array:
-        """(h, w) distance from the nearest edge that may separate, in halves of a cell, diagonals 3, as a shortest path."""
+        """(h, w) distance from the nearest edge that may separate, in halves of a cell, diagonals 3."""
         h, w = self.d.shape
         start = np.where(np.isfinite(self.n[..., 0]), np.inf, 0.0)
         start[[0, -1]], start[:, [0, -1]] = np.minimum(start[[0, -1]], 1.0), np.minimum(start[:, [0, -1]], 1.0)
@@ -118,20 +116,13 @@ class Split:
             for at in ((i, j), (i + axis, j + 1 - axis)):
                 if at[0] < h and at[1] < w:
                     start[at] = min(start[at], 1.0)
-        ids, source = np.arange(h * w).reshape(h, w), h * w
-        links = [
-            (ids[:, 1:], ids[:, :-1], 2),
-            (ids[1:], ids[:-1], 2),
-            (ids[1:, 1:], ids[:-1, :-1], 3),
-            (ids[1:, :-1], ids[:-1, 1:], 3),
-        ]
-        first, second, length = (
-            np.concatenate([np.broadcast_to(one[k], one[0].shape).ravel() for one in links]) for k in range(3)
-        )
-        begun = np.flatnonzero(np.isfinite(start))
-        ends = (np.append(first, begun), np.append(second, np.full(len(begun), source)))
-        graph = coo_array((np.append(length, start.ravel()[begun] + 1.0), ends), shape=(source + 1, source + 1))
-        return np.rint(dijkstra(graph, directed=False, indices=source)[:-1] - 1.0).reshape(h, w)
+        while True:
+            around = np.pad(start, 1, constant_values=np.inf)
+            ways = [(i, j) for i in range(3) for j in range(3)]
+            near = [around[i : i + h, j : j + w] + (0, 2, 3)[abs(i - 1) + abs(j - 1)] for i, j in ways]
+            if ((closer := np.min(near, axis=0)) == start).all():
+                return start
+            start = closer
 
     def fragments(self) -> Array:
         """Watersheds of that distance: a neck is a border unless it is as wide as one of both sides; (h, w), 0 for none."""
@@ -218,45 +209,26 @@ class Split:
         steps, count = bends == _STEP, max(1, len(bends))
         apart, turn = one["middle"] - two["middle"], one["normal"] - two["normal"]
         beside = np.linalg.norm(np.cross(one["middle"] - two["axis"], two["u"]))
-        found = [
-            np.clip(bends, 0.0, _FULL).sum() / count,
-            steps.sum() / count,
-            (bends < -_CONVEX).sum() / count,
-            bends[~steps].sum() / max(1, (~steps).sum()),
-            before.sum() / count,
-            before[steps].sum() / max(1, steps.sum()),
-            np.mean(agree) if agree else -1.0,
-            np.sum(agree) / np.sqrt(one["cells"]),
-        ]
+        blunt, convex = np.clip(bends, 0.0, _FULL).sum(), (bends < -_CONVEX).sum()
+        found = [blunt / count, steps.sum() / count, convex / count, bends[~steps].sum() / max(1, (~steps).sum())]
+        found += [before.sum() / count, before[steps].sum() / max(1, steps.sum())]
+        found += [np.mean(agree) if agree else -1.0, np.sum(agree) / np.sqrt(one["cells"])]
+        side, other = np.sqrt(area[small] / one["cells"]), np.pad(part, ((0, 1), (0, 1)))
         for k, shape in ((small, one), (large, two)):
-            other = np.pad(part, ((0, 1), (0, 1)))
-            outline = sum(
-                ((other == k) != (np.roll(other, 1, axis=axis) == k))[1 - axis :, axis:].sum() for axis in (0, 1)
-            )
-            side = np.sqrt(area[small] / one["cells"])
-            found += [
-                len(bends) * side / np.sqrt(area[k]),
-                len(bends) / outline,
-                shape["flat"],
-                shape["thin"],
-                shape["side"],
-            ]
-            found += [shape["out"] / np.sqrt(area[k]), abs(shape["normal"] @ apart), shape["hollow"]]
+            edges = [((other == k) != (np.roll(other, 1, axis=axis) == k))[1 - axis :, axis:] for axis in (0, 1)]
+            found += [len(bends) * side / np.sqrt(area[k]), len(bends) / sum(edge.sum() for edge in edges)]
+            found += [shape["flat"], shape["thin"], shape["side"], shape["out"] / np.sqrt(area[k])]
+            found += [abs(shape["normal"] @ apart), shape["hollow"]]
         up, heights = self.table[:3], [(self.p[part == k] @ self.table[:3]) for k in (small, large)]
         found += [
             np.sqrt(area[small] / area[large]),
             np.linalg.norm(turn),
             two["normal"] @ apart,
             one["normal"] @ apart,
-            up @ apart,
         ]
-        found += [
-            heights[0].max() - heights[1].max(),
-            heights[0].min() - heights[1].min(),
-            two["miss"],
-            abs(two["u"] @ up),
-        ]
-        return [*found, beside, both["miss"], both["next"], abs(both["u"] @ up), both["thin"]]
+        found += [up @ apart, heights[0].max() - heights[1].max(), heights[0].min() - heights[1].min()]
+        found += [two["miss"], abs(two["u"] @ up), beside]
+        return [*found, both["miss"], both["next"], abs(both["u"] @ up), both["thin"]]
 
     def shape(self, of: Array) -> dict[str, Any]:
         """The shape of cells; the axis that their normals meet is that of a linear complex of lines (Pottmann, Randrup 1998)."""

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.simulation.steady_noise import steady_noise
+from benchmarks.simulation.validate import steady_noise
 from foretouch_lab.simulation.fingertip import (
     WANDER_COUNTS,
     WANDER_S,

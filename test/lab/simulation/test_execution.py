@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sim_builders import CAN, EVERY_FINGER_EFFECT, SPONGE, run, scene
 
-from benchmarks.simulation.steady_noise import steady_noise
+from benchmarks.simulation.validate import steady_noise
 from foretouch.types import Grasp
 from foretouch_lab.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig

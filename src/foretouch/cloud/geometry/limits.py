@@ -49,21 +49,16 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
     if extent in (0.0, -math.inf):
         return
     distance = math.hypot(*((low + high) / 2.0).tolist())
-    if distance > limits.max_range_m:
-        raise LimitError(
-            f"xyz: the object is {distance:.4g} m away, more than max_range_m {limits.max_range_m:g}{_unit(distance)}"
-        )
-    if extent > limits.max_extent_m:
-        raise LimitError(
-            f"xyz: the object extends {extent:.4g} m, more than max_extent_m {limits.max_extent_m:g}{_unit(extent)}"
-        )
-    if extent < limits.min_extent_m:
-        raise LimitError(f"xyz: the object extends {extent:.4g} m, less than min_extent_m {limits.min_extent_m:g}")
-    if distance < limits.min_range_m:
-        raise LimitError(
-            f"xyz: the object is {distance:.4g} m away, less than min_range_m {limits.min_range_m:g}; "
-            "for a cloud in the object's own frame set limits.min_range_m=0"
-        )
+    away, long = f"xyz: the object is {distance:.4g} m away", f"xyz: the object extends {extent:.4g} m"
+    frame = "for a cloud in the object's own frame set limits.min_range_m=0"
+    for broken, reason in (
+        (distance > limits.max_range_m, f"{away}, more than max_range_m {limits.max_range_m:g}{_unit(distance)}"),
+        (extent > limits.max_extent_m, f"{long}, more than max_extent_m {limits.max_extent_m:g}{_unit(extent)}"),
+        (extent < limits.min_extent_m, f"{long}, less than min_extent_m {limits.min_extent_m:g}"),
+        (distance < limits.min_range_m, f"{away}, less than min_range_m {limits.min_range_m:g}; {frame}"),
+    ):
+        if broken:
+            raise LimitError(reason)
 
 
 def _unit(length: float) -> str:

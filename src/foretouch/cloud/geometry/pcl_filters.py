@@ -4,8 +4,6 @@
 Comparisons and sums that decide on single points are made in float32, as in PCL.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from foretouch.errors import CloudError
@@ -23,23 +21,20 @@ _MARGIN = 1.001  # radii: far more than float32 rounding
 _LINE = 1e-8  # middle over major eigenvalue, below which the neighbours lie on a line up to float32 rounding
 
 
-@dataclass(frozen=True, eq=False)
-class VoxelGrid:
-    """Assignment of N points to M occupied cells of a grid anchored at the origin."""
-
-    cell: Int64  # (N,) int64, 0 ... M - 1; cells are ordered x fastest, then y, then z
-    counts: Int64  # (M,) int64, points per cell, at least 1
-    leaf_m: float  # edge of a cell [m]
-
-    def mean(self, values: Floating) -> Float64:
-        """(M, C) float64 means of (N, C) values over the points of each cell; a NaN propagates within its column."""
-        means = np.empty((len(self.counts), values.shape[1]))
-        values = np.ascontiguousarray(values, np.float64)
-        _cell_means(values, *values.shape, self.cell, self.counts, len(self.counts), means)
-        return means
+Voxels = tuple[Int64, Int64]
+"""(N,) int64 cell of each point, 0 ... M - 1, cells ordered x fastest, then y, then z; and (M,) int64 points of each, at least 1."""
 
 
-def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
+def cell_means(values: Floating, voxels: Voxels) -> Float64:
+    """(M, C) float64 means of (N, C) values over the points of each cell; a NaN propagates within its column."""
+    cell, counts = voxels
+    means = np.empty((len(counts), values.shape[1]))
+    values = np.ascontiguousarray(values, np.float64)
+    _cell_means(values, *values.shape, cell, counts, len(counts), means)
+    return means
+
+
+def voxel_grid(xyz: Float32, leaf_m: float) -> Voxels:
     """Assign points to cubes whose corners are multiples of the edge, regardless of the cloud's extent.
 
     The cell is floor(x · (1/leaf)) in float32, as in PCL: points on a face would otherwise change sides.
@@ -52,12 +47,12 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
         CloudError: If the cloud spans too many cells.
     """
     if len(xyz) == 0:
-        return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64), leaf_m)
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     per_m = np.float32(1.0) / np.float32(leaf_m)
     cell, counts, found = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
     _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, found)
     if found[0] >= 0:
-        return VoxelGrid(cell, counts[: found[0]].copy(), leaf_m)
+        return cell, counts[: found[0]].copy()
     # The grid is too wide for a table of its cells.
     ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
     ijk -= ijk.min(axis=1, keepdims=True)
@@ -66,7 +61,7 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
         raise CloudError(f"xyz: spans {size.tolist()} cells of {leaf_m} m, too many to number")
     i, j, k = ijk.astype(np.int64)
     _, cell, counts = np.unique(i + int(size[0]) * (j + int(size[1]) * k), return_inverse=True, return_counts=True)
-    return VoxelGrid(cell.reshape(-1), counts, leaf_m)
+    return cell.reshape(-1), counts
 
 
 def normals_and_curvature(xyz: Float32, query: Integer, radius_m: float = 0.03) -> tuple[Float64, Float64]:
@@ -98,15 +93,15 @@ def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
     if len(xyz) == 0:
         return 0
     # All points in a small cube are neighbours of each other: if they span a plane, so do the neighbours of each.
-    grid = voxel_grid(xyz, radius_m * _CUBE)
+    cell, counts = voxels = voxel_grid(xyz, radius_m * _CUBE)
     offset = xyz.astype(np.float64) - xyz[0]
-    mean = grid.mean(np.column_stack([offset, (offset[:, :, None] * offset[:, None]).reshape(-1, 9)]))
+    mean = cell_means(np.column_stack([offset, (offset[:, :, None] * offset[:, None]).reshape(-1, 9)]), voxels)
     covariance = mean[:, 3:].reshape(-1, 3, 3) - mean[:, :3, None] * mean[:, None, :3]
     trace = np.trace(covariance, axis1=1, axis2=2)
     # Sum of the products of two eigenvalues: zero on a line, where only one eigenvalue is not zero.
     products = (trace * trace - np.einsum("qij,qij->q", covariance, covariance)) / 2.0
-    spans_plane = (grid.counts >= 3) & (products > _LINE * trace * trace)
-    undecided = np.flatnonzero(~spans_plane[grid.cell])
+    spans_plane = (counts >= 3) & (products > _LINE * trace * trace)
+    undecided = np.flatnonzero(~spans_plane[cell])
     return int(np.count_nonzero(np.isnan(normals_and_curvature(xyz, undecided, radius_m)[1])))
 
 

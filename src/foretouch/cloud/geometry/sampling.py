@@ -10,87 +10,21 @@ from foretouch.cloud.geometry.columns import centred_columns, distances
 from foretouch.errors import CloudError
 from foretouch.types import Float64, Floating, Int64
 
-SAMPLERS = ("random", "voxel", "farthest")
-_VOXEL_HALVINGS = 20  # of the voxel's edge: 21 bits hold a cell's index, and float32 resolves little more
 _MAX_M = 1e30  # whose square is a number in float64
 _MIN_SCALE_M = 1e-6  # a smaller cloud is one point and the rounding of float32
 
 
-def sample_indices(xyz: Floating, n: int, *, method: str = "random", rng: np.random.Generator) -> Int64:
-    """Indices of a fixed number of points.
-
-    If the cloud has fewer than `n` points, all are returned, and some repeatedly, drawn at random.
-
-    Args:
-        xyz: (N, 3) floating [m], finite, N > 0.
-        n: Number of points, > 0.
-        method: "random" without replacement; "voxel", one point drawn from each cell of the coarsest grid
-            that has at least `n` occupied cells; "farthest", farthest-point sampling from a random first point.
-        rng: Source of randomness.
-
-    Returns:
-        (n,) int64, all different where N >= n.
+def sample_indices(size: int, n: int, rng: np.random.Generator) -> Int64:
+    """(n,) int64 indices of `n` of `size` points at random, all different; of fewer all, and some repeatedly.
 
     Raises:
-        CloudError: If the cloud is empty or not finite, `n` is not positive, or the method is unknown.
+        CloudError: If there is no point, or `n` is not positive.
     """
-    if xyz.ndim != 2 or xyz.shape[1] != 3 or len(xyz) == 0:
-        raise CloudError(f"xyz: shape {xyz.shape} is not (N, 3) with N > 0")
-    if n < 1:
-        raise CloudError(f"n: {n} is not a positive number of points")
-    if method not in SAMPLERS:
-        raise CloudError(f"method: {method!r} is not one of {', '.join(SAMPLERS)}")
-    if not np.isfinite(xyz).all():
-        raise CloudError("xyz: contains points that are not finite")
-    size = len(xyz)
+    if size < 1 or n < 1:
+        raise CloudError(f"xyz: {n} of {size} points cannot be drawn")
     if size <= n:
         return np.concatenate([rng.permutation(size), rng.integers(0, size, n - size)]).astype(np.int64)
-    if method == "farthest":
-        return _farthest(xyz, n, int(rng.integers(size)))
-    if method == "voxel":
-        return _one_per_voxel(xyz, n, rng)
     return rng.choice(size, n, replace=False).astype(np.int64)
-
-
-def _farthest(xyz: Floating, n: int, first: int) -> Int64:
-    """Farthest-point sampling; coordinates are contiguous, and the loop allocates no array."""
-    columns = [np.ascontiguousarray(xyz[:, axis], np.float32) for axis in range(3)]
-    nearest = np.full(len(xyz), np.inf, np.float32)
-    squared, term = np.empty_like(nearest), np.empty_like(nearest)
-    chosen = np.empty(n, np.int64)
-    chosen[0] = first
-    for k in range(1, n):
-        latest = chosen[k - 1]
-        squared[:] = 0.0
-        for column in columns:
-            np.subtract(column, column[latest], out=term)
-            np.multiply(term, term, out=term)
-            np.add(squared, term, out=squared)
-        np.minimum(nearest, squared, out=nearest)
-        nearest[latest] = -1.0  # of coinciding points each is taken once
-        chosen[k] = nearest.argmax()
-    return chosen
-
-
-def _one_per_voxel(xyz: Floating, n: int, rng: np.random.Generator) -> Int64:
-    """One point per voxel, reduced at random to n; filled up if coinciding points leave too few voxels."""
-    shuffled = rng.permutation(len(xyz))  # the first point of a cell is then a random one
-    points = xyz[shuffled].astype(np.float64)
-    points -= points.min(axis=0)
-    extent = float(points.max())
-    first = np.zeros(1, np.int64)
-    for step in range(_VOXEL_HALVINGS):
-        cells = (
-            np.floor(points * (2.0**step / extent)).astype(np.int64)
-            if extent > 0.0
-            else np.zeros_like(points, np.int64)
-        )
-        _, first = np.unique((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2], return_index=True)
-        if len(first) >= n:
-            return shuffled[rng.choice(first, n, replace=False)].astype(np.int64)
-    rest = np.setdiff1d(np.arange(len(xyz)), first)
-    chosen: Int64 = shuffled[np.concatenate([first, rng.choice(rest, n - len(first), replace=False)])]
-    return chosen
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,6 @@ from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Int32, Int64, Plane
 
-_plane_heights = Kernel("plane_heights", np.float32, int, np.float32, np.float32)
 _grid_patches = Kernel("grid_patches", *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64))
 _label_window = Kernel(
     "label_window",
@@ -34,6 +33,9 @@ _label_window = Kernel(
     *(np.float64, int, int, int, np.uint8, np.int32, np.uint8, np.int64),
 )
 
+NOISE_FACTOR = 2.5  # standard deviations of the depth noise, within which points belong to the table
+MAX_SLOPE = 20.0  # depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees
+FLYING_SLOPE = 4.0  # beyond which a neighbour does not support a pixel; unsupported pixels are flying
 _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
 
 
@@ -60,22 +62,7 @@ class ClusterConfig(Settings):
     """Which points are above the table, and which of them are one object."""
 
     min_height_m: float = setting(0.004, "Points lower than this above the table belong to it", bounds=(0.001, 0.1))
-    noise_factor: float = setting(
-        2.5,
-        "Points within so many standard deviations of the depth noise, measured on the table, also belong to it",
-        bounds=(0.0, 10.0),
-    )
     gap_m: float = setting(0.008, "Neighbouring pixels that differ less in depth are connected", bounds=(0.001, 0.1))
-    max_slope: float = setting(
-        20.0,
-        "Depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees",
-        bounds=(1.0, 100.0),
-    )
-    flying_slope: float = setting(
-        4.0,
-        "Depth per lateral distance beyond which a neighbour does not support a pixel; unsupported pixels are flying",
-        bounds=(1.0, 100.0),
-    )
     min_points: int = setting(150, "Smaller clusters are dropped", bounds=(1, 10_000_000))
     min_top_m: float = setting(0.012, "Clusters that do not rise higher above the table are dropped", bounds=(0.0, 0.5))
     max_extent_m: float = setting(
@@ -133,7 +120,7 @@ def label_organised(
         [
             *threshold.plane.coefficients,
             *(threshold.low_m, threshold.noise_per_m, threshold.high_m, crop.min_range_m, crop.max_range_m),
-            *(config.max_slope * pitch, config.flying_slope * pitch, config.gap_m, config.min_top_m),
+            *(MAX_SLOPE * pitch, FLYING_SLOPE * pitch, config.gap_m, config.min_top_m),
             *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
         ]
     )
@@ -151,19 +138,17 @@ def label_organised(
     marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
     marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
     windows: list[Clusters] = []
-    any_beside = False
+    beside = 0
     for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
-        labels, solid = (
-            np.empty((bottom - top, right - left), np.int32),
-            np.empty((bottom - top, right - left), np.uint8),
-        )
+        labels = np.empty((bottom - top, right - left), np.int32)
+        solid = np.empty(labels.shape, np.uint8)
         rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, found)
         _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
         if found[0] < 0:
             raise MemoryError("label_window")
-        any_beside |= found[1] > 0
+        beside += int(found[1])
         windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), top, left))
-    if any_beside and rays is not None:
+    if beside and rays is not None:
         rows, columns = np.nonzero(marks & 2)
         rays.dropped.append((rows + low[0]) * image[1] + columns + low[2])
     return windows
@@ -188,9 +173,10 @@ def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold
     Returns:
         One window with all points, or none if nothing is above the table. Small clusters are not yet removed.
     """
-    z, height = np.ascontiguousarray(xyz[:, 2]), np.empty(len(xyz), np.float32)
-    _plane_heights(xyz, len(xyz), threshold.plane.coefficients.astype(np.float32), height)
+    x, y, z = np.ascontiguousarray(xyz.T)
+    a, b, c, d = threshold.plane.coefficients.astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
+        height = x * a + y * b + z * c + d
         least = np.maximum(z * np.float32(threshold.noise_per_m) * z, np.float32(threshold.low_m))
         above = np.flatnonzero((height > least) & (height < np.float32(threshold.high_m)) & in_range(z, crop))
     if not len(above):

@@ -181,16 +181,12 @@ def select_targets(
     where, distances = "the camera", [obj.distance_m for obj in objects]
     if config.mode == "point":
         point = np.asarray(config.point)
-        distances = [
-            float(np.sqrt(((obj.cloud.xyz.astype(np.float64) - point) ** 2).sum(axis=1).min())) for obj in objects
-        ]
-        at = f"({', '.join(f'{p:g}' for p in config.point)})"
-        where, nearest = f"the point {at}", min(distances)
+        apart = [obj.cloud.xyz.astype(np.float64) - point for obj in objects]
+        distances = [float(np.sqrt((one * one).sum(axis=1).min())) for one in apart]
+        at = f"the point ({', '.join(f'{p:g}' for p in config.point)})"
+        where, nearest = at, min(distances)
         if nearest > config.tolerance_m:
-            return (
-                [],
-                f"no object within {config.tolerance_m:g} m of the point {at}: the nearest is {nearest:.3f} m away",
-            )
+            return [], f"no object within {config.tolerance_m:g} m of {at}: the nearest is {nearest:.3f} m away"
     nearest = min(distances)
     near = [i for i, d in enumerate(distances) if d - nearest < config.margin_m or d == nearest]
     if config.margin_m == 0.0:

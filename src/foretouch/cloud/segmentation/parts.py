@@ -42,11 +42,13 @@ _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
 _LEAST_PITCH, _PER_PIXEL = 0.001, 2.5  # pixels of a list: the smallest per depth, and points in each that is not empty
 _STRIDE, _STRIDE_M = 4, 0.007  # between the points that are looked at: pixels, at most, and distance
-_CELL_NOISE = 1.4  # side of a cell by the noise of the threshold, which is 2.5 standard deviations unless configured
+_CELL_NOISE = 1.4  # side of a cell by the noise of the threshold, which is 2.5 standard deviations
 _CELL_PER_M = 0.005  # and at least, per depth² [1/m]: a table may be smoother than what stands on it
 _UNKNOWN_CELL_PER_M = 0.0075  # the same where a table without noise says nothing about the camera
 _NO_NOISE = 1e-4  # of the threshold, per depth² [1/m]
 _LIST_CELL_M = 0.005  # of a list of points at least: those of several views do not agree exactly
+_STEP_M = 0.01  # a step in depth by more than this may separate two objects
+_MIN_PART_M = 0.03  # parts smaller than a square of this side belong to the part next to them
 _FEW_CELLS = 80  # of a part, whose normals are as doubtful as its outline
 _FEW = 8  # concave points that noise makes; two convex parts of 3 cm meet in as many
 
@@ -60,7 +62,6 @@ class SplitConfig(Settings):
         "An edge that is concave by more than this may separate two objects, and a border that is by less on average hardly does; 180 does not split at all",
         bounds=(5.0, 180.0),
     )
-    step_m: float = setting(0.01, "A step in depth by more than this may separate two objects", bounds=(0.002, 0.1))
     cell_m: float = setting(
         0.0035,
         "Least side of the squares over which the surface is averaged; where the depth is noisier, they are larger: 3.5 standard deviations of its noise",
@@ -70,9 +71,6 @@ class SplitConfig(Settings):
         0.75,
         "Fragments are joined if the probability that they are one object is higher: less cuts fewer objects, more merges fewer",
         bounds=(0.01, 0.99),
-    )
-    min_part_m: float = setting(
-        0.03, "Parts smaller than a square of this side belong to the part next to them", bounds=(0.0, 0.2)
     )
 
 
@@ -120,8 +118,8 @@ def split_clusters(
     cell = min(max(round(cell_m / side), 1), _MAX_CELL)
     settings = [
         np.radians(config.angle_deg),
-        config.step_m,
-        max(config.min_part_m**2, _FEW_CELLS * (cell * side) ** 2),
+        _STEP_M,
+        max(_MIN_PART_M**2, _FEW_CELLS * (cell * side) ** 2),
         np.log(config.same_object / (1.0 - config.same_object)),
         *threshold.plane.coefficients,
         pitch * cell,
@@ -162,7 +160,7 @@ def split_list(
     if not counts["parts"]:
         return list(windows), counts
     parts, front = found[0].labels[tuple(at.T)], shown[tuple(at.T)]
-    hidden = (np.abs(points[:, 2] - points[front, 2]) > config.step_m) | (clusters != clusters[front]) | (parts == 0)
+    hidden = (np.abs(points[:, 2] - points[front, 2]) > _STEP_M) | (clusters != clusters[front]) | (parts == 0)
     if hidden.any():
         from scipy.spatial import cKDTree
 
@@ -188,11 +186,8 @@ def _in_one_window(windows: Sequence[Clusters]) -> Clusters:
     top, left = min(one.rows for one in windows), min(one.columns for one in windows)
     bottom = max(one.rows + one.labels.shape[0] for one in windows)
     right = max(one.columns + one.labels.shape[1] for one in windows)
-    labels, solid, count = (
-        np.zeros((bottom - top, right - left), np.int32),
-        np.zeros((bottom - top, right - left), np.bool_),
-        0,
-    )
+    labels, count = np.zeros((bottom - top, right - left), np.int32), 0
+    solid = np.zeros(labels.shape, np.bool_)
     for one in windows:
         h, w = one.labels.shape
         part = np.s_[one.rows - top : one.rows - top + h, one.columns - left : one.columns - left + w]

@@ -18,9 +18,7 @@ from foretouch.types import Float32, Float64, Index, Plane
 
 _count_near = Kernel("count_near", np.float32, np.float32, int, int, float, np.int64)
 _points_near = Kernel("points_near", np.float64, np.float64, int, float, float, np.float64, np.int64)
-_residuals_near = Kernel(
-    "residuals_near", *(np.float64, np.float64, int, float, float, float, np.float64, np.float64, np.int64)
-)
+_residuals_near = Kernel("residuals_near", *(np.float64, np.float64, int, float, float, float, np.float64, np.int64))
 
 _SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit
@@ -30,6 +28,7 @@ _Rows = Index | slice
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
 _MIN_PEAK = 0.6  # of the points within three thresholds, within one: a blob has 0.3 to 0.5, a table almost 1
 _MIN_SPREAD_M = 0.02  # least standard deviation of the table's points along its narrow side
+_MAX_TRIALS = 1024  # RANSAC samples
 _SEED = 0  # of the samples: the same points give the same plane
 
 
@@ -39,18 +38,11 @@ class PlaneConfig(Settings):
 
     threshold_m: float = setting(0.01, "Points closer than this belong to a plane", bounds=(0.001, 0.1))
     min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", bounds=(0.01, 1.0))
-    max_trials: int = setting(1024, "Maximum number of RANSAC samples", bounds=(64, 100_000))
 
 
-@dataclass(frozen=True, eq=False)
-class PlaneFit:
-    """Result of the plane fit."""
-
-    plane: Plane | None  # the dominant plane, its normal towards the camera; None if there is none
-    reason: str = ""  # why there is none; "" otherwise
-    rms_m: float = 0.0  # root mean square distance of its points [m]
-    noise_per_m: float = 0.0  # s of the stereo noise model sigma = s·z² [1/m], measured along the normal on its points
-    scored: int = 0  # number of points used
+PlaneFit = tuple[Plane | None, float, str]
+"""The dominant plane, its normal towards the camera, or None; the s of the stereo noise sigma = s·z² [1/m], measured along the
+normal on its points; and why there is no plane, else ""."""
 
 
 def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
@@ -64,7 +56,7 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
         The fit, or the reason why there is none: too few points, all coinciding or collinear, a blob.
     """
     if len(xyz) < 3:
-        return PlaneFit(None, f"{len(xyz)} points span no plane")
+        return None, 0.0, f"{len(xyz)} points span no plane"
     fitted, some, _ = _first_draws(len(xyz))
     points = xyz[fitted].astype(np.float64)
     origin = points.mean(axis=0)  # float32 scoring stays exact far from the origin
@@ -72,7 +64,7 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
     scored = points[some].astype(np.float32)
     best = _ransac(scored, config, _batches(len(xyz)))
     if best is None:
-        return PlaneFit(None, "all points coincide or are collinear", scored=len(scored))
+        return None, 0.0, "all points coincide or are collinear"
     return _refit(points, origin, best, config)
 
 
@@ -107,8 +99,8 @@ def _some(n: int, count: int, rng: np.random.Generator) -> _Rows:
 def _ransac(points: Float32, config: PlaneConfig, batches: Iterator[Index]) -> Float32 | None:
     """(4,) float32 a, b, c, d of the hypothesis with most points, None if all are degenerate."""
     best, most, trials = None, 0, 0
-    needed: float = config.max_trials
-    while trials < min(needed, config.max_trials):
+    needed: float = _MAX_TRIALS
+    while trials < min(needed, _MAX_TRIALS):
         a, b, c = points[next(batches)]
         normals = _cross(b - a, c - a)
         lengths = np.linalg.norm(normals, axis=1)
@@ -153,13 +145,11 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig)
     for _ in range(2):
         normal, offset, rms, spread = _eigen_plane(_near(points, points @ normal, offset, reach))
         reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit excludes the base of the objects
-    kept, scaled, wide = _residuals(points, points @ normal, offset, config.threshold_m, float(origin[2]))
-    inliers = len(kept)
-    rms = math.sqrt(kept @ kept / max(inliers, 1))
-    noise = math.sqrt(scaled @ scaled / max(inliers, 1))
+    scaled, wide = _residuals(points, points @ normal, offset, config.threshold_m, float(origin[2]))
+    inliers = len(scaled)
     reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, config)
     plane = None if reason else _towards_camera(normal, offset - float(normal @ origin))
-    return PlaneFit(plane, reason, rms, noise, len(points))
+    return plane, math.sqrt(scaled @ scaled / max(inliers, 1)), reason
 
 
 def _near(points: Float64, along: Float64, offset: float, reach: float) -> Float64:
@@ -169,13 +159,11 @@ def _near(points: Float64, along: Float64, offset: float, reach: float) -> Float
     return near[: count[0]]
 
 
-def _residuals(
-    points: Float64, along: Float64, offset: float, reach: float, depth_m: float
-) -> tuple[Float64, Float64, int]:
-    """Residuals of the points within reach, those divided by the square of the depth, and the points within 3 reaches."""
-    both, counts = np.empty((2, len(points) + 1)), np.empty(2, np.int64)
-    _residuals_near(points, along, len(points), offset, reach, depth_m, both[0], both[1], counts)
-    return both[0, : counts[0]], both[1, : counts[0]], int(counts[1])
+def _residuals(points: Float64, along: Float64, offset: float, reach: float, depth_m: float) -> tuple[Float64, int]:
+    """Residuals of the points within reach, divided by the square of their depth, and the points within 3 reaches."""
+    scaled, counts = np.empty(len(points) + 1), np.empty(2, np.int64)
+    _residuals_near(points, along, len(points), offset, reach, depth_m, scaled, counts)
+    return scaled[: counts[0]], int(counts[1])
 
 
 def _eigen_plane(points: Float64) -> tuple[Float64, float, float, float]:

@@ -7,11 +7,9 @@ points in a least-squares fit, hence such points are dropped before the table an
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.config import Settings, setting
 from foretouch.types import Bool, Float32, Float64, Index
 
 _FITTED = 128  # points that the rays are fitted to
@@ -20,23 +18,11 @@ _CHECKED = 1024  # points of a cloud, to check its frame
 _FARTHEST_M = 100.0  # no camera measures farther
 _FORWARD = 0.9  # share of points in view along x in the frame of a link
 _HALF = 0.5
-MAX_OFF = 0.5  # share of points beside their rays, or out of view, beyond which the whole cloud is refused
+_MAX_OFF = 0.5  # share of points beside their rays, or out of view, beyond which the whole cloud is refused
 _NO_SLOPE = 1e-7  # per column or row: less than the rounding of a point
+_FIELD_OF_VIEW_DEG = 120.0  # across and down, at most; a D415 has 65 x 40 degrees, the widest RealSense 90
+_TANGENT = math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2.0)  # the largest |x/z| and |y/z| in it
 _TRIALS = 128  # triples of pixels: if half of them are damaged, all triples are with probability 4e-8
-
-
-@dataclass(frozen=True, kw_only=True)
-class RayConfig(Settings):
-    """Which points a depth camera can measure."""
-
-    field_of_view_deg: float = setting(
-        120.0,
-        "Widest angle of view, across and down; a D415 has 65 x 40 degrees, the widest RealSense 90",
-        bounds=(10.0, 170.0),
-    )
-
-
-_DEFAULT = RayConfig()
 
 
 class RayFilter:
@@ -46,11 +32,9 @@ class RayFilter:
         sample: (n, 3) float32 [m], points of the image with a positive depth.
         rows: (n,) their rows.
         columns: (n,) their columns.
-        config: Limits.
-
     """
 
-    def __init__(self, sample: Float32, rows: Index, columns: Index, config: RayConfig) -> None:
+    def __init__(self, sample: Float32, rows: Index, columns: Index) -> None:
         pixels = np.ones((len(rows), 3))
         pixels[:, 1], pixels[:, 2] = columns, rows
         rays = _fit_rays(sample, pixels)
@@ -63,14 +47,14 @@ class RayFilter:
         self.reason = ""  # why the image as a whole is not usable
         share = np.count_nonzero(self.off_sample) / max(len(rows), 1)
         widest = float(np.abs(pixels @ rays).max(initial=0.0))
-        if share > MAX_OFF:
+        if share > _MAX_OFF:
             self.reason = (
-                f"{share:.0%} of the points are beside the rays of their pixels, more than {MAX_OFF:.0%}: "
+                f"{share:.0%} of the points are beside the rays of their pixels, more than {_MAX_OFF:.0%}: "
                 "is the cloud an image in the optical frame?"
             )
-        elif widest > _tangent(config):
+        elif widest > _TANGENT:
             angle = 2.0 * math.degrees(math.atan(widest))
-            self.reason = f"rays: {angle:.0f} degrees is more than field_of_view_deg {config.field_of_view_deg:g}"
+            self.reason = f"rays: {angle:.0f} degrees is more than a field of view of {_FIELD_OF_VIEW_DEG:g}"
 
     def beside(self, xyz: Float32, rows: Index, columns: Index) -> Bool:
         """(...) bool: whether points (..., 3) with a positive depth are beside their ray; false where one number is NaN."""
@@ -90,42 +74,42 @@ class RayFilter:
         return int(np.count_nonzero(finite_rows(xyz.reshape(-1, 3)[pixels])))
 
 
-def _tangent(config: RayConfig) -> float:
-    """The largest |x/z| and |y/z| in the field of view."""
-    return math.tan(math.radians(config.field_of_view_deg) / 2.0)
-
-
-def out_of_view(xyz: Float32, config: RayConfig) -> Bool:
+def out_of_view(xyz: Float32) -> Bool:
     """(N,) bool: points (N, 3) float32 [m] with a positive depth that are out of the field of view, or not finite."""
     z = xyz[:, 2]
     with np.errstate(invalid="ignore", over="ignore"):
-        reach = z * np.float32(_tangent(config))
+        reach = z * np.float32(_TANGENT)
         off = ~((np.abs(xyz[:, 0]) <= reach) & (np.abs(xyz[:, 1]) <= reach))
         return np.asarray(off & (z > 0.0) & np.isfinite(z), np.bool_)
 
 
-def not_optical(xyz: Float32, config: RayConfig = _DEFAULT) -> str:
+def view_fault(off: int, usable: int) -> str:
+    """Why a list of points is not usable, by those of the usable ones that are out of view; "" if it is."""
+    if off <= _MAX_OFF * usable:
+        return ""
+    return f"{off} of {usable} points are out of a field of view of {_FIELD_OF_VIEW_DEG:g} degrees"
+
+
+def not_optical(xyz: Float32) -> str:
     """Why a cloud is not in the optical frame of its camera, with x right, y down and z away from it; "" if it may be.
 
     Args:
         xyz: (..., 3) float32 [m]; points that are not finite, or all zero, are left out.
-        config: The field of view.
 
     Returns:
         A reason that begins with `not_optical` if most points are at z <= 0, or if most are out of view, while nearly
         all are in view along x, as in the frame of a camera's link.
     """
-    limit = _tangent(config)
     points = xyz.reshape(-1, 3)
     columns = points[:: max(1, len(points) // _CHECKED)].T.astype(np.float64, order="C")  # rows of three are slow
     size = np.abs(columns).max(axis=0, initial=0.0)
     columns = columns[:, (size > 0.0) & (size < np.inf)]
     x, y, z = columns
-    hidden = 1.0 - _share((z > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= limit * z))
+    hidden = 1.0 - _share((z > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= _TANGENT * z))
     if hidden <= _HALF:
         return ""
     behind = _share(z <= 0.0)
-    forward = _share((x > 0.0) & (x < _FARTHEST_M) & (np.maximum(np.abs(y), np.abs(z)) <= limit * x))
+    forward = _share((x > 0.0) & (x < _FARTHEST_M) & (np.maximum(np.abs(y), np.abs(z)) <= _TANGENT * x))
     along_x = ", but in view along x, as in the frame of a link" if forward >= _FORWARD else ""
     if behind > _HALF:
         what = f"{behind:.0%} of the points are at z <= 0, behind the camera{along_x}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.cloud.segmentation.clusters import (
+    NOISE_FACTOR,
     ClusterConfig,
     CropConfig,
     HeightThreshold,
@@ -24,7 +25,7 @@ from foretouch.cloud.segmentation.clusters import (
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
+from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, not_optical, out_of_view, view_fault
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
@@ -42,6 +43,14 @@ _PLANE_POINTS = 2048  # sampled to fit the plane
 _HIGHEST_M = 0.6  # above the table: no object reaches it
 _LARGEST_LIST = 4_000_000  # points: two images of 1920x1080
 _CONNECTED = 0.8  # of the points of a list have another one in the next pixel, where it is processed as an image
+_DROPPED = (
+    "not_finite",
+    "out_of_range",
+    "off_ray",
+    "rejected",
+    "flying",
+    "objects",
+)  # reasons why a point is no background
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
 
 
@@ -50,7 +59,6 @@ class SegmentationConfig(Settings):
     """Settings of each segmentation step."""
 
     crop: CropConfig = CropConfig()
-    rays: RayConfig = RayConfig()
     plane: PlaneConfig = PlaneConfig()
     clusters: ClusterConfig = ClusterConfig()
     split: SplitConfig = SplitConfig()
@@ -95,28 +103,16 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
         The segmentation; unusable points are reported in its status, not raised.
     """
     config = SegmentationConfig() if config is None else config
-    names = (
-        "received",
-        "not_finite",
-        "out_of_range",
-        "off_ray",
-        "background",
-        "rejected",
-        "n_rejected",
-        "flying",
-        "objects",
-        *SPLIT_COUNTS,
-    )
+    names = ("received", *_DROPPED[:3], "background", "rejected", "n_rejected", *_DROPPED[4:], *SPLIT_COUNTS)
     counts = dict.fromkeys(names, 0)
     ms: dict[str, float] = {}
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
         status, reason, plane, objects, labels = _segment_list(cloud, config, counts, ms)
-        if status != "ok" and (frame := not_optical(cloud.xyz, config.rays)):
+        if status != "ok" and (frame := not_optical(cloud.xyz)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
-    dropped = ("not_finite", "out_of_range", "off_ray", "rejected", "flying", "objects")
-    counts["background"] = cloud.size - sum(counts[name] for name in dropped)
+    counts["background"] = cloud.size - sum(counts[name] for name in _DROPPED)
     return Segmentation(status, reason, plane, objects, labels, counts, ms)
 
 
@@ -129,15 +125,14 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
         return _segment(cloud, config, counts, ms)
     rows = np.flatnonzero(in_range(cloud.xyz[:, 2], config.crop) & finite_rows(cloud.xyz))
     points = cloud.xyz[rows]
-    in_view = len(rows) >= _MIN_POINTS and not out_of_view(points, config.rays).any()
+    in_view = len(rows) >= _MIN_POINTS and not out_of_view(points).any()
     grid = PixelGrid.from_rays(points) if in_view else None
     if grid is None or min(grid.height, grid.width) < 2:
         return _segment(cloud, config, counts, ms)
     place = np.full(grid.height * grid.width, -1, np.intp)
     place[grid.row * grid.width + grid.column] = rows
-    if np.count_nonzero((place[1:] >= 0) & (place[:-1] >= 0)) < _CONNECTED * len(
-        rows
-    ):  # thinned: clusters would fall apart
+    connected = np.count_nonzero((place[1:] >= 0) & (place[:-1] >= 0))
+    if connected < _CONNECTED * len(rows):  # thinned: clusters would fall apart
         return _segment(cloud, config, counts, ms)
     xyz = np.full((grid.height, grid.width, 3), np.nan, np.float32)
     xyz[grid.row, grid.column] = points
@@ -176,20 +171,19 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, fault = None, ""
         if image:
-            rays = _rays(sample, index, coarse.shape[1], stride, xyz.shape[1], config.rays)
+            rays = _rays(sample, index, coarse.shape[1], stride, xyz.shape[1])
             sample, fault = sample[~rays.off_sample], rays.reason
             counts["off_ray"] = rays.count_dropped(xyz)
-        elif counts["off_ray"] > MAX_OFF * usable:
-            view = f"a field of view of {config.rays.field_of_view_deg:g} degrees"
-            fault = f"{counts['off_ray']} of {usable} points are out of {view}"
+        else:
+            fault = view_fault(counts["off_ray"], usable)
         if fault:
             return "bad_cloud", fault, None, (), labels
-        fit = fit_plane(sample[finite_rows(sample)], config.plane)
-    if fit.plane is None:
-        return "no_plane", fit.reason, None, (), labels
+        plane, noise_per_m, reason = fit_plane(sample[finite_rows(sample)], config.plane)
+    if plane is None:
+        return "no_plane", reason, None, (), labels
     with timed(ms, "clusters"):
         limits = config.clusters
-        threshold = HeightThreshold(fit.plane, limits.min_height_m, limits.noise_factor * fit.noise_per_m, _HIGHEST_M)
+        threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
             windows, parts = split_clusters(xyz, windows, threshold, pixel_pitch(coarse) / stride, config.split)
@@ -200,17 +194,17 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         if rays is not None:
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):
-        objects, found = extract_objects(cloud, windows, fit.plane, limits, labels)
+        objects, found = extract_objects(cloud, windows, plane, limits, labels)
         counts |= found
     if not objects:
-        return "no_object", _why_no_object(counts["n_rejected"], limits), fit.plane, (), labels
-    return "ok", "", fit.plane, objects, labels
+        return "no_object", _why_no_object(counts["n_rejected"], limits), plane, (), labels
+    return "ok", "", plane, objects, labels
 
 
-def _rays(sample: Float32, index: Index, across: int, stride: int, width: int, config: RayConfig) -> RayFilter:
+def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -> RayFilter:
     """The rays of an image, from points of a coarse one by their flat indices in it."""
     rows, columns = (stride * one for one in np.divmod(index, across))
-    rays = RayFilter(sample, rows, columns, config)
+    rays = RayFilter(sample, rows, columns)
     rays.dropped.append((rows * width + columns)[rays.off_sample])
     return rays
 
@@ -250,7 +244,7 @@ def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, Inde
 def _in_view(xyz: Float32, config: SegmentationConfig) -> tuple[Float32, int]:
     """The cloud with points out of view as points without depth, and their number among those in range."""
     flat = xyz.reshape(-1, 3)
-    off = out_of_view(flat, config.rays)
+    off = out_of_view(flat)
     if not off.any():
         return xyz, 0
     off &= in_range(flat[:, 2], config.crop)

@@ -27,7 +27,7 @@ class ModelConfig(Settings):
 
     n_points: int = setting(750, "Points of a cloud as input: 750 in P2, 500 in P1", bounds=(8, 8192))
     channels: str = setting("xyz", "Values of each point", choices=tuple(_CHANNELS))
-    sampler: str = setting("random", "Method of choosing the points", choices=("random", "voxel", "farthest"))
+    sampler: str = setting("random", "Method of choosing the points", choices=("random",))
     outputs: tuple[str, ...] = setting(MODALITIES, "Modalities to predict", choices=MODALITIES)
     use_grasp: bool = setting(True, "Use g1, g2 and R as inputs of the head, as in P2 but not in P1")
     metric_inputs: bool = setting(

@@ -66,7 +66,7 @@ def prepare_cloud(cloud: Cloud, config: ModelConfig) -> PreparedCloud:
     usable = finite_points(cloud, config)
     rng = np.random.default_rng(SAMPLER_SEED)  # so that one cloud always gives the same input
     frame = UnitSphereFrame.fit(usable.xyz)
-    index = sample_indices(usable.xyz, config.n_points, method=config.sampler, rng=rng)
+    index = sample_indices(usable.size, config.n_points, rng)
     return PreparedCloud(sample_channels(usable, index, frame, config), frame)
 
 

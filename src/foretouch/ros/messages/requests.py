@@ -16,7 +16,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_cloud
 from foretouch.cloud.segmentation.rays import not_optical
 from foretouch.errors import CloudError, DatasetError, ForetouchError, LimitError
-from foretouch.grasp import GraspHold, HeldGrasp, Obstacles
+from foretouch.grasp import GraspHold, Obstacles
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
@@ -205,8 +205,8 @@ def plan_targets(
     for target in targets:
         plan = pipeline.plan(target, held=held.find(target.cloud) if held else None, hold=margin)
         plans.append((target, plan))
-        if held is not None and plan.grasps and plan.axis is not None:
-            held.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis, plan.outdone))
+        if held is not None and plan.grasps:
+            held.remember(target.cloud, (plan.grasps[0], plan.outdone))
     if held is not None:
         held.next_cloud()
     grasps = []

@@ -129,7 +129,7 @@ class TrainingSet:
         """(B, n, C) float32: points of the chosen clouds, drawn by `rng`; n is by default that of the configuration."""
         count = self.config.n_points if n_points is None else n_points
         chosen = [self.clouds[i] for i in index]
-        return np.stack([c[sample_indices(c[:, :3], count, method=self.config.sampler, rng=rng)] for c in chosen])
+        return np.stack([c[sample_indices(len(c), count, rng)] for c in chosen])
 
 
 def labels_of(samples: Sequence[GraspSample]) -> Float64:

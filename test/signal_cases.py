@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sends SIGINT, SIGTERM and SIGHUP at random moments to `run`, `record`, `replay` and the node `hand`, and looks at what is left.
+"""Send SIGINT, SIGTERM and SIGHUP at random moments to `run`, `record`, `replay` and the node `hand`, and see what is left.
 
-Each must end within 5 s of the signal with its status or that of a regular end, and leave no process, no segment of shared
-memory and no open recording.
-
-    python -m benchmarks.soak.signals [--cases 200] [--seed 0] [--commands run record] [--out signals.csv]
+Each must end in time with its status or that of a regular end, and leave no process, no segment of shared memory and no open
+recording.
 """
 
-import argparse
 import fcntl
 import os
 import re
@@ -16,20 +13,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.common import ROOT, print_rows, write_csv
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import FileError
 
+ROOT = Path(__file__).parents[1]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SCENE = ROOT / "config" / "scenes" / "clean.yaml"
-ALLOWED_S = 5.0
 PATIENCE_S = 60.0
 LATEST_S = 8.0  # after the command catches signals, when all that starts has started also on a busy computer
 FAULTS = ("Traceback", "Exception ignored", "terminate called", "Segmentation fault")
@@ -44,29 +39,11 @@ COMMANDS = {
 NO_CLOUD = 3  # of a `run` that ends before its first cloud
 
 
-@dataclass(frozen=True)
-class Case:
-    """What was sent when, and what followed; `fault` is empty if all is as it must be."""
-
-    command: str
-    signal: str
-    after_s: float
-    seconds: float
-    status: int
-    fault: str
-
-
-def draw(rng: np.random.Generator, commands: tuple[str, ...] = tuple(COMMANDS)) -> tuple[str, signal.Signals, float]:
-    """A command, a signal and its moment [s]."""
-    name, number = commands[int(rng.integers(len(commands)))], SIGNALS[int(rng.integers(len(SIGNALS)))]
-    return name, number, float(rng.uniform(0.0, LATEST_S))
-
-
-def run_case(
-    name: str, number: signal.Signals, after_s: float, scenes: Path, domain: int, allowed_s: float = ALLOWED_S
-) -> Case:
-    """Start a command in a session and a DDS domain of its own, send it the signal, and look at what is left."""
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+def fault_of(
+    name: str, rng: np.random.Generator, scenes: Path, environment: Mapping[str, str], allowed_s: float
+) -> str:
+    """Start a command in a session of its own, send it a signal at a moment, and tell what is wrong afterwards; "" if nothing is."""
+    number, after_s = SIGNALS[int(rng.integers(len(SIGNALS)))], float(rng.uniform(0.0, LATEST_S))
     with tempfile.TemporaryDirectory() as folder:
         words = [word.format(folder=folder, scenes=scenes) for word in COMMANDS[name]]
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
@@ -86,7 +63,7 @@ def run_case(
         found = [f"exit status {process.returncode}: {error.decode()[-200:]}"] * (process.returncode not in usual)
         found += _faults(process, error.decode(), segments, Path(folder) / "set")
         found += [f"{seconds:.1f} s"] * (seconds > allowed_s)
-    return Case(name, number.name, round(after_s, 2), round(seconds, 2), process.returncode, "; ".join(found))
+    return "; ".join([f"{number.name} after {after_s:.2f} s", *found]) if found else ""
 
 
 def _faults(process: "subprocess.Popen[bytes]", error: str, segments: set[Path], dataset: Path) -> Iterator[str]:
@@ -142,40 +119,6 @@ def members(session: int) -> Iterator[str]:
             continue
 
 
-def main() -> int:
-    """Exit status 1 if any case has a fault."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--commands", nargs="*", choices=COMMANDS, default=list(COMMANDS))
-    parser.add_argument("--domain", type=int, default=60, help="first of ten ROS domains that are used in turn")
-    parser.add_argument("--out", type=Path)
-    arguments = parser.parse_args()
-    rng, cases = np.random.default_rng(arguments.seed), []
-    for number in SIGNALS:
-        if (
-            signal.getsignal(number) is signal.SIG_IGN
-        ):  # as of what a shell starts in the background: the commands would inherit it
-            signal.signal(number, signal.SIG_DFL)
-    with tempfile.TemporaryDirectory() as folder:
-        scenes = write_clouds(Path(folder))
-        for k in range(arguments.cases):
-            cases.append(run_case(*draw(rng, tuple(arguments.commands)), scenes, arguments.domain + k % 10))
-            if cases[-1].fault or k % 20 == 0:
-                print_rows([asdict(cases[-1])])
-    rows = []
-    for name in arguments.commands:
-        own = [one for one in cases if one.command == name]
-        longest = max((one.seconds for one in own), default=0.0)
-        rows.append(
-            {"command": name, "cases": len(own), "longest_s": longest, "faults": sum(bool(c.fault) for c in own)}
-        )
-    print_rows(rows)
-    if arguments.out:
-        write_csv(arguments.out, [asdict(one) for one in cases])
-    return int(any(one.fault for one in cases))
-
-
 def write_clouds(folder: Path) -> Path:
     """Three clouds of a scene, as a folder that can be replayed."""
     from foretouch.cloud.io.files import read_cloud, write_cloud
@@ -184,7 +127,3 @@ def write_clouds(folder: Path) -> Path:
     for number in range(3):
         write_cloud(folder / f"{number}.npz", cloud)
     return folder
-
-
-if __name__ == "__main__":
-    sys.exit(main())
