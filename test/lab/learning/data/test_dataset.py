@@ -10,15 +10,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from every_case import every_case
-from run_builders import quiet, run_config, write_store
+from run_builders import write_store
 
 from foretouch.dataset.store import content_sha256
 from foretouch.errors import FileError
 from foretouch.types import Cloud, GraspSample
 from foretouch_lab.learning.data import load_dataset
 from foretouch_lab.learning.data.dataset import LazySample
-from foretouch_lab.learning.training.run import train_run
 
 
 def test_a_store_gives_the_samples_that_were_written(samples, store) -> None:
@@ -37,23 +35,6 @@ def test_a_store_gives_the_samples_that_were_written(samples, store) -> None:
     assert renamed.id == "other"
     with pytest.raises(AttributeError, match="LazySample has no attribute 'clouds'"):
         _ = data.samples[0].clouds
-
-
-def test_models_are_equal_to_those_of_samples_in_memory(samples, data, tmp_path) -> None:
-    held = dataclasses.replace(data, samples=tuple(samples))
-    assert not any(isinstance(sample, LazySample) for sample in held.samples)
-
-    def check(name: str, settings: dict[str, object]) -> None:
-        folders = []
-        for kind, one in (("stored", data), ("memory", held)):
-            train_run(run_config(**settings), one, folder := tmp_path / kind / name, quiet)
-            folders.append({file.name: file.read_bytes() for file in folder.iterdir()})
-        assert any(file.endswith(".safetensors") for file in folders[0])
-        assert folders[0].keys() == folders[1].keys()
-        assert [file for file in folders[0] if folders[0][file] != folders[1][file]] == []
-
-    cases = {"supervised": {}, "contact": {"method": "contact", "calibrate": False, "contact": {"trees": 3}}}
-    every_case([(name, {"name": "tiny", **settings}) for name, settings in cases.items()], check)
 
 
 def test_a_store_that_is_removed_or_changed_while_it_is_used_is_named(samples, tmp_path) -> None:

@@ -38,18 +38,6 @@ def test_a_model_of_another_sensor_states_it_and_predicts_its_readings(uskin) ->
         assert inside.mean() > 0.8, sample.id
 
 
-def test_its_scores_are_by_its_modalities_and_touches_narrow_its_intervals(uskin) -> None:
-    store, path = uskin
-    data = load_dataset(store)
-    found = evaluate_model(path, data, "object", training_scores=True)
-    assert tuple(found["scores"]["model"]) == USKIN.channels.modalities
-    assert min(row["skill"] for row in found["scores"]["model"].values()) > 0.0
-    assert min(row["coverage90"] for row in found["scores"]["model"].values()) > 0.8
-    done = replay_model(load_model(path), data.samples)
-    half, touches = done.played.half[:, USKIN.channels.columns(["Z_FF"])].mean(axis=1), done.recording.touches()
-    assert half[touches >= 3].mean() < half[touches == 0].mean()
-
-
 def test_a_dataset_of_another_sensor_or_of_a_changed_description_is_refused_by_name(uskin, data, tmp_path) -> None:
     store, path = uskin
     other = changed_sensor(tmp_path, array={"rows": 4, "cols": 4, "size": [0.005, 0.005]})
