@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,11 +90,6 @@ def modality_text(
     if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
         return found
     return f"{found} ±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
-
-
-def answer_key(record: Mapping[str, Any]) -> str | int:
-    """What an answer is matched with: its sample, its input, or the stamp of its cloud [ns]."""
-    return str(record.get("sample") or record.get("input") or "") or int(record.get("stamp_ns") or 0)
 
 
 def read_answers(path: Path) -> list[dict[str, Any]]:
