@@ -84,7 +84,6 @@ def test_mistakes_are_one_line(call, dataset, tmp_path) -> None:
 
     cases = [
         *(((action, none), f"{none}: does not exist") for action in ("info", "verify", "repair")),
-        (("import", dataset, "-o", tmp_path / "x", "--hand", "serial"), "serial: is not NAME=VALUE"),
         (("show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7"), f"{dataset}: holds no sample ball/7"),
         ((*edit, "--drop"), "--relabel and --drop need --id"),
         ((*edit, "--id", "x"), "--id needs --relabel or --drop"),

@@ -176,7 +176,7 @@ def test_serve_gives_the_answers_to_a_websocket_client(tmp_path, environment) ->
 
 @pytest.mark.slow
 def test_ctrl_c_ends_a_recording_in_order(tmp_path, environment) -> None:
-    words = ("-o", tmp_path / "set", "--object", "can", "--hand", "shadow:1")
+    words = ("-o", tmp_path / "set", "--object", "can", "--set", "identity.hand=shadow")
     with started(environment, *words, command="record") as process:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["recording"]

@@ -13,7 +13,7 @@ from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
-from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.folder import is_dataset, listed_sessions
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
@@ -27,13 +27,13 @@ from foretouch.dataset.samples import (
     sensor_of_samples,
 )
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import laboratory
-from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
+from foretouch.tactile.messages.table import TactileConfig
 
 _SHEET_SAMPLES = 12
+_KINDS = ("clouds", "grasps", "executed", "tactile")  # of topics in a bag
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,24 +108,24 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         "--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5"
     )
     group = parser.add_argument_group("ROS bags without foretouch samples")
-    for name, topic, content in (
-        ("cloud", CLOUD_TOPIC, "clouds of the object"),
-        ("grasp", GRASPS_TOPIC, "planned grasps"),
-        ("executed", EXECUTED_TOPIC, "executed grasps"),
-        ("tactile", TACTILE_TOPIC, f"tactile readings ({', '.join(TACTILE_TYPES)})"),
-    ):
-        group.add_argument(
-            f"--{name}-topic",
-            default=full_name(topic),
-            metavar="TOPIC",
-            help=f"topic of the {content} (default: %(default)s)",
-        )
+    group.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        type=_topic,
+        metavar="KIND=NAME",
+        help="a topic of another name than the recorder's, such as tactile=/taxels; of the kinds clouds (of the object), grasps, executed, tactile",
+    )
     add_options(group, "--sensor", "--thumb", "--middle")
     group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
-    for name in ("hand", "camera"):
-        parser.add_argument(
-            f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=f"a property of the {name}"
-        )
+
+
+def _topic(text: str) -> tuple[str, str]:
+    """`KIND=NAME` for argparse."""
+    kind, _, name = text.partition("=")
+    if kind not in _KINDS or not name:
+        raise argparse.ArgumentTypeError(f"{text!r} is not KIND=NAME with a kind of {', '.join(_KINDS)}")
+    return kind, name
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -315,21 +315,12 @@ def _build(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    topics = BagTopics(
-        clouds=arguments.cloud_topic,
-        grasps=arguments.grasp_topic,
-        executed=arguments.executed_topic,
-        tactile=arguments.tactile_topic,
-        object=arguments.object,
-        tactile_config=TactileConfig(
-            sensor=arguments.sensor or "", thumb=arguments.thumb or "", middle=arguments.middle or ""
-        ),
-    )
-    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
-    identity = Identity(hand=hand, camera=camera) if hand or camera else None
+    sensor, thumb, middle = (getattr(arguments, name) or "" for name in ("sensor", "thumb", "middle"))
+    config = TactileConfig(sensor=sensor, thumb=thumb, middle=middle)
+    topics = BagTopics(object=arguments.object, tactile_config=config, **dict(arguments.topic))
     with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
         result = import_samples(
-            arguments.source, arguments.out, identity=identity, topics=topics, map_file=arguments.map, progress=advance
+            arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
         )
     record = {
         "out": str(arguments.out),
@@ -339,13 +330,6 @@ def _import(arguments: argparse.Namespace) -> int:
         "left_out": {reason: count for reason, count in result.left_out.items() if count},
     }
     return print_result("imported", record, as_json=arguments.json)
-
-
-def _name_and_value(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals or not name:
-        raise ConfigError(f"{text}: is not NAME=VALUE")
-    return name, value
 
 
 def _export(arguments: argparse.Namespace) -> int:

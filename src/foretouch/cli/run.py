@@ -49,7 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
         " or `camera`, the RealSense",
     )
-    parser.add_argument("--serial", help="serial number of the camera (default: any)")
     parser.add_argument(
         "--dwell",
         type=positive_value,
@@ -168,8 +167,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     given = nodes_of_file(arguments.params) if arguments.params else ()
     if scene and not arguments.model and not any("model" in parameters for _, parameters in given):
         nodes["touch_predictor"]["model"] = SIMULATED_HAND_MODEL
-    serial = {"camera.serial": arguments.serial} if arguments.serial else {}
-    for name, parameters in (_scene_nodes(arguments) if scene else {"camera": serial}).items():
+    for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
         nodes.setdefault(name, {}).update(parameters)
     return nodes
 
