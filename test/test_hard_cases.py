@@ -135,9 +135,7 @@ def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
 @pytest.mark.parametrize(
     "cases",
     [
-        learning.loss_cases,
         learning.calibration_cases,
-        learning.network_cases,
         pytest.param(learning.run_cases, marks=pytest.mark.slow),
         simulation.contact_cases,
         simulation.mesh_cases,

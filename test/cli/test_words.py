@@ -154,11 +154,7 @@ def test_fields_and_names_are_refused_with_the_nearest_known_one(call, files, tm
 
 
 REFUSED = (  # nodes and parameters of a file
-    (
-        "/foretouch/touch_predicter",
-        "autostart: true",
-        "did you mean /foretouch/touch_predictor?",
-    ),
+    ("/foretouch/touch_predicter", "autostart: true", "did you mean /foretouch/touch_predictor?"),
     ("/foretuch/grasp", "autostart: true", "did you mean /foretouch/grasp?"),
     ("touch_predictor", "autostart: true", "did you mean /foretouch/touch_predictor?"),
     ("/left/touch_predicter", "autostart: true", "did you mean /foretouch/touch_predictor?"),

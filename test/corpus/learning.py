@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hard cases of losses, metrics, preparation of clouds, calibration and training, for `check_outcome`."""
+"""Hard cases of calibration and training, for `check_outcome`."""
 
 import itertools
 import math
@@ -11,62 +11,23 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import torch
-from corpus.outcome import nearly
 from experiment_samples import make_samples
 from run_builders import run_config
 
 from foretouch.errors import ModelError
 from foretouch.models import load_model
 from foretouch.models.calibration import Calibration
-from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
 from foretouch.types import GraspSample
 from foretouch_lab.learning.data import Dataset
-from foretouch_lab.learning.data.training_set import TrainingSet
-from foretouch_lab.learning.network.networks import TouchNet, save_network
-from foretouch_lab.learning.training import losses
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, make_calibration
 from foretouch_lab.learning.training.run import train_run
-from foretouch_lab.learning.training.supervised import SupervisedTrainer, TrainConfig
 
 Cases = Iterator[tuple[Any, ...]]
 
 _MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16]}
 _TRAIN = {"epochs": 2, "batch_size": 4, "device": "cpu"}
 _SRGAN = {"epochs": 2, "batch_size": 2, "generator": {"noise_length": 4, "stride": 2}, "device": "cpu"}
-
-
-def loss_cases() -> Cases:
-    """Losses in 16 bits, with their gradients; what they are is in test_losses.py."""
-    for dtype, far in (("bfloat16", 1e18), ("float16", 6e4)):  # whose square or sum is still finite
-        for size in (1e-4, 300.0):
-            yield f"losses: residuals of {size:g} in {dtype}", partial(_labeled, size, dtype), nearly(size, 0.01)
-        for variant in ("as_printed", "contrast", "srgan"):
-            yield f"losses: {variant} of fake features of {far:g} in {dtype}", partial(_srgan, variant, dtype, far)
-    for dtype in ("int8", "int64", "bool"):
-        yield f"losses: labels as {dtype}", partial(_labeled, 1.0, dtype), "dtype .* is not"
-    yield "losses: an empty batch", partial(_labeled, 1.0, "float32", count=0), "no sample"
-
-
-def _labeled(size: float, dtype: str, count: int = 35_000) -> Any:
-    """Loss of equal residuals, whose gradient is finite."""
-    number = getattr(torch, dtype)
-    scaled = torch.full((count, 2), size).to(number).requires_grad_(number.is_floating_point)
-    loss = losses.labeled_loss(scaled, torch.zeros_like(scaled), [2], "rmse")
-    loss.backward()
-    assert scaled.grad.isfinite().all()
-    return loss
-
-
-def _srgan(variant: str, dtype: str, far: float) -> list[Any]:
-    """Both losses and the gradients of labelled, unlabelled and fake features."""
-    config = losses.SrganLossConfig(loss_variant=variant)
-    parts = [torch.full((3, 4), size).to(getattr(torch, dtype)).requires_grad_() for size in (0.5, 0.5, 0.5 * far)]
-    discriminator = losses.discriminator_loss(torch.tensor(0.5), parts, config)
-    total = discriminator["total"] + losses.matching_loss(parts[2], parts[1].detach(), config)
-    total.backward()
-    return [total, *discriminator.values(), *(one.grad for one in parts if one.grad is not None)]
 
 
 def calibration_cases() -> Cases:
@@ -104,50 +65,6 @@ def made_samples(objects: int = 3, each: int = 4, *, constant: float | None = No
     if constant is None:
         return made
     return [replace(one, touch=biotac_touch(np.full(TOUCH_SIZE, constant))) for one in made]
-
-
-def network_cases() -> Cases:
-    """Batch norm of one cloud, and networks whose features leave the range of their numbers."""
-    yield "network: batch norm of one cloud in training", lambda: _network(1)  # its points are a batch
-    yield "network: batch norm of equal clouds in training", lambda: _network(2)
-    for number in ("float32", "bfloat16"):
-        yield f"network: a step with weights times 1e25 in {number}", partial(_step, number, 1e25), "not finite"
-        yield f"network: a step with weights of 0 in {number}", partial(_step, number, 0.0)
-    yield "network: a prediction with weights times 1e15", _overflowing, "gives a value that is not finite"
-
-
-def _network(clouds: int) -> Any:
-    torch.manual_seed(0)
-    net = TouchNet(ModelConfig.from_mapping(_MODEL))
-    points = torch.rand(1, 32, 3).expand(clouds, 32, 3).contiguous()
-    grasps = torch.rand(1, net.config.grasp_size).expand(clouds, -1)
-    answer = net.train()(points, grasps)
-    answer.sum().backward()
-    return [answer, *(one.grad for one in net.parameters() if one.grad is not None)]
-
-
-def _multiply(net: Any, size: float) -> None:
-    with torch.no_grad():
-        for parameter in net.parameters():
-            parameter.mul_(size)
-
-
-def _overflowing() -> None:
-    net = TouchNet(ModelConfig.from_mapping(_MODEL)).eval()
-    _multiply(net, 1e15)
-    sample = made_samples(1, 1)[0]
-    with TemporaryDirectory() as folder:
-        model = load_model(save_network(Path(folder), "overflowing", net, {}))
-        raise ModelError(model.predict(sample.cloud, [sample.grasp])[0].reason)
-
-
-def _step(precision: str, size: float) -> Any:
-    """One epoch of a network whose weights were multiplied."""
-    data = TrainingSet.build(made_samples(), ModelConfig.from_mapping(_MODEL))
-    config = TrainConfig(epochs=1, batch_size=4, device="cpu", precision=precision)
-    trainer = SupervisedTrainer(data, np.arange(len(data)), config)
-    _multiply(trainer.net, size)
-    return [trainer.run_epoch(), list(trainer.net.state_dict().values())]
 
 
 def run_cases() -> Cases:

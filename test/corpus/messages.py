@@ -5,37 +5,31 @@ Messages of a kind follow each other in one process, so that the state of adapta
 """
 
 import copy
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from importlib import import_module
 from itertools import count
 from types import SimpleNamespace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from corpus.changes import Draw, absurd, damaged
 from corpus.clouds import bar
 from hypothesis import assume
 from hypothesis import strategies as st
-from rcl_interfaces.msg import ParameterType
-from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_builders import XELA_REST, sens_stream
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane
-from std_msgs.msg import String
 
 from foretouch import reading
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
 from foretouch.models.hand_history import place_and_size
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.ros.executables import NODES
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import plan_targets, read_arrays, read_cloud, read_plane, read_table, read_targets
@@ -57,7 +51,7 @@ FRAME = "camera_depth_optical_frame"
 NOW_NS = 1_700_000_000_000_000_000
 
 
-WEIGHTS = {"predicted": 0.1, "sampled": 0.08, "hand": 2.0, "parameters": 2.0}
+WEIGHTS = {"predicted": 0.1, "sampled": 0.08, "hand": 2.0}
 """Shares of the cases: few where a case takes long."""
 
 
@@ -242,8 +236,8 @@ def sampled() -> Reader:
 class _Hand:
     """The online adapter of the predictor and the assembler of the recorder, which get the same messages."""
 
-    def __init__(self, type_name: str = "foretouch_msgs/BiotacAll") -> None:
-        config, model = TouchPredictorConfig(tactile=TactileConfig(type=type_name)), load_model()
+    def __init__(self) -> None:
+        config, model = TouchPredictorConfig(), load_model()
         reader = make_reader(config.tactile)
         keeper = HistoryKeeper(model)
         self.adapter = OnlineAdapter(model, reader, keeper, lambda: config, lambda: NOW_NS, lambda _: None)
@@ -302,27 +296,6 @@ def hand() -> Reader:
     return [tactile, plan, *object_messages(), report, label_request()], read
 
 
-def readings(type_name: str, valid: Any) -> Reader:
-    """Messages of another tactile type."""
-    one = _Hand(type_name)
-    return [valid], one.add
-
-
-def biotac_csv() -> Reader:
-    """Lines of `biotac_sp_ros`, some with an absurd word."""
-    line = ",".join(["12.5", *["3000"] * (3 * 54)])
-    valid, read = readings("std_msgs/String", String(data=line))
-    words = ("nan", "inf", "1e400", "", "-1", "x", "9" * 400, "1_0", "\u0663", "0x10", " 5 ")
-    return [*valid, *(String(data=line.replace(",3000", f",{word}", 1)) for word in words)], read
-
-
-def tactile_state() -> Reader:
-    """`tactile_msgs/TactileState`; its package is not on PyPI, so that plain objects stand for its messages."""
-    header = SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=0), frame_id="rh")
-    sensors = [SimpleNamespace(name=name, values=[2500.0, *[3200.0] * 24]) for name in ("TH", "MF", "FF")]
-    return readings("tactile_msgs/TactileState", SimpleNamespace(header=header, sensors=sensors))
-
-
 def described() -> Reader:
     """Messages of a described sensor."""
     reader = make_reader(TactileConfig(sensor="xela_uskin_4x4", thumb="TH", middle="FF"))
@@ -334,32 +307,6 @@ def described() -> Reader:
         assert abs(found.stamp_ns or 0) < 2**63
 
     return [sens_stream(XELA_REST)], read
-
-
-def parameters() -> Reader:
-    """Changes of the parameters of all nodes, and what these make of them."""
-    numbers, configs = count(), []
-    for place in NODES.values():
-        module, name = place.split(":")
-        (kind,) = get_args(getattr(import_module(module), name).__orig_bases__[0])
-        flat = kind().to_mapping()
-        configs += [(kind, flat, one) for one in _flattened(flat)]
-
-    def read(value: Any) -> None:
-        if value.type > ParameterType.PARAMETER_STRING_ARRAY:
-            raise ConfigError(f"type: {value.type} is unknown")  # `GuardedCallbacks` refuses it before rclpy reads it
-        kind, flat, key = configs[next(numbers) % len(configs)]
-        changed = kind.from_mapping({**flat, key: parameter_value_to_python(value)})
-        repr(changed)
-        json.dumps(changed.to_mapping())
-
-    values = (1.0, 5, "all", True, [1.0, 2.0, 3.0], ["a", "b"])
-    return [Parameter("value", value=value).get_parameter_value() for value in values], read
-
-
-def _flattened(mapping: dict[str, Any], prefix: str = "") -> list[str]:
-    parts = ([prefix + k] if not isinstance(v, dict) else _flattened(v, f"{prefix}{k}.") for k, v in mapping.items())
-    return [name for names in parts for name in names]
 
 
 def changed(valid: Sequence[Any], read: Callable[[Any], object]) -> Callable[[Draw], Callable[[], object]]:
@@ -389,7 +336,6 @@ def changed(valid: Sequence[Any], read: Callable[[Any], object]) -> Callable[[Dr
 
 
 KINDS: dict[str, Callable[[], Reader]] = {
-    make.__name__: make
-    for make in (clouds, object_clouds, hand, biotac_csv, tactile_state, described, predicted, sampled, parameters)
+    make.__name__: make for make in (clouds, object_clouds, hand, described, predicted, sampled)
 }
 """What makes valid messages of a kind and what reads them, by name."""
