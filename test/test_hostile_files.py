@@ -28,9 +28,7 @@ from foretouch.dataset.samples import open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
 from foretouch.errors import ConfigError, DatasetError, ForetouchError
-from foretouch.files import file_sha256
 from foretouch.models.card import read_card
-from foretouch.models.files import read_tensors
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
 from foretouch.tactile import BIOTAC
@@ -81,44 +79,22 @@ HUGE = "{'descr': '<f4', 'fortran_order': False, 'shape': (%s, 3)}"
 CLOUDS: dict[str, tuple[str, bytes]] = {
     "pcd width of 4400 digits": (".pcd", PCD.replace("WIDTH 2", f"WIDTH {DIGITS}").encode() + POINTS),
     "pcd count 2e9": (".pcd", PCD.replace("FIELDS x y z", "FIELDS x y z a").replace("SIZE", "SIZE 4").replace("TYPE", "TYPE F").replace("COUNT 1 1 1", "COUNT 1 1 1 2000000000").encode() + POINTS),
-    "pcd width 4e9, height 4e9": (".pcd", PCD.replace("WIDTH 2", "WIDTH 4000000000").replace("HEIGHT 1", "HEIGHT 4000000000").replace("POINTS 2\n", "").encode() + POINTS),
-    "pcd width 0, height 1e10": (".pcd", PCD.replace("WIDTH 2", "WIDTH 0").replace("HEIGHT 1", "HEIGHT 10000000000").replace("POINTS 2\n", "").encode()),
-    "pcd superscript width": (".pcd", PCD.replace("WIDTH 2", "WIDTH ²").encode() + POINTS),
     "pcd ascii word of 1e6 digits": (".pcd", PCD.replace("binary", "ascii").encode() + b"1 2 3 4 5 " + b"7" * 1_000_000 + b"x\n"),
-    "pcd ascii declares 1e10": (".pcd", PCD.replace("WIDTH 2", "WIDTH 10000000000").replace("POINTS 2\n", "").replace("binary", "ascii").encode() + b"1 2 3\n"),
-    "pcd 20000 fields": (".pcd", ("FIELDS " + "a " * 20000 + "\nSIZE 4\nTYPE F\nWIDTH 1\nHEIGHT 1\nDATA ascii\n").encode()),
     "pcd compressed declares 4 GB": (".pcd", PCD.replace("binary", "binary_compressed").replace("WIDTH 2", "WIDTH 357913941").replace("POINTS 2\n", "").encode() + struct.pack("<II", 8, 4294967292) + bytes(8)),
     "ply vertices of 4400 digits": (".ply", PLY.replace("vertex 2", f"vertex {DIGITS}").encode() + POINTS),
     "ply columns 0, rows 1e30": (".ply", PLY.replace("element vertex 2", "obj_info num_cols 0\nobj_info num_rows 1" + 30 * "0" + "\nelement vertex 0").encode()),
-    "ply superscript vertices": (".ply", PLY.replace("vertex 2", "vertex ²").encode() + POINTS),
-    "ply 1e10 vertices": (".ply", PLY.replace("vertex 2", "vertex 10000000000").encode() + POINTS),
     "ply ascii 1e30 vertices": (".ply", PLY.replace("vertex 2", "vertex 1" + 30 * "0").replace("binary_little_endian", "ascii").encode() + b"1 2 3\n"),
-    "ply no newline after header": (".ply", PLY.encode().rstrip()),
     "npy declares 1 GB": (".npy", npy(HUGE % 100_000_000, bytes(1_000_000))),
-    "npy declares 1e30": (".npy", npy(HUGE % ("1" + 30 * "0"), bytes(100))),
     "npy shape of 4400 digits": (".npy", npy(HUGE % DIGITS, bytes(100))),
     "npy zero times huge": (".npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (0, 9999999999999999999999, 3)}")),
-    "npy shape of True": (".npy", npy(HUGE % "True", bytes(100))),
-    "npy no mapping": (".npy", npy("[1, 2]")),
-    "npy NUL": (".npy", npy("{'descr': '<f4\0'}")),
     "npy deep brackets, version 2": (".npy", npy("(" * 200000, version=(2, 0))),
-    "npy minus signs": (".npy", npy("-" * 9000 + "1")),
     "npy header of 4 GB": (".npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1) + b"{}"),
     "npy descr of objects": (".npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (2, 3)}", bytes(100))),
-    "npy descr of a huge item": (".npy", npy("{'descr': '|V2000000000', 'fortran_order': False, 'shape': (0, 3)}")),
-    "npy descr of a number": (".npy", npy("{'descr': 7, 'fortran_order': False, 'shape': (2, 3)}", POINTS)),
     "npy version 9": (".npy", npy(HUGE % 2, POINTS, (9, 0))),
-    "npy empty": (".npy", b""),
-    "npy is a zip": (".npy", npz(GOOD_NPY)),
     "npz is not a zip": (".npz", GOOD_NPY),
     "npz encrypted": (".npz", encrypted(npz(GOOD_NPY))),
     "npz damaged stream": (".npz", damaged_stream(npz(GOOD_NPY * 20))),
-    "npz truncated": (".npz", npz(GOOD_NPY)[:-30]),
-    "npz method 99": (".npz", npz(GOOD_NPY, compression=zipfile.ZIP_STORED).replace(b"PK\x03\x04\x14\x00\x00\x00\x00\x00", b"PK\x03\x04\x14\x00\x00\x00\x63\x00").replace(b"PK\x01\x02\x14\x03\x14\x00\x00\x00\x00\x00", b"PK\x01\x02\x14\x03\x14\x00\x00\x00\x63\x00")),
-    "npz bad npy": (".npz", npz(npy("{'descr': "))),
-    "npz no npy": (".npz", npz(b"hello")),
     "npz zeros of 300 MB": (".npz", npz(npy(HUGE % 25_000_000, bytes(300_000_000)))),
-    "npz bzip2": (".npz", npz(npy(HUGE % 25_000_000, bytes(100_000)), compression=zipfile.ZIP_BZIP2)),
     "npz declares 1 GB": (".npz", npz(npy(HUGE % 100_000_000, bytes(100_000)))),
 }  # fmt: skip
 
@@ -159,7 +135,7 @@ def test_hostile_clouds_are_refused_in_a_second_and_little_memory_and_cost_one_i
     reasons: list[str] = []
     found = [name for name, _ in readable(open_source(tmp_path), lambda name, err: reasons.append(str(err)))]
     assert found == [str(tmp_path / "good.pcd")]
-    assert len(reasons) > 40
+    assert len(reasons) > 18
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
@@ -179,20 +155,12 @@ YAML = {
     "deep brackets": "a: " + "[" * 10_000,
     "deep indents": "".join(" " * k + "a:\n" for k in range(500)),
     "odd date": "a: 2026-13-45\n",
-    "zone of 99 hours": "a: 2026-01-01 00:00:00 +99:99\n",
     "NUL": "a: \0\n",
-    "number of 5000 digits": f"a: {'9' * 5000}\n",
     "number of 400 digits": f"range_m: {'9' * 400}\n",
-    "sexagesimal": "range_m: " + "1:" + ":".join(["59"] * 3000) + "\n",
     "list as key": "? [a, b]\n: 1\n",
-    "list in the place of a date": "a: !!timestamp [1]\n",
     "word as number": "a: !!int x\n",
-    "word as truth": "a: !!bool maybe\n",
     "python object": "a: !!python/object/apply:os.system [ls]\n",
-    "two documents": "a: 1\n---\nb: 2\n",
     "2 MB": "a: 1\n" + "# x\n" * 500_000,
-    "key of 5000 characters": "k" * 5000 + ": 1\n",
-    "value of 50000 characters": "range_m: " + "k" * 50000 + "\n",
     "a number and a group": "1: 5\n'1': {a: 2}\n",
     "surrogate": 'range_m: "\\ud800"\n',
 }
@@ -216,15 +184,11 @@ def test_hostile_yaml_and_overrides_are_refused_in_a_second_and_aliases_of_usual
 
 JSON_TEXTS = {
     "deep lists": "[" * 100_000,
-    "deep closed lists": "[" * 900 + "]" * 900,
     "deep objects": '{"a":' * 100_000,
-    "closed objects": '{"format": "foretouch-model", "x": ' * 100 + "1" + "}" * 100,
     "number of 5000 digits": '{"format": ' + "9" * 5000 + "}",
     "not UTF-8": "\udcff",
     "surrogate": '{"format": "\\ud800"}',
     "empty": "",
-    "a list": "[1]",
-    "NUL": "\0",
     "70 MB": " " * 70_000_000,
 }
 
@@ -238,32 +202,6 @@ def test_hostile_json_is_refused_in_a_second(tmp_path: Path) -> None:
             refused(lambda reader=reader: READERS[reader](path), tmp_path.name)
 
     every_case(JSON_TEXTS, check)
-
-
-def tensor_file(path: Path, dtype: str, shape: list[int], size: int, **extra: Any) -> str:
-    header = json.dumps({"x": {"dtype": dtype, "shape": shape, "data_offsets": [0, size]}, **extra}).encode()
-    path.write_bytes(struct.pack("<Q", len(header)) + header + bytes(size))
-    return file_sha256(path)
-
-
-def test_weights_of_an_unsupported_type_damaged_or_no_regular_file_are_refused(tmp_path: Path) -> None:
-    from safetensors.torch import load
-
-    path = tmp_path / "weights.safetensors"
-
-    def check(_: str, sha256: str, *loader: Any) -> None:
-        refused(lambda: read_tensors(path, sha256, "card.json", *loader), path.name)
-
-    for dtype in ("BF16", "F8_E4M3", "F8_E5M2", "F4", "U1", "X"):
-        check(dtype, tensor_file(path, dtype, [4], 8 if dtype == "BF16" else 4))
-        if dtype in ("F4", "U1", "X"):  # torch reads the others; the architecture's type is compared afterwards
-            check(dtype, tensor_file(path, dtype, [4], 4), load)
-    for head in (b"", b"\xff" * 8, struct.pack("<Q", 2**40), struct.pack("<Q", 6) + b'{"x":1'):
-        path.write_bytes(head)
-        check("damaged", file_sha256(path))
-    path.unlink()
-    os.mkfifo(path)
-    check("fifo", "0")
 
 
 LONG = "n" * 5000
@@ -291,14 +229,12 @@ def test_fields_of_a_card_have_a_type_and_bounds(tmp_path: Path) -> None:
     card["calibration"] |= {"level": 0.9, "regimes": regimes}
     path.write_text(json.dumps(card))
     load_model(path)  # so good
-    absurd = (LONG, ["x"] * 50_000, {"a": LONG}, 10**400, "a\nb", "a\0b", "", "../..", ".")
+    absurd = (LONG, ["x"] * 50_000, 10**400, "a\0b", "../..")
     numbers = {
         "skill.random.PDC_TH.skill": (True, "7", 1e20, 10**30),
-        "data.samples": (True, "7", -5, 0.5, 1e20, 10**30),
-        "split.train": (True, -5, 0.5),
-        "calibration.level": (True, "7", -5, 1.5),
-        "calibration.regimes.known.objects": (True, "7", -5, 0.5),
-        "calibration.regimes.known.coverage.PDC_TH.mean": (True, "7", -5, 1e20),
+        "data.samples": (True, -5, 0.5),
+        "calibration.level": ("7", 1.5),
+        "calibration.regimes.known.coverage.PDC_TH.mean": (True, 1e20),
     }
     files = ("weights", "sha256", "calibration", "kind", "format_version", "calibration.weights")
 

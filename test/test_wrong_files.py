@@ -24,7 +24,7 @@ from foretouch.models.hand_history import HistoryFile
 from foretouch.report.panels import new_figure, save_small
 from foretouch.report.rerun_view import write_view
 from foretouch.ros.runtime.environment import stale_bytes
-from foretouch_lab.experiments.framework.manifest import open_folder, read_results, write_manifest
+from foretouch_lab.experiments.framework.manifest import open_folder, write_manifest
 from foretouch_lab.learning.training.run_config import RunConfig
 from foretouch_lab.learning.training.run_folder import RunFolder
 
@@ -110,18 +110,6 @@ def test_files_with_other_types_are_refused_by_name_though_nothing_is_damaged(tm
         ("file.json: c.d: 3 is not a text or null", {"a": 1, "c": {"d": 3}}),
     ]
     every_refusal(FileError, cases, lambda value: require_schema(path, value, schema))
-
-
-def test_tables_of_experiments_are_read_as_they_were_written_or_refused(tmp_path: Path) -> None:
-    path = tmp_path / "results.csv"
-    for content in (b"a,b\n1\n", b"a,b\n1,2,3\n", b"\xff\xfe", b'a\n"1'):
-        path.write_bytes(content)
-        with pytest.raises(FileError, match=r"results\.csv"):
-            read_results(path)
-    path.unlink()
-    os.mkfifo(path)
-    with pytest.raises(FileError, match=r"results.csv: is a FIFO"):
-        read_results(path)
 
 
 def test_a_fifo_in_the_place_of_a_table_of_an_export_does_not_wait(tmp_path: Path) -> None:

@@ -42,20 +42,6 @@ def test_predictions_are_by_the_modalities_of_the_sensor_and_can_be_read_back(ca
     assert all(name in table for name in MODALITIES)
 
 
-def test_the_tare_of_a_file_is_by_modality_in_lower_case_and_shifts_the_predictions(call, uskin, tmp_path) -> None:
-    store, path = uskin
-    sample = load_dataset(store).samples[0]
-    tare = tmp_path / "rest.json"
-    tare.write_text(json.dumps({name.lower(): sample.tare[name].tolist() for name in MODALITIES}))
-    words = ("predict", store, "--model", path, "--json")
-    (by_file,), (own,), (none,) = (
-        json.loads(call(*words, *tail).out.splitlines()[0])["predictions"]
-        for tail in (("--tare", tare), ("--tare", "sample"), ())
-    )
-    assert by_file["Z_TH"] == own["Z_TH"] != none["Z_TH"]
-    assert by_file["reference"] == "tare"
-
-
 def test_readings_and_models_of_another_sensor_are_refused_in_one_line(call, uskin, biotac, tmp_path) -> None:
     (store, path), (cans, contact) = uskin, biotac
     samples = load_dataset(store).samples

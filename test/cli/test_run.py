@@ -81,16 +81,6 @@ def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:
     every_case(cases, check)
 
 
-def test_a_node_that_does_not_start_is_named_with_the_cause(tmp_path, environment) -> None:
-    with started(environment, "-o", tmp_path / "out", "--sensor", "xela_uskin_4x44", command="record") as process:
-        _, err = process.communicate(timeout=100)
-    assert process.returncode == 1
-    assert err.splitlines()[-1].startswith(
-        "foretouch: a node did not start: recorder: xela_uskin_4x44: is neither a file"
-    )
-    assert "did you mean xela_uskin_4x4?" in err.splitlines()[-1]
-
-
 @pytest.mark.slow
 def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -> None:
     words = ("--source", write_scenes(tmp_path / "bag", 5), "--wait-for", "touch", "--wait-limit", 60)
@@ -126,18 +116,6 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     assert model(scene, "--params", str(tmp_path / "named.yaml")) is None  # the file's counts
     assert model(scene, "--model", "touchnet-v1") == "touchnet-v1"
     assert model("camera") is None
-
-
-@pytest.mark.slow
-def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(tmp_path, environment) -> None:
-    scene, picture = tmp_path / "scene.yaml", tmp_path / "touch.png"
-    scene.write_text("camera: {width: 424, height: 320}\ngrasps: {insertion_m: 0.01}\n", encoding="utf-8")
-    status, lines, err = run(environment, "--source", scene, "--count", 10, "--picture", picture)
-    assert status == 0, err
-    *answers, last = lines
-    assert last["answered"] == len(answers) == 10
-    assert last["executed"]["success"] >= 1
-    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow

@@ -154,14 +154,3 @@ def test_a_sensor_of_any_layout_is_drawn_by_its_chosen_channel_and_dead_taxels_a
     assert [text.get_text() for axes in drawn[0].axes for text in [axes.title]][2:6] == [
         "thumb predicted", "thumb read", "FF predicted", "FF read"]  # fmt: skip
     assert "change of Z from rest [counts]" in drawn[0].axes[-1].get_xlabel()
-
-
-def test_places_of_a_flat_pad_are_seen_from_outside(rng) -> None:
-    sensor, _, _ = of_any_sensor("xela_uskin_4x4", rng)
-    across, along = sensor.layout.unrolled.T
-    np.testing.assert_allclose(along, sensor.layout.positions[:, 0])
-    np.testing.assert_allclose(across, -sensor.layout.positions[:, 1])  # z towards the eye, x up: y to the left
-    curved = BIOTAC_SP.layout
-    order = np.argsort(np.arctan2(curved.positions[:, 1], -curved.positions[:, 2]), kind="stable")
-    assert (np.diff(curved.unrolled[order, 0]) >= -1e-12).all()  # -z towards the eye: y to the right
-    np.testing.assert_array_equal(curved.unrolled[:, 1], curved.positions[:, 0])

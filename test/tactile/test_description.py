@@ -224,9 +224,3 @@ def test_columns_of_fingers_are_where_the_modalities_are_and_dead_taxels_are_not
     one = load_sensor("shadow_mst").to_mapping()
     one["fingers"] = [{**finger, "dead": [2]} if finger["name"] == "TH" else finger for finger in one["fingers"]]
     assert np.argwhere(~sensor_of(one, "").valid).tolist() == [[0, 2]]
-
-
-def test_a_sensor_on_one_finger_can_be_described_but_takes_no_part_in_a_grasp(tmp_path) -> None:
-    sensor = load_sensor(write_sensor(tmp_path, {"fingers": SMALL["fingers"][:1]}))
-    with pytest.raises(ConfigError, match="has one finger, and a grasp two"):
-        _ = sensor.channels
