@@ -247,7 +247,7 @@ def _show(arguments: argparse.Namespace) -> int:
     if arguments.series or not any(has_points(one.sample) for one in selected):
         save_series_sheet(arguments.out, selected, title, sensor)
     else:
-        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], title, sensor)
+        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], sensor)
     record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
     return print_result("drawn", record, as_json=arguments.json)
 
