@@ -4,7 +4,7 @@
 import argparse
 import itertools
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,7 @@ import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
-from foretouch.cli.answers import ANSWER_SUFFIXES, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
-from foretouch.cloud.io.files import CLOUD_SUFFIXES
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.samples import SampleSet, has_points, is_sample_set, open_samples, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
@@ -23,25 +21,17 @@ from foretouch.files import require_existing, require_writable
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
-from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import require_same
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "path",
-        metavar="PATH",
-        help="a cloud, a folder of clouds, a dataset, a recording, or the answers of `predict --json` or `run --json` (.json, .jsonl)",
-    )
+    parser.add_argument("path", metavar="PATH", help="a cloud, a folder of clouds, a dataset or a recording")
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="write a file for Rerun instead of opening a window")
     parser.add_argument("--screenshot", type=Path, metavar="F.png", help="draw a picture instead of opening a window")
     parser.add_argument(
-        "--count",
-        type=inputs.positive_number,
-        metavar="N",
-        help="show the first N clouds, samples or answers (default: all)",
+        "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds or samples (default: all)"
     )
     inputs.add_options(parser, "--topic", "--config", "--set", "--model", *inputs.PLANNED, *inputs.ADAPTED)
 
@@ -75,22 +65,16 @@ class _Steps:
         self._arguments = arguments
         self._pipeline = Pipeline(inputs.pipeline_config(arguments, defaults={"grasp.count": 10}))
         self._adaptation: Adaptation
-        path = Path(arguments.path)
-        self._are_answers = path.suffix in ANSWER_SUFFIXES and path.is_file()
-        samples = not self._are_answers and arguments.topic is None and is_sample_set(path)
-        self._samples = open_samples(path, unfinished=True) if samples else None
+        samples = arguments.topic is None and is_sample_set(arguments.path)
+        self._samples = open_samples(arguments.path, unfinished=True) if samples else None
         self._without_camera = False
-        if self._are_answers and arguments.model is None:
-            self.sensor = BIOTAC_SP
-        elif self._samples is None:
+        if self._samples is None:
             self.sensor = self._pipeline.model.sensor
         else:
             self._without_camera = len(self._samples) > 0 and not has_points(self._samples.record(0).sample)
             self.sensor = sensor_of_samples(self._samples) if self._without_camera else self._samples.sensor
 
     def __iter__(self) -> Iterator[ViewStep]:
-        if self._are_answers:
-            return self._of_answers(Path(self._arguments.path))
         if self._samples is not None and self._without_camera:
             return self._of_readings(self._samples)
         return self._of_source()
@@ -122,13 +106,6 @@ class _Steps:
             for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
                 read = Touch(counts.astype(np.float64), samples.sensor.channels)
                 yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")
-
-    def _of_answers(self, path: Path) -> Iterator[ViewStep]:
-        """A step for each answer, with the cloud of the file that it names."""
-        for record in read_answers(path):
-            own = Path(str(record.get("input", "")))
-            there = own.suffix.lower() in CLOUD_SUFFIXES and own.is_file()
-            yield self._of_answer(record, next(iter(open_source(own))).cloud if there else None)
 
     def _refuse(self, name: str, err: ForetouchError) -> None:
         self.failed = True
@@ -167,21 +144,3 @@ class _Steps:
         if not scene.targets:
             return {**found, "reason": f"{scene.status}: {scene.reason}"}, None
         return found, scene.targets[0]
-
-    def _of_answer(self, record: Mapping[str, Any], cloud: Cloud | None) -> ViewStep:
-        model = record.get("model")
-        shown: dict[str, Any] = {
-            "name": str(record.get("sample") or record.get("input") or record.get("stamp_ns", "")),
-            "stamp_ns": int(record.get("stamp_ns") or 0),
-            "model": str(model.get("name", "")) if isinstance(model, dict) else "",
-        }
-        try:
-            if cloud is not None:
-                shown |= self._found(cloud)[0]
-            found = [prediction_from_record(one, self.sensor.channels) for one in record.get("predictions", ())]
-            if found:
-                shown |= {"grasp": found[0].grasp, "prediction": found[0]}
-                shown["candidates"] = [one.grasp for one in found[1:]]
-        except ForetouchError as err:
-            self._refuse(shown["name"], err)
-        return ViewStep(**{**shown, "reason": str(record.get("reason", ""))})
