@@ -16,11 +16,11 @@ ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 class Terminal:
-    """A process in the foreground of a pseudo-terminal of 80x24; a context manager."""
+    """A process in the foreground of a pseudo-terminal of 24 lines; a context manager."""
 
-    def __init__(self, command: list[str], environment: dict[str, str]) -> None:
+    def __init__(self, command: list[str], environment: dict[str, str], width: int = 80) -> None:
         self.master, self.slave = pty.openpty()
-        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, width, 0, 0))
         self.before = termios.tcgetattr(self.slave)
         self.written = ""
         ends: dict[str, Any] = {"stdin": self.slave, "stdout": self.slave, "stderr": self.slave}

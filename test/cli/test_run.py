@@ -15,11 +15,9 @@ from typing import Any
 
 import pytest
 from every_case import every_case
-from scene_builders import scene_cloud, write_scenes
-from websocket_client import WebSocketClient
+from scene_builders import write_scenes
 
 from foretouch.cli import run as run_command
-from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.models.registry import find_card
 from foretouch.ros.nodes.monitor import View
@@ -134,22 +132,6 @@ def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_statu
     last = rest.splitlines()[-1]
     assert "no cloud came from the camera: absent: camera: no RealSense device is connected" in last
     assert "Traceback" not in "".join(lines) + rest
-
-
-@pytest.mark.slow
-def test_serve_gives_the_answers_to_a_websocket_client(tmp_path, environment) -> None:
-    pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
-    for k in range(40):
-        write_cloud(tmp_path / f"{k + 10}.npz", scene_cloud(k % 2, objects=1))
-    with started(environment, "--source", tmp_path, "--rate", 5, "--serve", "127.0.0.1:0") as process:
-        assert process.stderr is not None
-        line = next(line for line in process.stderr if "serving at ws://127.0.0.1:" in line and "open it" in line)
-        with WebSocketClient(line.split()[3].rstrip(":")) as client:
-            client.subscribe("/foretouch/touch")
-            assert client.next_data()[0] == "/foretouch/touch"
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-    assert "Traceback" not in err
 
 
 @pytest.mark.slow
