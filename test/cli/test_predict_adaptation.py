@@ -190,16 +190,6 @@ def test_the_contact_model_needs_no_torch(files, session, tmp_path) -> None:
     assert json.loads(done.stdout)["predictions"][0]["reference"] == "touches"
 
 
-@pytest.mark.real_data
-def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call, model, real_data) -> None:
-    folder = real_data / "vision2tactile" / "coffee"
-    first, second, *_ = sorted(folder.iterdir())
-    words = ("predict", first, "--model", model, "--tare", first / "tactile.tac", "--touched", second, "--json")
-    (result,) = call(*words).records
-    assert result["predictions"][0]["reference"] == "touches"
-    assert result["touched"] == 1
-
-
 def test_a_history_is_read_from_a_dataset_or_a_file_in_order_of_time(call, tracked, session, earlier, tmp_path) -> None:
     words = ("predict", session, "--model", tracked, "--json", "--history", earlier)
     one = load_model(tracked)

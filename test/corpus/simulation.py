@@ -54,18 +54,12 @@ def sample_cases() -> Cases:
     for name, document, reason in (
         *((f"a can of {m:g} m", _can(size_m=[m] * 3), "size_m") for m in (1e-9, 1e-3, 1e3)),
         ("a can wider than the hand", _can(size_m=[0.2] * 3), "the hand opens"),
-        ("a plate of 5 mm", _can(shape="box", size_m=[0.12, 0.12, 0.005]), _ANY),
         *((f"a force of {n:g} N", _force(n), None) for n in (0.0, 1e-30)),
         *((f"a force of {n:g} N", _force(n), "force_n") for n in (5e-324, 1e300)),
         *((f"a depth of {m:g} m", _depth(m), small if m == 1.0 else None) for m in (0.0, 1e-12, 1.0)),
         ("fingers far below the object", {"grasps": {"insertion_m": 0.9}}, "closes beside"),
-        ("fingers through the object", {"grasps": {"insertion_m": 0.035}}, _ANY),
         ("an object out of view", _can(pose={"x_m": [5.0, 5.0]}), "outside of the view"),
-        ("a view of 16 x 16 pixels", {"camera": {"width": 16, "height": 16, "hfov_deg": 55.0}}, _ANY),
-        ("a camera inside the object", {"camera": {"distance_m": 0.16}}, "outside of the view|given up"),
-        ("a camera 10 m away", {"camera": {"distance_m": 10.0}}, _ANY),
         ("an object without weight", {"gravity": {}, **_can(mass_kg=0.0)}, None),
-        ("an object of 1e6 kg", {"gravity": {}, **_can(mass_kg=1e6)}, "slips|falls|opens|given up"),
     ):
         yield f"scene: {name}", *_scene(document, reason)
 

@@ -113,11 +113,9 @@ def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
         (r"taxels: '\.\./taxels.csv' is not a valid file name beside", {"array": None, "taxels": "../taxels.csv"}),
         ("fingers: there is none", {"fingers": None}),
         ("fingers: left occurs twice", {"fingers": [finger, finger]}),
-        ("values: there is none", {"values": []}),
         ("values: none changes in contact", {"values": [{**value, "contact": "none"}]}),
         ("values, scalars: p occurs twice", {"scalars": [value]}),
         (r"values\[0\].field: is empty", {"values": [{**value, "field": ""}]}),
-        (r"values\[0\].field: 'a\[' is not a field path", {"values": [{**value, "field": "a["}]}),
         (r"values\[0\].unit: 'newton' is not one of counts", {"values": [{**value, "unit": "newton"}]}),
         (r"values\[0\].range: .* is not \[low, high\] within \[0.0, 255.0\]",
          {"values": [{**value, "dtype": "uint8", "range": [0, 256]}]}),
@@ -129,11 +127,9 @@ def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
         ("grasp: .* are not 2 numbers", {"grasp": ["left"]}),
         ("fingers: 'lefd' is not one of left, right; did you mean left", {"grasp": ["lefd", "right"]}),
         ("array.size, spacing: 0 m from a taxel", {"array": {"rows": 2, "cols": 1}}),
-        ("array.rows, cols: 300 x 300 taxels exceed", {"array": {**array, "rows": 300, "cols": 300}}),
         (r"pad: taxel 1 at \(0, 0.002, 0\) m is outside; 4 taxels", {"pad": [0, 0, 0, 0.004, 0.001, 0.001]}),
         (r"array.size\[0\]: 4.0 is above 1.0 m", {"array": {**array, "size": [4, 2]}}),  # in millimetres
         ("source.type: 'SensStream' is not a type", {"source": {"type": "SensStream"}}),
-        ("source.stamp: 'header.' is not a field path", {"source": {"type": "a/B", "stamp": "header."}}),
         ("source.invalid: 'T' is not one of", {"source": {"type": "a/B", "invalid": ["T"]}}),
     ]  # fmt: skip
 
