@@ -13,19 +13,11 @@ from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
-from foretouch.dataset.record import SampleRecord
-from foretouch.dataset.recording.folder import is_dataset, listed_sessions
+from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import (
-    SampleSet,
-    export_samples,
-    has_points,
-    only_finite,
-    open_samples,
-    sensor_of_samples,
-)
+from foretouch.dataset.samples import export_samples, has_points, only_finite, open_samples, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
@@ -85,9 +77,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_out(show, "F.png", "image file")
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
-    series = "draw taxels over time beside the outcome, as of recordings without a camera"
-    show.add_argument("--series", action="store_true", help=series)
-    show.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
 
 
 def _action(actions: Any, name: str, act: Callable[..., int], summary: str) -> argparse.ArgumentParser:
@@ -215,8 +204,6 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
             store.verify()
             yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
             return
-        if is_dataset(path) and listed_sessions(Path(path)) is None:
-            warn(f"{path}: its manifest lists no sessions (foretouch 0.2.0): one that is missing is not noticed")
         for report in verify_dataset(path):
             counts = {} if report.counts is None else report.counts.to_record()
             yield {
@@ -239,32 +226,18 @@ def _show(arguments: argparse.Namespace) -> int:
 
     require_writable(arguments.out, *PICTURE_SUFFIXES)
     samples = open_samples(arguments.source)
-    selected = list(_selected(samples, arguments))
+    count = min(arguments.count, len(samples))
+    selected = [samples.record(k * len(samples) // count) for k in range(count)]
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
-    title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
     sensor = sensor_of_samples(samples)
-    if arguments.series or not any(has_points(one.sample) for one in selected):
-        save_series_sheet(arguments.out, selected, title, sensor)
-    else:
+    if any(has_points(one.sample) for one in selected):
         save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], sensor)
+    else:
+        title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+        save_series_sheet(arguments.out, selected, title, sensor)
     record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
     return print_result("drawn", record, as_json=arguments.json)
-
-
-def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[SampleRecord]:
-    """The samples named by --id, or some evenly spaced over the dataset."""
-    if arguments.id:
-        missing = set(arguments.id)
-        for record in samples.records(discarded=True):
-            if record.sample.id in missing:
-                missing.discard(record.sample.id)
-                yield record
-        if missing:
-            raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
-        return
-    count = min(arguments.count, len(samples))
-    yield from (samples.record(k * len(samples) // count) for k in range(count))
 
 
 def _repair(arguments: argparse.Namespace) -> int:
