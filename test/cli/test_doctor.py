@@ -67,7 +67,7 @@ def test_one_bit_in_each_coordinate_moves_answers_far_less_than_the_tolerance(rn
     def check(name: str) -> None:
         model, xyz = load_model(name), selftest.exact_cloud().xyz
         moved = np.nextafter(xyz, np.where(rng.random(xyz.shape) < 0.5, np.float32(-9), np.float32(9)))
-        one, other = (model.predict(Cloud(points), selftest.exact_grasps()) for points in (xyz, moved))
+        one, other = (model.predict(Cloud(points), [selftest.exact_grasp()]) for points in (xyz, moved))
         for a, b in zip(one, other, strict=True):
             assert np.abs(a.value.values - b.value.values).max() <= selftest._TOLERANCE_COUNTS / 10
 
