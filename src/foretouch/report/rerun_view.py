@@ -40,7 +40,6 @@ _CURVES: Final = {
 }  # label, colour and width
 _MAX_POINTS: Final = 60_000  # of a cloud; more make a file large and the view no better
 _AXIS_M: Final = 0.06
-_LEAST_SIZE_M: Final = 0.1  # of what is looked at
 _TABLE_MARGIN_M: Final = 0.05  # around what was seen
 
 
@@ -97,7 +96,7 @@ class _Writer:
         self._rr, self._to, self._view = rerun, recording, view
         self._steps: list[ViewStep] = []  # without their clouds
         self._present: set[str] = set()
-        self._eye: tuple[Float64, float] | None = None  # what to look at first, and its size [m]
+        self._seen = False  # whether any step has a cloud
         self._skin = skin_axes() if view.sensor.is_biotac else None  # semi-axes [m]
 
     def write(self, steps: Iterable[ViewStep]) -> int:
@@ -114,7 +113,7 @@ class _Writer:
         if self._steps:
             self._taxels()
             self._styles()
-            self._to.send_blueprint(_layout(self._view, self._eye), make_active=True, make_default=True)
+            self._to.send_blueprint(_layout(self._view, with_scene=self._seen), make_active=True, make_default=True)
         return len(self._steps)
 
     def _begin(self, number: int, step: ViewStep) -> None:
@@ -136,8 +135,7 @@ class _Writer:
     def _scene(self, step: ViewStep) -> None:
         rr = self._rr
         points, colours = _points(step.cloud)
-        if self._eye is None and len(points):
-            self._eye = _point_of_interest(step, points)
+        self._seen |= len(points) > 0
         self._log("/scene/cloud", rr.Points3D(points, colors=colours, radii=0.0008) if len(points) else None)
         self._log("/scene/objects", self._boxes(step.objects) if step.objects else None)
         table = None
@@ -252,9 +250,10 @@ class _Writer:
         self._log(f"/taxels/{name}/{what}", drawn)
         if what == "predicted":
             self._log(f"{_path(view.fingers[finger])}/taxels", on_finger)
-        above = [[flat[:, 0].mean(), flat[:, 1].min() - 3.0]]
-        heading = rr.Points2D(above, radii=0.01, labels=[what], colors=_CANDIDATE)
-        self._to.log(f"/taxels/{name}/{what}_title", heading, static=True)
+        if levels is not None:
+            above = [[flat[:, 0].mean(), flat[:, 1].min() - 3.0]]
+            heading = rr.Points2D(above, radii=0.01, labels=[what], colors=_CANDIDATE)
+            self._to.log(f"/taxels/{name}/{what}_title", heading, static=True)
 
 
 def _table_corners(table: Plane, points: Float32) -> Float64:
@@ -270,14 +269,6 @@ def _table_corners(table: Plane, points: Float32) -> Float64:
 
 def _path(finger: str) -> str:
     return f"/scene/{finger.replace(' ', '_')}"
-
-
-def _point_of_interest(step: ViewStep, points: Float32) -> tuple[Float64, float]:
-    """What to look at, the grasp or else the middle of the cloud, and its size [m]."""
-    if step.grasp is not None:
-        return step.grasp.midpoint, max(step.grasp.width_m, _LEAST_SIZE_M)
-    low, high = np.percentile(points, [5.0, 95.0], axis=0)
-    return (low + high) / 2.0, max(float(np.linalg.norm(high - low)), _LEAST_SIZE_M)
 
 
 def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
@@ -315,7 +306,7 @@ def _text(step: ViewStep, view: TaxelView) -> str:
     return "\n\n".join(lines)
 
 
-def _layout(view: TaxelView, eye: tuple[Float64, float] | None) -> Any:
+def _layout(view: TaxelView, *, with_scene: bool) -> Any:
     """The scene with the answer, beside the curves and the taxels of each finger."""
     import rerun.blueprint as rrb
 
@@ -331,16 +322,11 @@ def _layout(view: TaxelView, eye: tuple[Float64, float] | None) -> Any:
         ]
         taxels = rrb.Spatial2DView(origin=f"/taxels/{name}", name=f"{finger}: {view.channel.name} of all taxels")
         columns.append(rrb.Vertical(*curves, taxels))
-    controls = None
-    if eye is not None:
-        target, size = eye
-        position = target + size * np.array([-1.0, -1.3, -1.9])  # from the camera's side, from above and the left
-        controls = rrb.EyeControls3D(position=position, look_target=target, eye_up=(0.0, -1.0, 0.0))
     answer = rrb.TextDocumentView(origin="/answer", name="answer")
-    scene = rrb.Spatial3DView(origin="/scene", name="scene", eye_controls=controls, line_grid=False)
-    left = answer if eye is None else rrb.Vertical(scene, answer, row_shares=[3, 1])
+    scene = rrb.Spatial3DView(origin="/scene", name="scene", line_grid=False)
+    left = rrb.Vertical(scene, answer, row_shares=[3, 1]) if with_scene else answer
     return rrb.Blueprint(
-        rrb.Horizontal(left, *columns, column_shares=[1 if eye is None else 2, *[1] * len(columns)]),
+        rrb.Horizontal(left, *columns, column_shares=[1 + with_scene, *[1] * len(columns)]),
         rrb.TimePanel(state="collapsed", timeline="step", fps=5.0, play_state="paused"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
