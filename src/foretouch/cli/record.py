@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from os.path import commonpath
@@ -33,29 +33,22 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.recorder import RecorderNode
     from foretouch.ros.recorder.operator import OperatorState
     from foretouch.ros.recorder.session import SessionStatus
-    from foretouch.ros.recorder.subscriptions import TopicStatistics
     from foretouch.tactile.description import Sensor
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _SERVICES = "edit_grasp, next_object, pause_recording, undo_edit and stop_recording"
 _COPIED = ("recording", "path", "samples", "unlabelled", "received", "lost", "reason")  # of the status, for `--json`
-_OFFSET_S = 0.1  # clocks that differ by more are shown in red: `guard_s` of the pairing
 
 
 def record_panel(
-    status: RecorderStatus,
-    title: str,
-    session: SessionStatus,
-    inputs: Mapping[str, TopicStatistics],
-    keys: Sequence[Text] = (),
-    sensor: Sensor | None = None,
+    status: RecorderStatus, title: str, session: SessionStatus, keys: Sequence[Text] = (), sensor: Sensor | None = None
 ) -> Panel:
-    """Samples, objects with their outcomes, what is worth doing next, the last grasp, sensors, and counts, age and clock of each topic.
+    """Samples, objects with their outcomes, the last grasp, sensors, and message counts of each topic, at a glance.
 
     `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
     """
     parts: list[RenderableType] = [_samples(status), *[Text(status.reason, "red")] * bool(status.reason), *keys]
-    parts += [_objects(session.operator), Text("next: " + "; ".join(session.operator.suggestions), "cyan")]
+    parts.append(_objects(session.operator))
     if session.last is not None:
         parts.append(executed_table(*session.last, sensor))
     outcomes = _counted(status.outcomes, status.outcome_counts) or "none yet"
@@ -70,7 +63,7 @@ def record_panel(
         ("dropped", _counted(status.drop_reasons, status.drop_counts), ""),
     ):
         parts += [Text(f"{what}: {found}", style)] * bool(found)
-    return titled(title, [*parts, _topics(status.topics, inputs)])
+    return titled(title, [*parts, _topics(status.topics)])
 
 
 def _counted(names: Sequence[str], counts: Sequence[int]) -> str:
@@ -98,28 +91,22 @@ def _objects(state: OperatorState) -> Text:
     return text
 
 
-def _topics(topics: Sequence[TopicAccount], inputs: Mapping[str, TopicStatistics]) -> Table:
-    """Counts of each topic, the age of its last message [s], and by how much its clock is behind this computer's [ms]."""
+def _topics(topics: Sequence[TopicAccount]) -> Table:
     own = [one.topic for one in topics[1:] if one.topic.count("/") > 1]  # the first is the hand's, /tf the robot's
     common = commonpath(own or ["/"]).rstrip("/") + "/"
     rows: list[list[str | Text]] = []
     for topic in topics:
-        found = inputs.get(topic.topic)
-        age_s, offset_s = (math.nan, math.nan) if found is None else (found.age_s, found.offset_s)
         dropped = sum(topic.drop_counts)
         rows.append([
             Text(topic.topic.removeprefix(common), "" if topic.reliable else "yellow"),
             f"{topic.rate:.1f}",
-            f"{age_s:.1f}" if math.isfinite(age_s) else "–",
-            Text(f"{1e3 * offset_s:+.0f}", "red" * (abs(offset_s) > _OFFSET_S)) if math.isfinite(offset_s) else "–",
             str(topic.received),
             str(topic.written),
             str(topic.waiting),
             Text(str(topic.lost), "red" if topic.lost else ""),
             Text(str(dropped), "red" if dropped else ""),
         ])  # fmt: skip
-    columns = ("topic", "Hz", "age s", "clock ms", "received", "written", "queue", "lost", "dropped")
-    return make_table(columns, rows, live=True)
+    return make_table(("topic", "Hz", "received", "written", "queue", "lost", "dropped"), rows, live=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -179,7 +166,7 @@ def run(arguments: argparse.Namespace) -> int:
         with uninterrupted():  # or a file would be open that no session closes
             node.begin(str(Path(arguments.output).resolve()), arguments.object)
         _watch(node, arguments)
-        state, inputs = node.session_status(), node.inputs()
+        state = node.session_status()
         announce("writing what is left; waiting until other graphs would be seen")
         with uninterrupted():
             node.end()
@@ -189,7 +176,7 @@ def run(arguments: argparse.Namespace) -> int:
             print_json(_status_record(status, node.session_status()))
         else:
             title = f"foretouch record: {status.path}"
-            terminal().print(record_panel(status, title, state, inputs, sensor=_described(node)))
+            terminal().print(record_panel(status, title, state, sensor=_described(node)))
         if status.reason:
             warn(status.reason)
         return int(bool(status.reason))
@@ -245,7 +232,7 @@ def _panel(node: RecorderNode, keys: RecordingKeys | None) -> Panel:
     session = node.session_status()
     lines = [] if keys is None else keys.lines(next(reversed(session.operator.replies), None))
     title = "foretouch record (Ctrl-C ends it)"
-    return record_panel(node.status(), title, session, node.inputs(), lines, _described(node))
+    return record_panel(node.status(), title, session, lines, _described(node))
 
 
 def _described(node: RecorderNode) -> Sensor | None:

@@ -75,13 +75,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
-    parser.add_argument(
-        "--allow-origin",
-        action="append",
-        default=[],
-        metavar="ORIGIN",
-        help="let web pages of this origin read what is served, such as https://app.foxglove.dev (repeatable)",
-    )
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
@@ -156,8 +149,6 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-        if arguments.allow_origin:
-            nodes["bridge"]["allow_origin"] = arguments.allow_origin
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     if not (scene or arguments.source == "camera"):
         return nodes | {"replay": _replay_parameters(arguments)}
