@@ -88,7 +88,6 @@ def test_a_recording_without_a_camera_is_drawn_and_its_dead_taxels_are_found(
     assert printed("dataset", "show", tmp_path / "ds", "-o", tmp_path / "a.png")["dead_taxels"] == {"TH": [5]}
     with Image.open(tmp_path / "a.png") as image:
         assert len(image.convert("RGB").getcolors(1 << 24)) > 100
-    assert printed("sensor", "show", tmp_path / "ds", "-o", tmp_path / "b.png")["dead"] == {"TH": [5]}
     exported = printed(
         "dataset", "export", tmp_path / "ds", "-o", tmp_path / "out", "--format", "lerobot", "--fps", "10"
     )
