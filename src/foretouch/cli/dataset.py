@@ -291,7 +291,7 @@ def _import(arguments: argparse.Namespace) -> int:
     sensor, thumb, middle = (getattr(arguments, name) or "" for name in ("sensor", "thumb", "middle"))
     config = TactileConfig(sensor=sensor, thumb=thumb, middle=middle)
     topics = BagTopics(object=arguments.object, tactile_config=config, **dict(arguments.topic))
-    with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
+    with progress_bar("importing", hidden=arguments.json) as advance:
         result = import_samples(
             arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
         )
@@ -309,7 +309,7 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.fps and arguments.format != "lerobot":
         raise ConfigError(f"--fps: {arguments.format} has no frames")
     options = {"fps": arguments.fps} if arguments.fps else {}
-    with progress_bar("exporting", hidden=arguments.json, transient=True) as advance:
+    with progress_bar("exporting", hidden=arguments.json) as advance:
         result = export_samples(arguments.source, arguments.out, arguments.format, advance, **options)
     record = {
         "out": str(arguments.out),
