@@ -4,16 +4,17 @@
 import argparse
 import itertools
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.output import progress_bar, warn
-from foretouch.dataset.record import DISCARDED, SampleRecord, readings
+from foretouch.dataset.record import DISCARDED, readings
 from foretouch.dataset.samples import SampleSet, has_points, is_sample_set, open_samples, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
@@ -22,7 +23,7 @@ from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.tactile.description import require_same
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.types import Grasp, GraspSample, Touch
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,105 +43,99 @@ def run(arguments: argparse.Namespace) -> int:
     for out, suffix in ((arguments.save, ".rrd"), (arguments.screenshot, ".png")):
         if out is not None:
             require_writable(out, suffix)
-    steps = _Steps(arguments)
+    pipeline = Pipeline(inputs.pipeline_config(arguments, defaults={"grasp.count": 10}))
+    is_set = arguments.topic is None and is_sample_set(path)
+    samples, refused = open_samples(path, unfinished=True) if is_set else None, list[str]()
+    sensor = pipeline.model.sensor if samples is None else samples.sensor
+    if samples is not None and len(samples) and not has_points(samples.record(0).sample):
+        sensor, steps = sensor_of_samples(samples), _readings(samples)
+    else:
+        require_same(pipeline.model.sensor.channels, sensor.channels, f"model {pipeline.model.name}")
+        view = _View(arguments, pipeline, read_adaptation(arguments, pipeline.model))
+        steps = _steps(view, samples, refused)
     with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         file = arguments.save or Path(folder) / "view.rrd"
         with progress_bar("reading", arguments.count) as advance:
             counted = (step for step in itertools.islice(steps, arguments.count) if advance() is None)
-            write_view(file, counted, f"foretouch view {path}", steps.sensor)
+            write_view(file, counted, f"foretouch view {path}", sensor)
         if arguments.screenshot:
             save_screenshot(file, arguments.screenshot)
         if not (arguments.save or arguments.screenshot):
             open_viewer(file)
     for written in filter(None, (arguments.save, arguments.screenshot)):
         warn(f"wrote {written}")
-    return int(steps.failed)
+    return int(bool(refused))
 
 
-class _Steps:
-    """Makes the steps of the view, whose inputs are as those of `predict`."""
+def _readings(samples: SampleSet) -> Iterator[ViewStep]:
+    """The readings of all samples of a recording without a camera, with what became of their grasp."""
+    for record in samples.records():
+        series, tare, name = readings(record), record.sample.tare, f"{record.sample.id}: {record.outcome}"
+        for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
+            read = Touch(counts.astype(np.float64), samples.sensor.channels)
+            yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        self.failed = False  # whether an input could not be read
-        self._arguments = arguments
-        self._pipeline = Pipeline(inputs.pipeline_config(arguments, defaults={"grasp.count": 10}))
-        self._adaptation: Adaptation
-        samples = arguments.topic is None and is_sample_set(arguments.path)
-        self._samples = open_samples(arguments.path, unfinished=True) if samples else None
-        self._without_camera = False
-        if self._samples is None:
-            self.sensor = self._pipeline.model.sensor
+
+class _View(NamedTuple):
+    """What steps are made with; inputs are as those of `predict`."""
+
+    arguments: argparse.Namespace
+    pipeline: Pipeline
+    adaptation: Adaptation
+
+
+def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterator[ViewStep]:
+    """A step for each cloud, or sample that was not discarded, with the touch that the model predicts now; names of others are kept."""
+    made: Iterator[tuple[str, Callable[[], ViewStep | None]]]
+    if samples is None:
+        source = open_source(view.arguments.path, topic=view.arguments.topic)
+        made = ((item.name, partial(_of_cloud, view, item, stamped=source.kind == "recording")) for item in source)
+    else:
+        made = ((samples.name(k), partial(_of_sample, view, samples, k)) for k in range(len(samples)))
+    for name, make in made:
+        try:
+            step = make()
+        except ForetouchError as err:
+            refused.append(name)
+            warn(inputs.error_line(name, err))
         else:
-            self._without_camera = len(self._samples) > 0 and not has_points(self._samples.record(0).sample)
-            self.sensor = sensor_of_samples(self._samples) if self._without_camera else self._samples.sensor
+            if step is not None:
+                yield step
 
-    def __iter__(self) -> Iterator[ViewStep]:
-        if self._samples is not None and self._without_camera:
-            return self._of_readings(self._samples)
-        return self._of_source()
 
-    def _of_source(self) -> Iterator[ViewStep]:
-        """A step for each cloud, or sample that was not discarded, with the touch that the model predicts now."""
-        require_same(self._pipeline.model.sensor.channels, self.sensor.channels, f"model {self._pipeline.model.name}")
-        self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
-        if self._samples is not None:
-            for k in range(len(self._samples)):
-                try:
-                    record = self._samples.record(k)
-                    if DISCARDED not in record.flags:
-                        yield self._of_sample(record)
-                except ForetouchError as err:
-                    self._refuse(self._samples.name(k), err)
-            return
-        source = open_source(self._arguments.path, topic=self._arguments.topic)
-        for item in source:
-            try:
-                yield self._of_cloud(item, stamped=source.kind == "recording")
-            except ForetouchError as err:
-                self._refuse(item.name, err)
+def _of_sample(view: _View, samples: SampleSet, number: int) -> ViewStep | None:
+    """The step of a sample; None if the operator has discarded it."""
+    record = samples.record(number)
+    if DISCARDED in record.flags:
+        return None
+    sample = record.sample
+    target = inputs.only_object(sample.cloud, view.arguments)
+    shown: dict[str, Any] = {"cloud": sample.cloud, "table": target.plane, "candidates": record.candidates}
+    shown |= {"stamp_ns": sample.stamp_ns, "read": sample.touch, "tare": sample.tare}
+    return ViewStep(name=sample.id, **shown, **_predicted(view, target, sample.grasp, sample))
 
-    def _of_readings(self, samples: SampleSet) -> Iterator[ViewStep]:
-        """The readings of all samples of a recording without a camera, with what became of their grasp."""
-        for record in samples.records():
-            series, tare, name = readings(record), record.sample.tare, f"{record.sample.id}: {record.outcome}"
-            for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
-                read = Touch(counts.astype(np.float64), samples.sensor.channels)
-                yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")
 
-    def _refuse(self, name: str, err: ForetouchError) -> None:
-        self.failed = True
-        warn(inputs.error_line(name, err))
-
-    def _of_cloud(self, item: SourceItem, *, stamped: bool) -> ViewStep:
-        found, target = self._found(item.cloud)
-        shown = {"name": item.name, "stamp_ns": item.cloud.stamp_ns if stamped else 0, **found}
-        if target is None:
-            return ViewStep(**shown)
-        plan = self._pipeline.plan(target)
-        if not plan.grasps:
-            return ViewStep(**shown, reason=f"{plan.status}: {plan.reason}")
-        return ViewStep(**shown, **self._predicted(target, plan.grasps[0], None), candidates=plan.grasps[1:])
-
-    def _of_sample(self, record: SampleRecord) -> ViewStep:
-        sample = record.sample
-        target = inputs.only_object(sample.cloud, self._arguments)
-        shown: dict[str, Any] = {"cloud": sample.cloud, "table": target.plane, "candidates": record.candidates}
-        shown |= {"stamp_ns": sample.stamp_ns, "read": sample.touch, "tare": sample.tare}
-        return ViewStep(name=sample.id, **shown, **self._predicted(target, sample.grasp, sample))
-
-    def _predicted(self, target: FoundObject, grasp: Grasp, sample: GraspSample | None) -> dict[str, Any]:
-        (prediction,) = self._adaptation.predict(self._pipeline, target, [grasp], sample)
-        return {"grasp": prediction.grasp, "prediction": prediction, "model": self._pipeline.model.name}
-
-    def _found(self, cloud: Cloud) -> tuple[dict[str, Any], FoundObject | None]:
-        """Table and objects of a cloud, the target first, as `predict` finds them; and the target, if there is one."""
-        if inputs.holds_one_object(cloud, self._arguments):
-            target = inputs.only_object(cloud, self._arguments)
-            return {"cloud": cloud, "table": target.plane}, target
-        scene = self._pipeline.segment(cloud)
+def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
+    """The step of a cloud: table and objects, the target first, as `predict` finds them."""
+    cloud, target = item.cloud, None
+    shown: dict[str, Any] = {"name": item.name, "cloud": cloud, "stamp_ns": cloud.stamp_ns if stamped else 0}
+    if inputs.holds_one_object(cloud, view.arguments):
+        target = inputs.only_object(cloud, view.arguments)
+        shown["table"] = target.plane
+    else:
+        scene = view.pipeline.segment(cloud)
         objects = {one.id: one.cloud for one in scene.targets[:1]}
         objects |= {str(one.id): one.cloud for one in scene.segmentation.objects if str(one.id) not in objects}
-        found = {"cloud": cloud, "table": scene.segmentation.plane, "objects": objects}
+        shown |= {"table": scene.segmentation.plane, "objects": objects}
         if not scene.targets:
-            return {**found, "reason": f"{scene.status}: {scene.reason}"}, None
-        return found, scene.targets[0]
+            return ViewStep(**shown, reason=f"{scene.status}: {scene.reason}")
+        target = scene.targets[0]
+    plan = view.pipeline.plan(target)
+    if not plan.grasps:
+        return ViewStep(**shown, reason=f"{plan.status}: {plan.reason}")
+    return ViewStep(**shown, **_predicted(view, target, plan.grasps[0], None), candidates=plan.grasps[1:])
+
+
+def _predicted(view: _View, target: FoundObject, grasp: Grasp, sample: GraspSample | None) -> dict[str, Any]:
+    (prediction,) = view.adaptation.predict(view.pipeline, target, [grasp], sample)
+    return {"grasp": prediction.grasp, "prediction": prediction, "model": view.pipeline.model.name}
