@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A program on a terminal of its own, as a shell starts it: keys are typed, the screen is read."""
 
+import codecs
 import fcntl
 import os
 import pty
@@ -16,13 +17,14 @@ ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 class Terminal:
-    """A process in the foreground of a pseudo-terminal of 80x24; a context manager."""
+    """A process in the foreground of a pseudo-terminal of 24 lines; a context manager."""
 
-    def __init__(self, command: list[str], environment: dict[str, str]) -> None:
+    def __init__(self, command: list[str], environment: dict[str, str], width: int = 80) -> None:
         self.master, self.slave = pty.openpty()
-        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, width, 0, 0))
         self.before = termios.tcgetattr(self.slave)
         self.written = ""
+        self._decode = codecs.getincrementaldecoder("utf-8")("replace").decode
         ends: dict[str, Any] = {"stdin": self.slave, "stdout": self.slave, "stderr": self.slave}
         kept = {name: text for name, text in environment.items() if name not in {"COLUMNS", "LINES"}}
         command = ["setsid", "--ctty", *command]
@@ -76,5 +78,5 @@ class Terminal:
 
     def _read(self, timeout_s: float) -> None:
         while select.select([self.master], [], [], timeout_s)[0]:
-            self.written += os.read(self.master, 65536).decode(errors="replace")
+            self.written += self._decode(os.read(self.master, 65536))
             timeout_s = 0.0

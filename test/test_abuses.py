@@ -70,9 +70,9 @@ SIGNALS = {
         Abuse("the terminal is closed", RECORD, {0, 129, -1}, number=signal.SIGHUP, after="recording"),
     ],
     "simulate, train and experiment": [
-        *(Abuse(f"simulate, Ctrl-C after {t}", SIMULATE, INTERRUPTED, "SIGINT", after=t) for t in (0.0, 0.7, 1.4, 2.2)),
+        *(Abuse(f"simulate, Ctrl-C after {t}", SIMULATE, INTERRUPTED, "SIGINT", after=t) for t in (0.0, 1.4)),
         *(Abuse(f"train, Ctrl-C after {t}", TRAIN, INTERRUPTED, "SIGINT", after=t) for t in (0.5, 2.0)),
-        *(Abuse(f"experiment, Ctrl-C after {t}", EXPERIMENT, ENDED, after=t) for t in (0.5, 1.5, 2.5)),
+        *(Abuse(f"experiment, Ctrl-C after {t}", EXPERIMENT, ENDED, after=t) for t in (0.5, 2.5)),
         Abuse("simulate, SIGTERM", SIMULATE, {143, -15}, "SIGTERM", number=signal.SIGTERM, after=2.0),
     ],
 }
@@ -80,26 +80,16 @@ MISTAKES = {
     "ros": [
         Abuse("absent parameter file", f"{RUN} --params @/none.yaml", {1}, "none.yaml: No such file"),
         Abuse("parameter file of no nodes", f"{RUN} --params @/flat.yaml", {1}, "holds no ros__parameters"),
-        Abuse("parameter of a wrong type", "record -o %/set --params @/many.yaml", {1}, "queue_mb"),
-        Abuse("no namespace", f"{RUN} --namespace 9", {1}, "namespace: '9' is not"),
         Abuse("unwritable dataset", "record -o /proc/none/set --seconds 1", {1}, "/proc/none/set: No such"),
-        Abuse("unwritable picture", f"{RUN} --picture /proc/none/a.png", {1}, "a.png: cannot be written"),
         Abuse("full disk, JSON", f"{RUN} --count 2", {1}, "output: No space left", stdout="/dev/full"),
         Abuse("closed pipe, live", f"{RUN} --count 20", {0}, head=True),
     ],
     "files": [
-        Abuse("unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "cannot be written"),
-        Abuse("unwritable run", TRAIN.replace("%/run", "/proc/none/run"), {1}, "/proc/none"),
-        Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "the extension is not one of .png"),
         Abuse("no cloud at all", "segment @/junk.pcd @/empty.mcap @ @/none", {1}, "junk.pcd: header"),
-        Abuse("full disk, table", "segment @/scene.npz", {1}, "output: No space left", stdout="/dev/full"),
         Abuse("full disk, simulation", SIMULATE, {1}, "store: cannot be written: File too large", limit=20_000),
-        Abuse("full disk, store", "dataset build @/set -o %/store", {1}, "written: File too large", limit=2_000),
         Abuse("full disk, export", "dataset export @/set -o %/out --format npz", {1}, "File too large", limit=2_000),
-        Abuse("closed pipe, table", "experiment list", {0}, head=True),
         Abuse("closed stdout", "grasp @/scene.npz --json", {0}, stdout="closed"),
         Abuse("locale without UTF-8", "predict @/object.pcd @/scene.npz", {0}, env=ASCII),
-        Abuse("locale without UTF-8, JSON", "segment @/scene.npz --json", {0}, env=ASCII),
         Abuse("dumb terminal", "models", {0}, env={"TERM": "dumb"}),
     ],
 }
@@ -116,7 +106,6 @@ def files(tmp_path_factory) -> Path:
     (folder / "junk.pcd").write_bytes(bytes(range(256)))
     (folder / "empty.mcap").touch()
     (folder / "flat.yaml").write_text("queue_depth: 3\n")
-    (folder / "many.yaml").write_text("/**: {ros__parameters: {queue_mb: many}}\n")
     return folder
 
 

@@ -31,15 +31,6 @@ def test_plain_data_with_nested_or_dotted_keys_reads_back() -> None:
     assert (changed.count, changed.inner.range_m, changed.inner.mode) == (5, 1.0, "far")
 
 
-def test_a_unit_is_given_or_that_which_the_name_ends_with() -> None:
-    assert {info.name: info.unit for info in setting_infos(Outer)} == {
-        "inner.range_m": "m",
-        "inner.mode": "",
-        "count": "grasps",
-        "point": "",
-    }
-
-
 def test_refusals_name_field_value_and_rule() -> None:
     cases = [
         (r"f\.yaml: inner\.rnage_m: unknown setting; known: range_m, mode", {"inner": {"rnage_m": 3}}),
@@ -93,16 +84,6 @@ def test_a_group_is_on_with_braces_off_with_null_and_refused_with_nothing_after_
         with pytest.raises(ConfigError, match="--set: light: is empty"):
             Scene().updated(parse_overrides([text]), "--set")
     assert Scene(light=Inner()).updated(parse_overrides(["light=null"]), "--set") == Scene()
-
-
-def test_an_unknown_setting_is_refused_with_the_nearest_of_any_group() -> None:
-    cases = (
-        ("lihgt: unknown setting; known: items, light, sun, limit; did you mean light", {"lihgt": 3}),
-        ("mode: unknown setting; .*; did you mean sun.mode", {"mode": 3}),
-        (r"sun.mode: 'fra' is not one of near, far; did you mean far\?", {"sun.mode": "fra"}),
-        ("xyz: unknown setting; known: items, light, sun, limit$", {"xyz": 3}),
-    )
-    every_refusal(ConfigError, cases, Scene.from_mapping)
 
 
 def test_lists_of_groups_absent_groups_and_a_field_without_setting() -> None:

@@ -4,9 +4,7 @@
 The recorder's is in `test/dataset/recording/test_writer.py`.
 """
 
-import re
 import subprocess
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,7 +22,6 @@ from foretouch.errors import FileError
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import TouchModel
 from foretouch_lab.learning.data import load_dataset
-from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.training.run import train_run
 
 SIZE = 1 << 20
@@ -99,18 +96,6 @@ def test_a_run_folder_keeps_its_last_state_and_resumes(disk: Path, tmp_path: Pat
     ballast.unlink()
     resumed = train_run(chosen, data, run, quiet, resume=True)
     assert resumed.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
-
-
-def test_prepared_clouds_that_do_not_fit_are_an_error_that_names_the_folder(disk: Path, monkeypatch) -> None:
-    samples = make_samples(4, 8)
-    monkeypatch.setattr(tempfile, "tempdir", str(disk))
-    ballast = fill(disk, 0)
-    rule = "cannot hold the prepared clouds; set TMPDIR to a folder with more space: No space left on device"
-    with pytest.raises(FileError, match=f"^{re.escape(str(disk))}: {rule}"):
-        TrainingSet.build(samples, run_config().model)
-    ballast.unlink()
-    assert len(TrainingSet.build(samples, run_config().model).clouds) == len(samples)
-    assert list(disk.iterdir()) == []
 
 
 def test_an_export_or_a_build_that_does_not_fit_leaves_nothing(disk: Path, tmp_path: Path, capsys) -> None:

@@ -6,7 +6,6 @@ import time
 import tracemalloc
 import warnings
 from collections.abc import Iterator
-from itertools import product
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from corpus.clouds import MANY, ObjectCase, SceneCase, across, object_cases, sce
 from corpus.outcome import check_outcome
 from every_case import every_case
 
-from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud, write_cloud
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
@@ -121,9 +119,7 @@ def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
     "cases",
     [
         learning.calibration_cases,
-        learning.network_cases,
         pytest.param(learning.run_cases, marks=pytest.mark.slow),
-        simulation.contact_cases,
         simulation.mesh_cases,
         simulation.sample_cases,
         pytest.param(simulation.effect_cases, marks=pytest.mark.slow),
@@ -131,20 +127,6 @@ def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
 )
 def test_outcomes(cases) -> None:
     every_case(cases(), check_outcome)
-
-
-def test_any_bits_and_hard_clouds_are_read_back_from_each_format(tmp_path) -> None:
-    numbers = np.random.default_rng(6).integers(0, 2**32, (9, 3), dtype=np.uint32).view(np.float32)
-    clouds = [Cloud(np.concatenate([numbers, np.array([[0.0, -0.0, 1e-45]], np.float32)]))]
-    clouds += [OBJECTS[name].cloud for name in ("denormal", "every fifth y inf", "one x of 3e38", "big-endian")]
-
-    def check(cloud: Cloud, suffix: str) -> None:
-        path = tmp_path / f"cloud{suffix}"
-        write_cloud(path, cloud)
-        read = read_cloud(path)
-        assert np.array_equal(read.xyz.view(np.uint32), cloud.xyz.astype("<f4").view(np.uint32))
-
-    every_case(product(clouds, CLOUD_SUFFIXES), check)
 
 
 def test_a_million_points_take_bounded_time_and_memory_and_an_answer_does_not_depend_on_other_grasps(model) -> None:

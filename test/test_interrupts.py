@@ -12,7 +12,6 @@ import pytest
 from command_answer import run_python
 from every_case import every_case
 
-from benchmarks.ros import end
 from foretouch.cli import main
 
 ROOT = Path(__file__).parents[1]
@@ -96,12 +95,3 @@ def test_ctrl_c_while_the_command_line_is_imported_ends_it_unless_it_is_ignored(
     done = run(EARLY.format(before="signal.signal(signal.SIGINT, signal.SIG_IGN)", module=module), tmp_path)
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.startswith("foretouch ")
-
-
-def test_a_benchmark_ends_children_that_ignore_ctrl_c_as_those_of_a_shell_in_the_background_do() -> None:
-    code = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print(flush=True); time.sleep(100)"
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
-    assert process.stdout is not None
-    with process.stdout:
-        process.stdout.readline()
-    assert end(process, 5.0)

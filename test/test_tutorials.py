@@ -130,20 +130,6 @@ def test_the_commands_of_a_page_run_and_print_what_it_quotes(page, tmp_path) -> 
     assert not missing, "\n".join(missing)
 
 
-NOT_RUN = [
-    pytest.param(step, id=f"{page.stem}-{number}")
-    for page in PAGES
-    for number, step in enumerate(read_page(page.read_text(encoding="utf-8"))[0])
-    if step.needs
-]
-
-
-@pytest.mark.parametrize("step", NOT_RUN)
-def test_a_block_that_is_not_run_is_reported(step) -> None:
-    if not step.runs:
-        pytest.skip(f"needs {step.needs}: {'; '.join(step.commands.splitlines())}")
-
-
 def test_a_quoted_line_stands_for_numbers_that_are_near() -> None:
     output = "│ samples   │ 41 │\nskill -0.31 [-.4, .2] of\n run/model: ok"
     for line in (

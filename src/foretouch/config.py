@@ -16,8 +16,7 @@ import inspect
 import math
 import re
 import typing
-from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self
 
@@ -27,7 +26,8 @@ from foretouch.errors import ConfigError, FileError, nearest, none_of, quoted, s
 from foretouch.files import read_bytes
 
 _YAML_DEPTH: Final = 32  # levels of lists and mappings; no setting has more than 6
-_YAML_BYTES: Final = 100_000  # the largest file of the package has 5000; a value takes a byte at least
+_YAML_BYTES: Final = 100_000  # the largest file of the package has 5000
+_MOST_ALIASES: Final = 100
 _MOST_GROUPS: Final = 1000  # of a list, such as fingers; each takes a tenth of a millisecond and more
 
 EMPTY: Final = "\0"
@@ -61,15 +61,11 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         "": [("!empty", re.compile("$"))],
     }
 
-    def flatten_mapping(self, node: Any) -> None:
-        """Called first for each mapping, before others are merged into it."""
-        if not hasattr(node, "keys_checked"):
-            node.keys_checked = True
-            keys = Counter((key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-            for (_, name), count in keys.items():
-                if count > 1:
-                    raise yaml.YAMLError(f"key {shown(name)} occurs twice")
-        super().flatten_mapping(node)
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if len(set(keys)) < len(keys):
+            raise yaml.YAMLError(f"key {shown(max(keys, key=keys.count))} occurs twice")
+        return super().construct_mapping(node, deep)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -178,64 +174,38 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
     return infos
 
 
-def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
-    """Load one YAML mapping safely, of at most so many bytes and values.
-
-    Raises:
-        ConfigError: If the file cannot be read, is larger or is not a mapping.
-    """
+def load_yaml(path: str | Path) -> dict[str, Any]:
+    """Load one YAML mapping safely; a `ConfigError` if the file cannot be read, is too large or is not a mapping."""
     try:
-        content = read_bytes(path, limit)
+        document = _parse_yaml(read_bytes(path, _YAML_BYTES).decode("utf-8"))
     except FileError as err:
         raise ConfigError(str(err)) from err
-    try:
-        document = _parse_yaml(content.decode("utf-8"), limit)
     except ValueError as err:
         raise ConfigError(f"{shown(path)}: not YAML: {shown(' '.join(str(err).split()), 500)}") from err
-    if document is None:
-        return {}
-    if not isinstance(document, dict):
+    if document is not None and not isinstance(document, dict):
         raise ConfigError(f"{shown(path)}: holds a {type(document).__name__}, not a mapping")
-    return document
+    return document or {}
 
 
-def _parse_yaml(text: str, limit: int = _YAML_BYTES) -> Any:
-    """The document in a YAML text, loaded safely; a ValueError if it is not YAML or exceeds a limit of `_check_events`."""
+def _parse_yaml(text: str) -> Any:
+    """The document in a YAML text, loaded safely; a ValueError if it is not YAML, nests too deep, or aliases repeat too much."""
+    level = repeated = aliases = 0  # `repeated` is the level of the outermost open group with an anchor
     try:
-        _check_events(yaml.parse(text, Loader=_Loader), limit)
+        for event in yaml.parse(text, Loader=_Loader):
+            if isinstance(event, yaml.CollectionStartEvent):
+                level += 1
+                repeated = repeated or (level if event.anchor else 0)
+            elif isinstance(event, yaml.CollectionEndEvent):
+                repeated = repeated if repeated < level else 0
+                level -= 1
+            aliases += isinstance(event, yaml.AliasEvent)
+            if level > _YAML_DEPTH:
+                raise yaml.YAMLError(f"more than {_YAML_DEPTH} nested levels")
+            if isinstance(event, yaml.AliasEvent) and (repeated or aliases > _MOST_ALIASES):
+                raise yaml.YAMLError(f"alias {shown(event.anchor)}: one within another, or more than {_MOST_ALIASES}")
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader, in C where it is installed
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as err:
         raise ValueError(str(err) or type(err).__name__) from err  # constructors of numbers and dates raise them
-
-
-def _check_events(events: Iterable[yaml.Event], limit: int) -> None:
-    """Count levels and values before anything is made of them; a YAMLError at the first that exceeds a limit.
-
-    The values that aliases repeat are counted each time.
-    """
-    sizes: dict[str, int] = {}  # values under each anchor
-    groups: list[tuple[str | None, int]] = []  # anchor of each open list or mapping, and the count before it
-    count = 0
-    for event in events:
-        if isinstance(event, yaml.AliasEvent):
-            if any(anchor == event.anchor for anchor, _ in groups):
-                raise yaml.YAMLError(f"alias {shown(event.anchor)}: is inside of what it repeats")
-            count += sizes.get(str(event.anchor), 0)
-        elif isinstance(event, yaml.CollectionStartEvent):
-            groups.append((event.anchor, count))
-            count += 1
-        elif isinstance(event, yaml.CollectionEndEvent):
-            anchor, before = groups.pop()
-            if anchor is not None:
-                sizes[anchor] = count - before
-        elif isinstance(event, yaml.ScalarEvent):
-            count += 1
-            if event.anchor is not None:
-                sizes[event.anchor] = 1
-        if len(groups) > _YAML_DEPTH:
-            raise yaml.YAMLError(f"more than {_YAML_DEPTH} nested levels")
-        if count > limit:
-            raise yaml.YAMLError(f"more than {limit} values, aliases included")
 
 
 def dump_yaml(document: Mapping[str, Any]) -> str:
@@ -321,20 +291,15 @@ def _checked(info: SettingInfo, value: Any) -> Any:
 
 
 def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
-    if info.type is float and isinstance(value, int) and not isinstance(value, bool):
-        try:
-            value = float(value)
-        except OverflowError:
-            raise ConfigError(
-                f"{name}: a whole number of {value.bit_length()} bits is not a number that can be used"
-            ) from None
+    if type(value) is int and not -(2**63) <= value < 2**63:
+        raise ConfigError(f"{name}: a whole number of {value.bit_length()} bits is not a number that can be used")
+    if info.type is float and type(value) is int:
+        value = float(value)
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
         kinds = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
         raise ConfigError(f"{name}: {quoted(value)} is not {kinds.get(info.type, info.type.__name__)}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}: {value} is not finite")
-    if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise ConfigError(f"{name}: a whole number of {value.bit_length()} bits is not a number that can be used")
     if isinstance(value, int | float):
         unit = f" {info.unit}" if info.unit else ""
         if info.minimum is not None and value < info.minimum:

@@ -16,7 +16,7 @@ import stat
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BufferedReader
 from itertools import count
@@ -184,40 +184,30 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
         FileError: Names the file that cannot be written, such as on a full disk; or a temporary name that is not a file
             left by a crash, but a link or a folder.
     """
-    parts: dict[Path, int] = {}
+    parts: list[Path] = []
     path = Path()
-    with ExitStack() as folders:
-        try:
-            for path, content in contents.items():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                folder = os.open(path.parent, os.O_DIRECTORY | os.O_CLOEXEC)  # the same one until all are renamed
-                folders.callback(os.close, folder)
-                _remove_left_over(path, folder)
-                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-                descriptor = os.open(f"{path.name}.part", flags, 0o666, dir_fd=folder)
-                parts[path] = folder
-                with os.fdopen(descriptor, "wb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-            for path, folder in parts.items():
-                os.replace(f"{path.name}.part", path.name, src_dir_fd=folder, dst_dir_fd=folder)
-        except (OSError, FileError) as err:
-            for one, folder in parts.items():
-                with suppress(OSError):  # the error to report is the first one
-                    os.unlink(f"{one.name}.part", dir_fd=folder)
-            if isinstance(err, FileError):
-                raise
-            raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
-
-
-def _remove_left_over(path: Path, folder: int) -> None:
-    """Remove a temporary file that a crash left; a `FileError` for anything else of its name."""
-    part = f"{path.name}.part"
-    with suppress(FileNotFoundError):
-        if not stat.S_ISREG(os.stat(part, dir_fd=folder, follow_symlinks=False).st_mode):
-            raise FileError(f"{path}.part", "is a link or no regular file, and is in the way of a temporary file")
-        os.unlink(part, dir_fd=folder)
+    try:
+        for path, content in contents.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part = path.with_name(f"{path.name}.part")
+            if os.path.lexists(part):  # of a crash
+                if not stat.S_ISREG(part.lstat().st_mode):
+                    raise FileError(part, "is a link or no regular file, and is in the way of a temporary file")
+                part.unlink()
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+            with os.fdopen(os.open(part, flags, 0o666), "wb") as file:
+                parts.append(part)
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        for path, part in zip(contents, parts, strict=True):
+            part.replace(path)
+    except OSError as err:
+        raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
+    finally:
+        for part in parts:
+            with suppress(OSError):  # the error to report is the first one
+                part.unlink(missing_ok=True)
 
 
 def free_name(path: Path, addition: str) -> Path:
@@ -263,19 +253,14 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
     Raises:
         FileError: As `open_regular`; also if the file is larger, or reading fails.
     """
-    with open_regular(path) as file:
+    with open_regular(path) as file, _named(path):
         size = os.fstat(file.fileno()).st_size
-        if limit is not None and size > limit:
-            raise FileError(path, f"{size} bytes exceed {limit}", field="size")
-        with _named(path):
-            content: bytes | None = file.read(size + 1)
-            while content and (limit is None or len(content) <= limit) and (more := file.read(65536)):
-                content += more  # it grows, or is one of the kernel's, which have no size
-        if content is None:  # some of the kernel's wait
-            raise FileError(path, "has no content now")
-        if limit is not None and len(content) > limit:
-            raise FileError(path, f"more than {limit} bytes", field="size")
-        return content
+        content: bytes | None = b"" if limit is not None and size > limit else file.read()
+    if content is None:  # some of the kernel's wait
+        raise FileError(path, "has no content now")
+    if limit is not None and (size := max(size, len(content))) > limit:  # those of the kernel have no size before
+        raise FileError(path, f"{size} bytes exceed {limit}", field="size")
+    return content
 
 
 def read_json(path: str | Path) -> Any:

@@ -120,14 +120,6 @@ def test_a_config_file_and_set_change_the_pipeline(call, files, tmp_path) -> Non
     assert main([]) == 2
 
 
-def test_the_method_that_was_replaced_is_refused_with_the_new_one(call, files, tmp_path) -> None:
-    path = tmp_path / "old.yaml"
-    path.write_text("grasp: {method: stable}\n")
-    for words, where in ((("--config", path), f"{path}"), (("--set", "grasp.method=stable"), "--set")):
-        said = f"foretouch: {where}: grasp.method: 'stable' was replaced by 'completed', which is the default"
-        call("grasp", files / "object.pcd", *words).check_refused(said)
-
-
 @pytest.mark.real_data
 def test_the_public_grasps_bring_their_own_grasp_and_name(call, real_data) -> None:
     folder = real_data / "vision2tactile" / "coffee"

@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
+"""`foretouch doctor` on a good machine, and what it says of a broken one."""
+
+import json
 import re
 from importlib import metadata
 
+import numpy as np
 import pytest
+from every_case import every_case
 from packaging.requirements import Requirement
 
-from foretouch.cli import doctor
+from foretouch.cli import doctor, selftest
+from foretouch.errors import ModelError
+from foretouch.models import available_models, load_model
+from foretouch.types import Cloud
 
 
 @pytest.mark.slow
@@ -13,26 +21,16 @@ def test_this_environment_has_no_problem(call) -> None:
     answer = call("doctor", "--json", "--self-test")
     records = {one["name"]: one for one in answer.records if one["name"] != "large clouds"}
     assert [name for name, one in records.items() if one["state"] not in {"ok", "optional"}] == []
-    assert all(one["mend"] == one["fix"] for one in answer.records)  # the old key stays
     (rclpy_loads,) = (one for name, one in records.items() if name.startswith("rclpy loads"))
     assert rclpy_loads["found"] == "rmw_fastrtps_cpp"
     (clouds,) = (one["found"] for one in answer.records if one["name"] == "large clouds")
     assert re.match(r"rmw_fastrtps_cpp: \d+ of \d+ MB of /dev/shm are free", clouds)
-    assert {
-        "Python",
-        "torch",
-        "open3d loads",
-        "foretouch_msgs loads",
-        "default model",
-        "a node answers over DDS",
-    } <= set(records)
+    assert {"Python", "torch", "open3d loads", "model contact-v2", "a node answers over DDS"} <= set(records)
 
 
-def test_another_version_an_absent_package_and_a_library_that_crashes_are_named(monkeypatch) -> None:
-    for needed in (None, "ros"):
-        assert doctor._requirement(Requirement("no-such-package"), needed).state == "missing"
-    for extra in ("camera", "sweep"):
-        assert doctor._requirement(Requirement("no-such-package"), extra).state == "optional"
+def test_an_absent_package_and_another_version_are_named_with_the_fix(monkeypatch) -> None:
+    states = [doctor._requirement(Requirement("no-such-package"), extra).state for extra in (None, "camera")]
+    assert states == ["missing", "optional"]
     monkeypatch.setattr(metadata, "version", lambda _: "0.1")
     found = doctor._requirement(Requirement("numpy>=1.26"), None)
     assert (found.state, found.found, found.fix) == ("mismatch", "0.1 is not >=1.26", "pip install 'numpy>=1.26'")
@@ -47,3 +45,30 @@ def test_a_check_whose_process_crashes_or_hangs_is_broken(monkeypatch) -> None:
     ):
         found = doctor._tried("it loads", code, "fix it")
         assert (found.state, found.found, found.fix) == ("broken", reason, "fix it")
+
+
+@pytest.mark.committed_numbers
+def test_models_are_as_stored_and_what_is_not_is_named(monkeypatch, tmp_path) -> None:
+    selftest.check_models()
+    stored = json.loads(selftest._EXPECTED.read_text())
+    monkeypatch.setattr(selftest, "_EXPECTED", tmp_path / "expected.json")
+    counts = [[one + 1.0 for one in row] for row in stored["contact-v2"]["counts"]]
+    for name, changed, message in (
+        ("gone", {}, "model gone: is not both installed and stored"),
+        ("contact-v2", {**stored["contact-v2"], "sha256": "0" * 64}, f"sha256: .* is not {'0' * 64} of this version"),
+        ("contact-v2", {**stored["contact-v2"], "counts": counts}, "model contact-v2: answers differ by 1 counts"),
+    ):
+        selftest._EXPECTED.write_text(json.dumps({**stored, name: changed}))
+        with pytest.raises(ModelError, match=message):
+            selftest.check_models()
+
+
+def test_one_bit_in_each_coordinate_moves_answers_far_less_than_the_tolerance(rng) -> None:
+    def check(name: str) -> None:
+        model, xyz = load_model(name), selftest.exact_cloud().xyz
+        moved = np.nextafter(xyz, np.where(rng.random(xyz.shape) < 0.5, np.float32(-9), np.float32(9)))
+        one, other = (model.predict(Cloud(points), [selftest.exact_grasp()]) for points in (xyz, moved))
+        for a, b in zip(one, other, strict=True):
+            assert np.abs(a.value.values - b.value.values).max() <= selftest._TOLERANCE_COUNTS / 10
+
+    every_case(sorted(available_models()), check)

@@ -37,6 +37,10 @@ def shifted(counts: float) -> Touch:
     return biotac_touch(TOUCH.values + counts)
 
 
+BOUNDS = {"lower": shifted(-150.0), "upper": shifted(150.0)}
+READINGS: Any = SimpleNamespace(touch=shifted(21.0), tare=shifted(-200.0))
+
+
 def message(**fields: Any) -> Any:
     return touch_message(TouchPrediction(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), model="contact-v2")
 
@@ -61,11 +65,9 @@ def printed(panel: Panel) -> str:
 
 
 def test_predicted_stands_against_read_whatever_else_there_is() -> None:
-    bounds = {"lower": shifted(-150.0), "upper": shifted(150.0)}
-    last = message(**bounds, reference="touches", flags=("unfamiliar", "out_of_range"))
+    last = message(**BOUNDS, reference="touches", flags=("unfamiliar", "out_of_range"))
     view = View(last=TouchPredictionArray(predictions=[last] * 10))
-    readings: Any = SimpleNamespace(touch=shifted(21.0), tare=shifted(-200.0))
-    view.executed = (last, readings)
+    view.executed = (last, READINGS)
     view.answers.update({"ok": 123, "no_object": 4})
     view.reasons.update({"no point above the table stands out": 4})
     for name in ("camera", "segmentation", "grasp", "touch_predictor", "hand", "markers"):
@@ -88,7 +90,7 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     view.nodes["/foretouch/touch_predictor"] = NodeView(1, "no camera", values)
     text = printed(live_panel(view, "title"))
     assert "±" not in text, "without a calibration there is no half width"
-    for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "dropped 12 late", "no camera"):
+    for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "12 late", "no camera"):
         assert words in text
     assert "cloud only" in printed(live_panel(View(last=TouchPredictionArray(predictions=[message()])), "title"))
     refused = touch_message(Refusal(Status.BAD_GRASP, "grasp: too wide"), grasp_to_msg(GRASP))
@@ -96,65 +98,42 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     assert "too wide" in printed(live_panel(View(last=TouchPredictionArray(predictions=[refused])), "title"))
 
 
-def test_the_state_of_a_recording_is_whole_with_what_was_dropped_and_which_sensor_is_dead() -> None:
-    names = ("object_cloud", "table", "grasps", "touch", "executed_grasp")
-    lost: dict[str, Any] = {"drop_reasons": ["queue full"], "drop_counts": [3123], "lost": 5}
-    topics = [
-        TopicAccount(topic=name, received=100123, written=97000, **lost)
-        for name in ("/rh/tactile", *(f"/foretouch/{name}" for name in names))
-    ]
-    states = ["alive", "frozen: the same 300 times, or simulated without noise", "no data"]
-    shared: dict[str, Any] = {"samples": 12, "sensors": ["TH", "MF", "camera"], "sensor_states": states}
-    status = RecorderStatus(reason="disk full", topics=topics, **shared)
-
-    def check(width: int) -> None:
-        words = screen(record_panel(status, "foretouch record (Ctrl-C ends it)"), width)
-        assert {"100123", "97000", "executed_grasp", "disk", "frozen:", "camera"} <= words
-
-    every_case([60, 80], check)
-    tactile = TopicAccount(topic="/rh/tactile", received=100, written=97, drop_reasons=["queue full"], drop_counts=[3])
-    shared |= {"outcomes": ["no_tare", "recorded"], "outcome_counts": [2, 12], "last_sample": "can/000012"}
-    shared |= {"pairing_error": 0.012, "pairing_error_max": 0.034, "disk_left": 600.0}
-    shared |= {"drop_reasons": ["queue full"], "drop_counts": [3]}
-    status = RecorderStatus(recording=True, topics=[tactile, TopicAccount(topic="/foretouch/grasps", lost=5)], **shared)
-    text = printed(record_panel(status, "title"))
-    for words in ("12 samples", "can/000012", "disk full in 10 min", "2 no tare", "12 recorded", "3 queue full"):
-        assert words in text
-    for words in ("pairing error 12 ms, at most 34", "MF frozen: the same 300 times", " grasps "):
-        assert words in text
-
-
-def test_a_session_is_whole_at_80x24_with_objects_the_last_grasp_and_keys() -> None:
-    names = (
-        "/rh/tactile",
-        *(f"/foretouch/{n}" for n in ("object_cloud", "table", "grasps", "touch", "executed_grasp")),
-    )
-    topics = [
-        TopicAccount(topic=name, received=100123, written=97000, rate=99.8) for name in (*names, "/foretouch/points")
-    ]
-    shared: dict[str, Any] = {"sensors": ["TH", "MF", "camera"], "sensor_states": ["alive"] * 3}
-    shared |= {"outcomes": ["no_tare", "recorded"], "outcome_counts": [2, 128], "pairing_error": 0.012}
+def test_a_session_is_whole_with_objects_the_last_grasp_dead_sensors_and_keys() -> None:
+    names = ("object_cloud", "table", "grasps", "touch", "executed_grasp", "points")
+    names = ("/rh/tactile", *(f"/foretouch/{name}" for name in names))
+    lost: dict[str, Any] = {"drop_reasons": ["paused"], "drop_counts": [117], "lost": 5}
     status = RecorderStatus(
-        recording=True, topics=topics, samples=128, last_sample="can/000128", disk_left=6e4, **shared
+        recording=True,
+        topics=[TopicAccount(topic=name, received=100123, written=97000, rate=99.8, **lost) for name in names],
+        samples=128,
+        last_sample="can/000128",
+        disk_left=6e4,
+        sensors=["TH", "MF", "camera"],
+        sensor_states=["alive", "frozen: the same 300 times", "no data"],
+        outcomes=["no_tare", "recorded"],
+        outcome_counts=[2, 128],
+        pairing_error=0.012,
+        pairing_error_max=0.034,
+        drop_reasons=["paused", "queue full"],
+        drop_counts=[819, 3],
     )
     state = OperatorState(
         object="can",
         paused=True,
         grasps={"cup": {"success": 40, "dropped": 2}, "can": {"success": 70, "failure": 16}, "sponge": {}},
     )
-    readings: Any = SimpleNamespace(touch=shifted(21.0), tare=shifted(-200.0))
-    bounds = {"lower": shifted(-150.0), "upper": shifted(150.0)}
-    session = SessionStatus(operator=state, last=(message(**bounds), readings))
+    session = SessionStatus(operator=state, last=(message(**BOUNDS), READINGS))
     keys = RecordingKeys(lambda action, text: f"{action} {text}")
     keys.press("s")
-    for one in topics:
-        one.drop_reasons, one.drop_counts = ["paused"], [117]
-    status.drop_reasons, status.drop_counts = ["paused", "queue full"], [819, 3]
     panel = record_panel(status, "foretouch record (Ctrl-C ends it)", session, keys.lines(None))
     words = screen(panel, 80)
-    assert {"117", "dropped:", "819", "paused,", "full"} <= words
+    assert {"117", "dropped:", "819", "paused,", "full", "frozen:", "no", "can/000128"} <= words
     assert {"success", "[q]uit", "PAUSED", "predicted", "read", "tare", "executed_grasp", "points", "sponge"} <= words
     assert {"2779", "±150", "2800", "1000", "MF", "100123"} <= words
+    text = printed(panel)
+    assert "2 no tare, 128 recorded; pairing error 12 ms, at most 34" in text
+    status.reason, empty = "disk full", SessionStatus()
+    assert {"100123", "disk"} <= screen(record_panel(status, "foretouch record", empty), 60)
 
 
 def test_keys_act_ask_and_quit_only_when_asked_twice() -> None:

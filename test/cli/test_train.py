@@ -87,17 +87,6 @@ def test_a_run_is_used_as_its_card(call, run, simulated, files) -> None:
     assert by_run == by_card
 
 
-@pytest.mark.ros
-def test_the_node_loads_the_model_of_a_run(run) -> None:
-    pytest.importorskip("rclpy")
-    from foretouch.ros.touch.predictor import Predictor
-
-    predictor = Predictor(str(run))
-    assert predictor.fault == ""
-    assert predictor.model is not None
-    assert predictor.model.name == "tiny"
-
-
 @pytest.mark.real_data
 def test_released_models_recognise_their_training_data_in_a_rebuilt_store(call, real_data, tmp_path) -> None:
     assert call("dataset", "import", real_data / "vision2tactile", "-o", tmp_path / "imported").status == 0
@@ -113,25 +102,3 @@ def test_released_models_recognise_their_training_data_in_a_rebuilt_store(call, 
         assert record["PDC_TH"]["skill"] == load_model(model).card["skill"]["object"]["PDC_TH"]["skill"]
     table = call("evaluate", "default", tmp_path / "store")
     assert "samples by cross-validation" in " ".join(table.out.split())
-
-
-def test_baselines_that_were_fitted_to_other_data_are_not_called_the_training_mean(call, run, tmp_path) -> None:
-    unseen = tmp_path / "unseen"
-    words = (
-        "simulate",
-        CONFIG / "scenes/clean.yaml",
-        "-n",
-        10,
-        "-o",
-        unseen,
-        "--seed",
-        7,
-        "--workers",
-        1,
-        "--no-sheet",
-    )
-    assert call(*words, "--json").status == 0
-    answer = call("evaluate", run, unseen)
-    assert answer.status == 0, answer.err
-    assert "dataset_mean" in answer.out
-    assert "training" not in answer.out

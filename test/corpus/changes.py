@@ -117,21 +117,8 @@ def values_of(kind: str) -> st.SearchStrategy[Any]:
     return st.sampled_from((low, high)) | st.integers(low, high)
 
 
-def _fields(message: Any) -> dict[str, str]:
-    """Types of the fields of a message by name; those of a plain object follow from its values."""
-    if hasattr(message, "get_fields_and_field_types"):
-        return dict(message.get_fields_and_field_types())
-    return {name: _type_of(value) for name, value in vars(message).items()}
-
-
-def _type_of(value: Any) -> str:
-    if isinstance(value, list):
-        return f"sequence<{_type_of(value[0]) if value else 'double'}>"
-    return {bool: "boolean", int: "int64", float: "double", str: "string"}.get(type(value), "object/object")
-
-
 def _change(draw: Draw, message: Any) -> None:
-    name, kind = draw(st.sampled_from(list(_fields(message).items())))
+    name, kind = draw(st.sampled_from(list(message.get_fields_and_field_types().items())))
     value, found = getattr(message, name), _LIST.match(kind)
     if found is None and "/" in kind:
         _change(draw, value)

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from other_sensor import USKIN, readings, write_readings
 from recording_builders import IDENTITY, QUICK, record, write_dataset, write_sample
 
-from foretouch.cli.answers import prediction_from_record, prediction_record, read_answers
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml
 from foretouch.dataset.bag import Recording
@@ -36,10 +35,9 @@ from foretouch.errors import ForetouchError
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
-from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import load_sensor, sensor_files
 from foretouch.tactile.messages.described import SensorReader
-from foretouch.types import Cloud, Grasp, TouchPrediction
+from foretouch.types import Cloud, Grasp
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.experiments.framework.manifest import open_folder, read_results
 from foretouch_lab.learning.data.dataset import load_dataset
@@ -323,23 +321,11 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
     return make
 
 
-def _answers(folder: Path) -> Path:
-    touch, grasp = biotac_touch(np.full(50, 2000.0)), Grasp(np.zeros(3), np.array([0.0, 0.1, 1.0]), np.eye(3), 1.0)
-    record = {"sample": "a/1", "predictions": [prediction_record(TouchPrediction(grasp, touch, touch, touch))]}
-    return _text("answers.json", json.dumps(record, default=np.ndarray.tolist))(folder)
-
-
 def _mesh(folder: Path) -> Path:
     import trimesh
 
     trimesh.creation.box().export(folder / "mesh.ply", encoding="ascii")
     return folder / "mesh.ply"
-
-
-def _read_answers(path: Path) -> None:
-    for one in read_answers(path):
-        for prediction in one.get("predictions", []):
-            prediction_from_record(prediction)
 
 
 _STORED, _RECORDED = (".json", ".arrow"), (".json", ".mcap")
@@ -363,6 +349,5 @@ KINDS = {
     "run": Kind(_run, _read_run),
     "experiment": Kind(_sweep, _read_sweep),
     "splits": Kind(_text("a.json", json.dumps({"schema_version": 1, "splits": SPLITS})), read_splits, 0.5),
-    "answers": Kind(_answers, _read_answers, 0.5),
     "mesh": Kind(_mesh, lambda path: read_mesh_file(str(path)), 0.02),
 }

@@ -4,60 +4,47 @@
 Messages of a kind follow each other in one process, so that the state of adaptation and assembler is part of the test.
 """
 
-import copy
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from importlib import import_module
 from itertools import count
-from types import SimpleNamespace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from corpus.changes import Draw, absurd, damaged
 from corpus.clouds import bar
 from hypothesis import assume
 from hypothesis import strategies as st
-from rcl_interfaces.msg import ParameterType
-from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_builders import XELA_REST, sens_stream
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane
-from std_msgs.msg import String
 
 from foretouch import reading
-from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
-from foretouch.errors import ConfigError, ForetouchError
-from foretouch.grasp import GeoGraspConfig, GraspHold
+from foretouch.errors import ForetouchError
 from foretouch.models import load_model
 from foretouch.models.hand_history import place_and_size
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.ros.graph import NODES
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
-from foretouch.ros.messages.requests import plan_targets, read_arrays, read_cloud, read_plane, read_table, read_targets
+from foretouch.ros.messages.requests import read_arrays, read_cloud, read_plane, read_targets
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.grasp_actions import sample_grasps
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile.messages.table import TactileConfig, make_reader
+from foretouch.tactile.messages.table import make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
-from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 from foretouch_msgs.srv import LabelGrasp, PredictTouch
 
 FRAME = "camera_depth_optical_frame"
 NOW_NS = 1_700_000_000_000_000_000
 
 
-WEIGHTS = {"predicted": 0.1, "sampled": 0.08, "hand": 2.0, "parameters": 2.0}
+WEIGHTS = {"predicted": 0.2, "hand": 2.0}
 """Shares of the cases: few where a case takes long."""
 
 
@@ -104,11 +91,6 @@ def grasps_message() -> Any:
     return GraspArray(header=header_to_msg(FRAME, NOW_NS), grasps=[grasp_message(), grasp_message("1/7/1")])
 
 
-def table_message() -> Any:
-    """A `TablePlane`."""
-    return TablePlane(header=header_to_msg(FRAME, NOW_NS), plane=Plane(coef=[0.0, 0.0, -1.0, 0.64]))
-
-
 def tactile_message() -> Any:
     """A `BiotacAll`."""
     counts = np.concatenate([[2500], np.full(24, 3200)]).astype(np.int16)
@@ -124,19 +106,16 @@ def executed_message() -> Any:
 def touch_request() -> Any:
     """A `PredictTouch` request with a table."""
     grasps = [grasp_message(), grasp_message("2")]
-    return PredictTouch.Request(cloud=object_messages()[0], grasps=grasps, table=[table_message().plane])
+    return PredictTouch.Request(cloud=object_messages()[0], grasps=grasps, table=[Plane(coef=[0.0, 0.0, -1.0, 0.64])])
 
 
 def array_request() -> Any:
     """The same with arrays, for objects of which one is named."""
-    request = PredictTouch.Request(cloud=object_messages()[0], table=[table_message().plane], object_id="7", id="mine")
+    request = PredictTouch.Request(
+        cloud=object_messages()[0], table=[Plane(coef=[0.0, 0.0, -1.0, 0.64])], object_id="7", id="mine"
+    )
     request.contacts, request.rotations = contacts(grasp_message()) * 2, [*grasp_message().rotation] * 2
     return request
-
-
-def sample_goal() -> Any:
-    """A `SampleGrasps` goal with a cloud."""
-    return SampleGrasps.Goal(cloud=object_messages()[0], table=[table_message().plane], count=2, cost="pressure")
 
 
 def label_request() -> Any:
@@ -167,26 +146,6 @@ def clouds() -> Reader:
             finite("object", one.centroid, *one.bounds)
 
     return [scene_message(), *object_messages()], read
-
-
-def object_clouds() -> Reader:
-    """Object clouds: decoded, and one in twenty planned by one of both methods."""
-    pipelines = [Pipeline(PipelineConfig(grasp=GeoGraspConfig(method=method))) for method in ("original", "completed")]
-    held, table, numbers = GraspHold(0.005), table_message(), count()
-
-    def read(message: Any) -> None:
-        number, (turn, skipped) = next(numbers), divmod(next(numbers), 20)
-        targets = read_targets(message, read_table(table, table.header), ObjectLimits())[:3]
-        for target in targets:
-            place_and_size(target.cloud)
-        if skipped > 1:
-            return
-        answer = plan_targets(pipelines[turn % 2], targets, message.header, "", held if number % 3 else None, 1.0)
-        named(answer.status * (answer.status > 1), answer.reason)
-        for one in answer.grasps:
-            finite("grasp", contacts(one), one.rotation)
-
-    return object_messages(), read
 
 
 def check_predictions(message: Any) -> None:
@@ -224,26 +183,11 @@ def predicted() -> Reader:
     return [touch_request(), array_request()], read
 
 
-def sampled() -> Reader:
-    """Goals of `sample_grasps`."""
-    predictor, config = Predictor("default"), TouchPredictorConfig()
-
-    def predict(target: Any, grasps: Any, header: Any) -> Any:
-        made = predictor.answer([target], grasps, header, config).message.predictions
-        return [(one, np.full((3, 2), np.nan if one.status else 0.5)) for one in made]
-
-    def read(goal: Any) -> None:
-        result = sample_grasps(goal, None, config, "0", predict, lambda _: None, lambda: False)
-        check_predictions(SimpleNamespace(status=0, reason="", predictions=result.predictions))
-
-    return [sample_goal()], read
-
-
 class _Hand:
     """The online adapter of the predictor and the assembler of the recorder, which get the same messages."""
 
-    def __init__(self, type_name: str = "foretouch_msgs/BiotacAll") -> None:
-        config, model = TouchPredictorConfig(tactile=TactileConfig(type=type_name)), load_model()
+    def __init__(self) -> None:
+        config, model = TouchPredictorConfig(), load_model()
         reader = make_reader(config.tactile)
         keeper = HistoryKeeper(model)
         self.adapter = OnlineAdapter(model, reader, keeper, lambda: config, lambda: NOW_NS, lambda _: None)
@@ -302,78 +246,14 @@ def hand() -> Reader:
     return [tactile, plan, *object_messages(), report, label_request()], read
 
 
-def readings(type_name: str, valid: Any) -> Reader:
-    """Messages of another tactile type."""
-    one = _Hand(type_name)
-    return [valid], one.add
-
-
-def biotac_csv() -> Reader:
-    """Lines of `biotac_sp_ros`, some with an absurd word."""
-    line = ",".join(["12.5", *["3000"] * (3 * 54)])
-    valid, read = readings("std_msgs/String", String(data=line))
-    words = ("nan", "inf", "1e400", "", "-1", "x", "9" * 400, "1_0", "\u0663", "0x10", " 5 ")
-    return [*valid, *(String(data=line.replace(",3000", f",{word}", 1)) for word in words)], read
-
-
-def tactile_state() -> Reader:
-    """`tactile_msgs/TactileState`; its package is not on PyPI, so that plain objects stand for its messages."""
-    header = SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=0), frame_id="rh")
-    sensors = [SimpleNamespace(name=name, values=[2500.0, *[3200.0] * 24]) for name in ("TH", "MF", "FF")]
-    return readings("tactile_msgs/TactileState", SimpleNamespace(header=header, sensors=sensors))
-
-
-def described() -> Reader:
-    """Messages of a described sensor."""
-    reader = make_reader(TactileConfig(sensor="xela_uskin_4x4", thumb="TH", middle="FF"))
-
-    def read(message: Any) -> None:
-        found = reader.read(message)
-        assert not np.isinf(found.counts).any()
-        assert np.isfinite(found.others).all()
-        assert abs(found.stamp_ns or 0) < 2**63
-
-    return [sens_stream(XELA_REST)], read
-
-
-def parameters() -> Reader:
-    """Changes of the parameters of all nodes, and what these make of them."""
-    numbers, configs = count(), []
-    for place in NODES.values():
-        module, name = place.split(":")
-        (kind,) = get_args(getattr(import_module(module), name).__orig_bases__[0])
-        flat = kind().to_mapping()
-        configs += [(kind, flat, one) for one in _flattened(flat)]
-
-    def read(value: Any) -> None:
-        if value.type > ParameterType.PARAMETER_STRING_ARRAY:
-            raise ConfigError(f"type: {value.type} is unknown")  # `GuardedCallbacks` refuses it before rclpy reads it
-        kind, flat, key = configs[next(numbers) % len(configs)]
-        changed = kind.from_mapping({**flat, key: parameter_value_to_python(value)})
-        repr(changed)
-        json.dumps(changed.to_mapping())
-
-    values = (1.0, 5, "all", True, [1.0, 2.0, 3.0], ["a", "b"])
-    return [Parameter("value", value=value).get_parameter_value() for value in values], read
-
-
-def _flattened(mapping: dict[str, Any], prefix: str = "") -> list[str]:
-    parts = ([prefix + k] if not isinstance(v, dict) else _flattened(v, f"{prefix}{k}.") for k, v in mapping.items())
-    return [name for names in parts for name in names]
-
-
 def changed(valid: Sequence[Any], read: Callable[[Any], object]) -> Callable[[Draw], Callable[[], object]]:
     """Absurd values in one of some messages, or for a quarter damaged bytes that the middleware deserialises."""
-    plain = [one for one in valid if not hasattr(one, "get_fields_and_field_types")]
     # Once: bytes between the fields, which are not set, differ each time.
-    kept = [(type(one), bytes(serialize_message(one))) for one in valid if one not in plain]
+    kept = [(type(one), bytes(serialize_message(one))) for one in valid]
     with suppress(ForetouchError):  # what is loaded for the first one is no part of its time
         read(valid[0])
 
     def change(draw: Draw) -> Callable[[], object]:
-        if plain:
-            made = absurd(draw, copy.deepcopy(draw(st.sampled_from(plain))))
-            return lambda: read(made)
         kind, data = draw(st.sampled_from(kept))
         if draw(st.integers(0, 3)):
             made = absurd(draw, deserialize_message(data, kind))
@@ -388,8 +268,5 @@ def changed(valid: Sequence[Any], read: Callable[[Any], object]) -> Callable[[Dr
     return change
 
 
-KINDS: dict[str, Callable[[], Reader]] = {
-    make.__name__: make
-    for make in (clouds, object_clouds, hand, biotac_csv, tactile_state, described, predicted, sampled, parameters)
-}
+KINDS: dict[str, Callable[[], Reader]] = {make.__name__: make for make in (clouds, hand, predicted)}
 """What makes valid messages of a kind and what reads them, by name."""

@@ -15,10 +15,9 @@ from foretouch.cli.main import main
 from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import open_samples, sensor_of_samples
-from foretouch.report import sensor_figure, series_figure
+from foretouch.report import series_figure
 from foretouch.tactile.channels import BIOTAC_SP
-from foretouch.tactile.description import FingerConfig, Sensor
-from foretouch.types import Cloud, Touch
+from foretouch.types import Cloud
 
 DEAD = BIOTAC_SP.with_dead(np.arange(24) == np.array([[5], [99]]))
 
@@ -89,7 +88,6 @@ def test_a_recording_without_a_camera_is_drawn_and_its_dead_taxels_are_found(
     assert printed("dataset", "show", tmp_path / "ds", "-o", tmp_path / "a.png")["dead_taxels"] == {"TH": [5]}
     with Image.open(tmp_path / "a.png") as image:
         assert len(image.convert("RGB").getcolors(1 << 24)) > 100
-    assert printed("sensor", "show", tmp_path / "ds", "-o", tmp_path / "b.png")["dead"] == {"TH": [5]}
     exported = printed(
         "dataset", "export", tmp_path / "ds", "-o", tmp_path / "out", "--format", "lerobot", "--fps", "10"
     )
@@ -101,28 +99,3 @@ def test_a_recording_without_a_camera_is_drawn_and_its_dead_taxels_are_found(
         == 1
     )
     assert "--fps: npz has no frames" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("stuck", [800.0, None])
-def test_dead_taxels_of_a_sensor_are_hollow(monkeypatch: pytest.MonkeyPatch, stuck: float | None) -> None:
-    figures = drawn(monkeypatch, sensor_figure)
-    sensor_figure.save_sensor_figure(DEAD if stuck else BIOTAC_SP, Path("a.png"))
-    flat = next(axes for axes in figures[0].axes if axes.name != "3d")
-    filled, hollow = flat.collections
-    assert (len(filled.get_offsets()), len(hollow.get_offsets())) == ((23, 1) if stuck else (24, 0))
-    assert not len(hollow.get_facecolors())
-
-
-def test_a_hand_with_more_than_five_fingers_is_drawn_too(tmp_path: Path) -> None:
-    """Recordings of others have as many fingers as they like; those of the examples have two, three and five."""
-    names = [f"F{k}" for k in range(6)]
-    fingers = tuple(FingerConfig(name=name) for name in names)
-    hand = Sensor(BIOTAC_SP.config.replace(fingers=fingers, grasp=tuple(names)), BIOTAC_SP.layout)
-    made = pressed(0)
-    assert made.series is not None
-    counts = np.tile(made.series.counts[:, :25], (1, 6))
-    sample = replace(made.sample, touch=Touch(counts[-1].astype(np.float64), hand.channels))
-    record = replace(made, sample=sample, series=replace(made.series, counts=counts))
-    series_figure.save_series_sheet(tmp_path / "a.png", [record], "six", hand)
-    with Image.open(tmp_path / "a.png") as image:
-        assert image.width > 3000  # a panel over time and a pad for each finger

@@ -104,14 +104,13 @@ def labelled(pdc: float = 2000.0) -> GraspSample:
 def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> None:
     kept: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: kept.append(figure))
-    samples = [labelled(), replace(labelled(2100.0), id="a_long_name/000123")]
-    save_contact_sheet(tmp_path / "a.png", samples, "a title")
+    unlabelled = replace(labelled(), touch=None)
+    save_contact_sheet(tmp_path / "a.png", [labelled(), replace(labelled(2100.0), id="a_long_name/000123"), unlabelled])
     (figure,) = kept
     figure.canvas.draw()
     dots = dots_of(figure)
     assert len(dots) == 4
     assert {one.get_clim() for one in dots} == {(1000.0, 3000.0)}
-    assert sum(axes.get_label() == "<colorbar>" for axes in figure.axes) == 1
     drawn, page = figure.get_tightbbox(), figure.bbox_inches
     assert drawn.x0 >= 0.0 <= drawn.y0
     assert (drawn.x1 <= page.x1, drawn.y1 <= page.y1) == (True, True)
@@ -154,14 +153,3 @@ def test_a_sensor_of_any_layout_is_drawn_by_its_chosen_channel_and_dead_taxels_a
     assert [text.get_text() for axes in drawn[0].axes for text in [axes.title]][2:6] == [
         "thumb predicted", "thumb read", "FF predicted", "FF read"]  # fmt: skip
     assert "change of Z from rest [counts]" in drawn[0].axes[-1].get_xlabel()
-
-
-def test_places_of_a_flat_pad_are_seen_from_outside(rng) -> None:
-    sensor, _, _ = of_any_sensor("xela_uskin_4x4", rng)
-    across, along = sensor.layout.unrolled.T
-    np.testing.assert_allclose(along, sensor.layout.positions[:, 0])
-    np.testing.assert_allclose(across, -sensor.layout.positions[:, 1])  # z towards the eye, x up: y to the left
-    curved = BIOTAC_SP.layout
-    order = np.argsort(np.arctan2(curved.positions[:, 1], -curved.positions[:, 2]), kind="stable")
-    assert (np.diff(curved.unrolled[order, 0]) >= -1e-12).all()  # -z towards the eye: y to the right
-    np.testing.assert_array_equal(curved.unrolled[:, 1], curved.positions[:, 0])

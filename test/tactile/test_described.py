@@ -67,24 +67,6 @@ def test_biotac_by_its_description_as_by_its_own_decoder(rng: np.random.Generato
     assert dict(zip(other.others, reading.others, strict=True))["TDC_MF"] == 0.0  # as sent
 
 
-def test_taxels_that_fail_are_counted_by_reason_and_have_the_mean_of_their_neighbours(tmp_path, recwarn) -> None:
-    fingers = [{**SMALL["fingers"][0], "dead": [1]}, SMALL["fingers"][1]]
-    values = [{**SMALL["values"][0], "range": [0, 9]}]
-    sensor = write_sensor(tmp_path, {"fingers": fingers, "values": values})
-    # Taxels 4 mm apart along x, 2 mm along y, three in a row.
-    pads = [[0, 99, 8, 9, 1, np.nan], [1, 2, 3, 4, 5, -1]]
-    reading = read(sensor, Message(pads=[Message(pressures=one) for one in pads]))
-    assert_array_equal(reading.counts, [0, 4, 8, 9, 1, 1, 1, 2, 3, 4, 5, 5])
-    assert (reading.invalid, reading.stamp_ns) == ({"dead": 1, "out_of_range": 2}, None)
-    values = [{"name": "p", "field": "pressures", "dtype": "float64", "noise": 1.0}]  # as far as float32 holds them
-    sensor = write_sensor(tmp_path, {"values": values})
-    odd = [np.inf, 3e38, 1e39, np.nan, 3e38, 0.0]
-    reading = read(sensor, Message(pads=[Message(pressures=[0.0] * 4 + odd[:2]), Message(pressures=odd)]))
-    assert reading.invalid == {"out_of_range": 4}
-    assert_array_equal(np.isnan(reading.counts), [0] * 6 + [1] * 6)  # half of its taxels are not valid
-    assert not recwarn.list
-
-
 def test_stamps_of_every_kind(tmp_path) -> None:
     def stamp(value: object, unit: str = "s") -> int | None:
         source = {"type": "a/B", "stamp": "time", "stamp_unit": unit}

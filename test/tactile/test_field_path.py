@@ -4,7 +4,6 @@
 from types import SimpleNamespace as Message
 
 import numpy as np
-import pytest
 from every_case import every_case, every_refusal
 
 from foretouch.errors import ConfigError, TactileError
@@ -60,11 +59,3 @@ def test_what_a_message_lacks_is_named() -> None:
         ("field 'z' is not one of x, y", "fingers[0].taxels[].z"),
     )
     every_refusal(TactileError, cases, lambda path: FieldPath(path).get(MESSAGE))
-
-
-def test_messages_of_rclpy() -> None:
-    stamped = pytest.importorskip("geometry_msgs.msg", reason="ROS 2 is not installed").PointStamped()
-    stamped.point.y = 2.5
-    assert FieldPath("point.y").get(stamped) == 2.5
-    with pytest.raises(TactileError, match="Point: field 'w' is not one of x, y, z"):
-        FieldPath("point.w").get(stamped)

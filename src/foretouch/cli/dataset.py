@@ -13,27 +13,19 @@ from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
-from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import (
-    SampleSet,
-    export_samples,
-    has_points,
-    only_finite,
-    open_samples,
-    sensor_of_samples,
-)
+from foretouch.dataset.samples import export_samples, has_points, only_finite, open_samples, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import laboratory
-from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
+from foretouch.tactile.messages.table import TactileConfig
 
 _SHEET_SAMPLES = 12
+_KINDS = ("clouds", "grasps", "executed", "tactile")  # of topics in a bag
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,9 +77,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_out(show, "F.png", "image file")
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
-    series = "draw taxels over time beside the outcome, as of recordings without a camera"
-    show.add_argument("--series", action="store_true", help=series)
-    show.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
 
 
 def _action(actions: Any, name: str, act: Callable[..., int], summary: str) -> argparse.ArgumentParser:
@@ -108,24 +97,24 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         "--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5"
     )
     group = parser.add_argument_group("ROS bags without foretouch samples")
-    for name, topic, content in (
-        ("cloud", CLOUD_TOPIC, "clouds of the object"),
-        ("grasp", GRASPS_TOPIC, "planned grasps"),
-        ("executed", EXECUTED_TOPIC, "executed grasps"),
-        ("tactile", TACTILE_TOPIC, f"tactile readings ({', '.join(TACTILE_TYPES)})"),
-    ):
-        group.add_argument(
-            f"--{name}-topic",
-            default=full_name(topic),
-            metavar="TOPIC",
-            help=f"topic of the {content} (default: %(default)s)",
-        )
+    group.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        type=_topic,
+        metavar="KIND=NAME",
+        help="a topic of another name than the recorder's, such as tactile=/taxels; of the kinds clouds (of the object), grasps, executed, tactile",
+    )
     add_options(group, "--sensor", "--thumb", "--middle")
     group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
-    for name in ("hand", "camera"):
-        parser.add_argument(
-            f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=f"a property of the {name}"
-        )
+
+
+def _topic(text: str) -> tuple[str, str]:
+    """`KIND=NAME` for argparse."""
+    kind, _, name = text.partition("=")
+    if kind not in _KINDS or not name:
+        raise argparse.ArgumentTypeError(f"{text!r} is not KIND=NAME with a kind of {', '.join(_KINDS)}")
+    return kind, name
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -236,32 +225,18 @@ def _show(arguments: argparse.Namespace) -> int:
 
     require_writable(arguments.out, *PICTURE_SUFFIXES)
     samples = open_samples(arguments.source)
-    selected = list(_selected(samples, arguments))
+    count = min(arguments.count, len(samples))
+    selected = [samples.record(k * len(samples) // count) for k in range(count)]
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
-    title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
     sensor = sensor_of_samples(samples)
-    if arguments.series or not any(has_points(one.sample) for one in selected):
-        save_series_sheet(arguments.out, selected, title, sensor)
+    if any(has_points(one.sample) for one in selected):
+        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], sensor)
     else:
-        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], title, sensor)
+        title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+        save_series_sheet(arguments.out, selected, title, sensor)
     record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
     return print_result("drawn", record, as_json=arguments.json)
-
-
-def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[SampleRecord]:
-    """The samples named by --id, or some evenly spaced over the dataset."""
-    if arguments.id:
-        missing = set(arguments.id)
-        for record in samples.records(discarded=True):
-            if record.sample.id in missing:
-                missing.discard(record.sample.id)
-                yield record
-        if missing:
-            raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
-        return
-    count = min(arguments.count, len(samples))
-    yield from (samples.record(k * len(samples) // count) for k in range(count))
 
 
 def _repair(arguments: argparse.Namespace) -> int:
@@ -312,21 +287,12 @@ def _build(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    topics = BagTopics(
-        clouds=arguments.cloud_topic,
-        grasps=arguments.grasp_topic,
-        executed=arguments.executed_topic,
-        tactile=arguments.tactile_topic,
-        object=arguments.object,
-        tactile_config=TactileConfig(
-            sensor=arguments.sensor or "", thumb=arguments.thumb or "", middle=arguments.middle or ""
-        ),
-    )
-    hand, camera = (dict(map(_name_and_value, texts)) for texts in (arguments.hand, arguments.camera))
-    identity = Identity(hand=hand, camera=camera) if hand or camera else None
-    with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
+    sensor, thumb, middle = (getattr(arguments, name) or "" for name in ("sensor", "thumb", "middle"))
+    config = TactileConfig(sensor=sensor, thumb=thumb, middle=middle)
+    topics = BagTopics(object=arguments.object, tactile_config=config, **dict(arguments.topic))
+    with progress_bar("importing", hidden=arguments.json) as advance:
         result = import_samples(
-            arguments.source, arguments.out, identity=identity, topics=topics, map_file=arguments.map, progress=advance
+            arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
         )
     record = {
         "out": str(arguments.out),
@@ -338,18 +304,11 @@ def _import(arguments: argparse.Namespace) -> int:
     return print_result("imported", record, as_json=arguments.json)
 
 
-def _name_and_value(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals or not name:
-        raise ConfigError(f"{text}: is not NAME=VALUE")
-    return name, value
-
-
 def _export(arguments: argparse.Namespace) -> int:
     if arguments.fps and arguments.format != "lerobot":
         raise ConfigError(f"--fps: {arguments.format} has no frames")
     options = {"fps": arguments.fps} if arguments.fps else {}
-    with progress_bar("exporting", hidden=arguments.json, transient=True) as advance:
+    with progress_bar("exporting", hidden=arguments.json) as advance:
         result = export_samples(arguments.source, arguments.out, arguments.format, advance, **options)
     record = {
         "out": str(arguments.out),

@@ -44,17 +44,15 @@ def _record(name: str) -> dict[str, Any]:
     card = model.card
     names = (card["weights"], (card["calibration"] or {}).get("weights"))
     files = [path.with_name(Path(one).name) for one in names if one]
-    hashes = {file.name: {"sha256": file_sha256(file), "bytes": file.stat().st_size} for file in files}
+    skills = {split: _mean(one, "skill") for split, one in card.get("skill", {}).items()}
     return {
         "status": "ok",
         "name": model.name,
         "kind": card["kind"],
         "sha256": model.sha256,
-        "bytes": sum(one["bytes"] for one in hashes.values()),
-        "files": hashes,
-        "skill": {
-            split: mean for split, one in card.get("skill", {}).items() if (mean := _mean(one, "skill")) is not None
-        },
+        "bytes": sum(file.stat().st_size for file in files),
+        "files": {file.name: {"sha256": file_sha256(file), "bytes": file.stat().st_size} for file in files},
+        "skill": {split: mean for split, mean in skills.items() if mean is not None},
         "calibration": _calibration(card),
         "card": card,
     }
@@ -78,11 +76,8 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
     if facts is None:
         return None
     groups = {
-        name: {
-            "objects": one.get("objects"),
-            "samples": one.get("samples"),
-            "coverage": _mean(one.get("coverage", {}), "mean"),
-        }
+        name: {key: one.get(key) for key in ("objects", "samples")}
+        | {"coverage": _mean(one.get("coverage", {}), "mean")}
         for name, one in facts.get("regimes", {}).items()
     }
     objects = max((one["objects"] or 0 for one in groups.values()), default=0)
@@ -91,43 +86,37 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def _show(records: list[dict[str, Any]], *, in_full: bool) -> None:
     """Print a table of models, and below it what is wrong with damaged ones, and in full the limits of the others."""
-    rows = [[record["name"], record.get("kind", record["status"]), *_cells(record)] for record in records]
     print_table(
         "Touch models: skill on held-out samples by split (0: the mean of the training readings, 1: perfect), coverage of 90 % intervals",
         ["model", "kind", "files", "kB", *_SPLITS, "coverage"],
-        rows,
+        [_row(record) for record in records],
     )
     for record in records:
         if record["status"] != "ok":
             print_text(record["reason"])  # which names the file
-        for line in _notes(record) if in_full else ():
-            print_text(f"{record['name']}: {line}" if len(records) > 1 else f"- {line}")
+        elif in_full:
+            for line in _notes(record):
+                print_text(f"{record['name']}: {line}" if len(records) > 1 else f"- {line}")
     if not in_full:
         print_text("What each is good for and its limits: foretouch models NAME")
 
 
-def _cells(record: Mapping[str, Any]) -> list[str]:
-    """Files, size, skills and coverage; empty for a damaged model."""
+def _row(record: Mapping[str, Any]) -> list[str]:
+    """Name, kind, files, size, skills and coverage of held-out objects; empty for a damaged model."""
     if record["status"] != "ok":
-        return [""] * 6
+        return [record["name"], record["status"], *[""] * 6]
     skills = [f"{record['skill'][name]:+.2f}" if name in record["skill"] else "–" for name in _SPLITS]
-    return ["ok", f"{record['bytes'] / 1000:.0f}", *skills, _coverages(record["calibration"])]
-
-
-def _coverages(calibration: Mapping[str, Any] | None) -> str:
-    """Of held-out objects, a line for each group."""
-    if calibration is None:
-        return "no intervals"
-    known = {name: one["coverage"] for name, one in calibration["regimes"].items() if one["coverage"] is not None}
-    return "\n".join(f"{name} {share:.2f}" for name, share in known.items()) or "not measured"
+    coverage = "no intervals"
+    if record["calibration"] is not None:
+        shares = {name: one["coverage"] for name, one in record["calibration"]["regimes"].items()}
+        known = [f"{name} {share:.2f}" for name, share in shares.items() if share is not None]
+        coverage = "\n".join(known) or "not measured"
+    return [record["name"], record["kind"], "ok", f"{record['bytes'] / 1000:.0f}", *skills, coverage]
 
 
 def _notes(record: Mapping[str, Any]) -> list[str]:
-    """Summary, guarantee of the intervals and limits of a model; none of a damaged one."""
-    if record["status"] != "ok":
-        return []
-    notes = [str(record["card"].get("summary", ""))]
-    calibration = record["calibration"]
+    """Summary, guarantee of the intervals and limits of a model."""
+    notes, calibration = [str(record["card"].get("summary", ""))], record["calibration"]
     if calibration is not None:
         note = f"{calibration['level']:.0%} intervals, calibrated on {calibration['objects']} objects: "
         note += f"the guaranteed coverage of one more object is at most {calibration['promise']:.0%}"

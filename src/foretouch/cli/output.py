@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.errors import ForetouchError, escaped
+from foretouch.errors import escaped
 
 
 def print_json(record: Mapping[str, Any]) -> None:
@@ -45,13 +45,10 @@ def announce(wait: str) -> None:
 
 
 @contextmanager
-def progress_bar(
-    description: str, total: int | None = None, *, hidden: bool = False, transient: bool = False
-) -> Iterator[Callable[..., None]]:
-    """Show a progress bar with elapsed and remaining time on stderr while the block runs, unless it is `hidden`.
+def progress_bar(description: str, total: int | None = None, *, hidden: bool = False) -> Iterator[Callable[..., None]]:
+    """Show a progress bar with elapsed and remaining time on stderr while the block runs, unless it is `hidden` or stderr no terminal.
 
-    Nothing is shown if stderr is not a terminal. The bar is erased at the end if it is `transient`, after a known error,
-    which then is the only output, and if no progress was reported. `total` is the number of steps, if it is known.
+    `total` is the number of steps, if it is known.
 
     Yields:
         `update(completed=None, total=None, description=None)`, which advances by one step without `completed`.
@@ -62,20 +59,14 @@ def progress_bar(
 
     console = terminal(stderr=True)
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(), "{task.description}")
-    with Progress(*columns, console=console, disable=hidden or not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True, disable=hidden or not console.is_terminal) as bar:
         task = bar.add_task(description, total=total)
-        bar.live.transient = True
 
         def update(completed: int | None = None, total: int | None = None, description: str | None = None) -> None:
-            bar.live.transient = transient
             advance = 1 if completed is None else None
             bar.update(task, completed=completed, advance=advance, total=total, description=description)
 
-        try:
-            yield update
-        except ForetouchError:
-            bar.live.transient = True
-            raise
+        yield update
 
 
 def warn(message: str) -> None:

@@ -23,10 +23,10 @@ from foretouch.cli.live import executed_table, titled
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import make_table, terminal, watch
-from foretouch.dataset.topics import TACTILE_TOPIC
+from foretouch.config import flattened, parse_overrides
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.graph import Graph
-from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, stamp_ns
+from foretouch.tactile.messages.table import stamp_ns
 
 if TYPE_CHECKING:
     from foretouch.cli.keys import RecordingKeys
@@ -37,70 +37,48 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _SERVICES = "edit_grasp, next_object, pause_recording, undo_edit and stop_recording"
+_COPIED = ("recording", "path", "samples", "unlabelled", "received", "lost", "reason")  # of the status, for `--json`
 
 
 def record_panel(
-    status: RecorderStatus,
-    title: str,
-    session: SessionStatus | None = None,
-    keys: Sequence[Text] = (),
-    sensor: Sensor | None = None,
+    status: RecorderStatus, title: str, session: SessionStatus, keys: Sequence[Text] = (), sensor: Sensor | None = None
 ) -> Panel:
-    """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance.
+    """Samples, objects with their outcomes, the last grasp, sensors, and message counts of each topic, at a glance.
 
-    With `session`, also objects with their outcomes and the last grasp. `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
+    `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
     """
     parts: list[RenderableType] = [_samples(status), *[Text(status.reason, "red")] * bool(status.reason), *keys]
-    if session is not None:
-        parts.append(_objects(session.operator))
-    if session is not None and session.last is not None:
+    parts.append(_objects(session.operator))
+    if session.last is not None:
         parts.append(executed_table(*session.last, sensor))
-    dropped = ", ".join(f"{n} {why}" for why, n in zip(status.drop_reasons, status.drop_counts, strict=True))
-    parts += [_grasps(status), _sensors(status), *_invalid(session), *[Text(f"dropped: {dropped}")] * bool(dropped)]
+    outcomes = _counted(status.outcomes, status.outcome_counts) or "none yet"
+    known = not math.isnan(status.pairing_error)
+    error = f"; pairing error {1e3 * status.pairing_error:.0f} ms, at most {1e3 * status.pairing_error_max:.0f}" * known
+    states = zip(status.sensors, status.sensor_states, strict=True)
+    colours = [(f"{name} {state}  ", "green" if state == "alive" else "red") for name, state in states]
+    parts += [Text(f"grasps executed: {outcomes}{error}"), Text.assemble("sensors: ", *colours)]
+    odd = [name for name in sorted(session.anomalies) if name.startswith(("taxels_", "not_read_", "unreadable "))]
+    for what, found, style in (
+        ("not usable", _counted(odd, [session.anomalies[name] for name in odd]), "yellow"),
+        ("dropped", _counted(status.drop_reasons, status.drop_counts), ""),
+    ):
+        parts += [Text(f"{what}: {found}", style)] * bool(found)
     return titled(title, [*parts, _topics(status.topics)])
+
+
+def _counted(names: Sequence[str], counts: Sequence[int]) -> str:
+    return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in zip(names, counts, strict=True))
 
 
 def _samples(status: RecorderStatus) -> Text:
     (minutes, seconds), left_s = divmod(status.duration.sec, 60), status.disk_left
-    left = f"full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "-" if math.isinf(left_s) else "weeks"
+    left = f"full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "full in weeks"
     return Text.assemble(
         (f"{minutes}:{seconds:02d}  ", "bold" if status.recording else "dim"),
         (f"{status.samples} samples", "bold green" if status.samples else "bold"),
-        f" + {status.unlabelled} without touch",
-        f", {60.0 * status.samples / status.duration.sec:.1f} a minute"
-        if status.samples and status.duration.sec
-        else "",
-        f"; last {status.last_sample}" if status.last_sample else "",
-        f"  {status.bytes_written / 1e9:.3f} GB, disk{':' * (left_s >= 1e6)} {left}",
+        f" + {status.unlabelled} without touch{f'; last {status.last_sample}' if status.last_sample else ''}",
+        f"  {status.bytes_written / 1e9:.3f} GB, disk {left}",
     )
-
-
-def _grasps(status: RecorderStatus) -> Text:
-    counts = [
-        (f"{count} {name.replace('_', ' ')}  ", "green" if name == "recorded" else "yellow")
-        for name, count in zip(status.outcomes, status.outcome_counts, strict=True)
-    ]
-    error, most = 1e3 * status.pairing_error, 1e3 * status.pairing_error_max
-    error_text = "" if math.isnan(error) else f"pairing error {error:.0f} ms, at most {most:.0f}"
-    return Text.assemble("grasps executed: ", *(counts or [("none yet  ", "dim")]), error_text)
-
-
-def _sensors(status: RecorderStatus) -> Text:
-    return Text.assemble(
-        "sensors: ",
-        *(
-            (f"{name} {state}  ", "green" if state == "alive" else "red")
-            for name, state in zip(status.sensors, status.sensor_states, strict=True)
-        ),
-    )
-
-
-def _invalid(session: SessionStatus | None) -> list[Text]:
-    """What could not be used of tactile messages, if anything."""
-    counts = {} if session is None else session.anomalies
-    shown = {name: n for name, n in counts.items() if name.startswith(("taxels_", "not_read_", "unreadable "))}
-    text = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in sorted(shown.items()))
-    return [Text(f"not usable: {text}", "yellow")] * bool(text)
 
 
 def _objects(state: OperatorState) -> Text:
@@ -109,15 +87,12 @@ def _objects(state: OperatorState) -> Text:
     grasps = state.grasps or {}
     for name in sorted({state.object, *grasps}, key=lambda name: name != state.object):
         text.append(name, "bold" if name == state.object else "")
-        outcomes = ", ".join(f"{count} {outcome}" for outcome, count in grasps.get(name, {}).items())
-        text.append(f" {outcomes or 0}  ")
+        text.append(f" {_counted(*zip(*grasps.get(name, {}).items(), strict=True)) if grasps.get(name) else 0}  ")
     return text
 
 
 def _topics(topics: Sequence[TopicAccount]) -> Table:
-    own = [
-        topic.topic for topic in topics[1:] if topic.topic.count("/") > 1
-    ]  # the first is the hand's, /tf the robot's
+    own = [one.topic for one in topics[1:] if one.topic.count("/") > 1]  # the first is the hand's, /tf the robot's
     common = commonpath(own or ["/"]).rstrip("/") + "/"
     rows: list[list[str | Text]] = []
     for topic in topics:
@@ -146,26 +121,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="names of the objects to record, in order: the key `o` takes the next",
     )
-    parser.add_argument("--note", default="", help="note for every sample")
+    add_options(parser, "--sensor")
     parser.add_argument(
-        "--tactile-topic", metavar="TOPIC", help=f"topic of the tactile messages (default: {TACTILE_TOPIC})"
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="change one parameter of the recorder, such as tactile_topic=/taxels or identity.hand=shadow_hand",
     )
-    parser.add_argument(
-        "--tactile-type",
-        choices=list(TACTILE_TYPES),
-        metavar="TYPE",
-        help=f"{', '.join(TACTILE_TYPES)} (default: {TactileConfig().type})",
-    )
-    add_options(parser, "--sensor", "--thumb", "--middle")
-    parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
-    parser.add_argument("--camera", metavar="MODEL[:SERIAL]", help="identity of the camera (default: realsense)")
     parser.add_argument(
         "--check",
         action="store_true",
         help="check hand, camera and table before a session, press each finger in turn, store the report with the"
         " dataset, and record nothing",
     )
-    parser.add_argument("--points", action="store_true", help="record the camera's whole clouds too")
     parser.add_argument(
         "--assume-grasps",
         action="store_true",
@@ -195,7 +164,7 @@ def run(arguments: argparse.Namespace) -> int:
 
             return run_check(node, arguments)
         with uninterrupted():  # or a file would be open that no session closes
-            node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
+            node.begin(str(Path(arguments.output).resolve()), arguments.object)
         _watch(node, arguments)
         state = node.session_status()
         announce("writing what is left")
@@ -206,31 +175,26 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print_json(_status_record(status, node.session_status()))
         else:
-            terminal().print(record_panel(status, f"foretouch record: {status.path}", state, sensor=_described(node)))
+            title = f"foretouch record: {status.path}"
+            terminal().print(record_panel(status, title, state, sensor=_described(node)))
         if status.reason:
             warn(status.reason)
         return int(bool(status.reason))
 
 
 def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
-    given = {
-        "tactile_topic": arguments.tactile_topic,
-        "tactile.type": arguments.tactile_type,
+    from foretouch.ros.nodes.recorder import RecorderConfig
+
+    given: dict[str, Any] = {
         "tactile.sensor": arguments.sensor,
-        "tactile.thumb": arguments.thumb,
-        "tactile.middle": arguments.middle,
-        "points": arguments.points or arguments.check or None,
+        "points": arguments.check or None,
         "objects": arguments.objects,
         "assume_grasps": arguments.assume_grasps or None,
-        **_identity("hand", arguments.hand),
-        **_identity("camera", arguments.camera),
     }
+    changes = parse_overrides(arguments.set)
+    checked = flattened(RecorderConfig().updated(changes, "--set").to_mapping())
+    given |= {name: checked[name] for name in flattened(changes)}
     return {"autostart": True} | {name: value for name, value in given.items() if value is not None}
-
-
-def _identity(what: str, given: str | None) -> dict[str, str | None]:
-    model, _, serial = (given or "").partition(":")
-    return {f"identity.{what}": None if given is None else model, f"identity.{what}_serial": serial or None}
 
 
 def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
@@ -278,32 +242,21 @@ def _described(node: RecorderNode) -> Sensor | None:
 
 def _status_record(status: RecorderStatus, session: SessionStatus) -> dict[str, Any]:
     """The status as `--json` prints it, which has null for what is not finite."""
+    topics = {
+        one.topic: {name: getattr(one, name) for name in ("received", "written", "waiting", "lost", "reliable")}
+        | {"dropped": dict(zip(one.drop_reasons, one.drop_counts, strict=True))}
+        for one in status.topics
+    }
     return {
-        "recording": status.recording,
-        "path": status.path,
+        **{name: getattr(status, name) for name in _COPIED},
         "seconds": stamp_ns(status.duration) * 1e-9,
         "bytes": status.bytes_written,
-        "samples": status.samples,
-        "unlabelled": status.unlabelled,
         "outcomes": dict(zip(status.outcomes, status.outcome_counts, strict=True)),
         "pairing_error_s": {"last": status.pairing_error, "max": status.pairing_error_max},
-        "received": status.received,
         "written": status.used,
         "dropped": dict(zip(status.drop_reasons, status.drop_counts, strict=True)),
-        "lost": status.lost,
-        "topics": {
-            topic.topic: {
-                "received": topic.received,
-                "written": topic.written,
-                "waiting": topic.waiting,
-                "dropped": dict(zip(topic.drop_reasons, topic.drop_counts, strict=True)),
-                "lost": topic.lost,
-                "reliable": topic.reliable,
-            }
-            for topic in status.topics
-        },
+        "topics": topics,
         "tactile": dict(session.anomalies),
         "sensors": dict(zip(status.sensors, status.sensor_states, strict=True)),
         "disk_left_min": status.disk_left / 60.0,
-        "reason": status.reason,
     }

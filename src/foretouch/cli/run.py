@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -48,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
         " or `camera`, the RealSense",
     )
-    parser.add_argument("--serial", help="serial number of the camera (default: any)")
     parser.add_argument(
         "--dwell",
         type=positive_value,
@@ -158,8 +156,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     given = nodes_of_file(arguments.params) if arguments.params else ()
     if scene and not arguments.model and not any("model" in parameters for _, parameters in given):
         nodes["touch_predictor"]["model"] = SIMULATED_HAND_MODEL
-    serial = {"camera.serial": arguments.serial} if arguments.serial else {}
-    for name, parameters in (_scene_nodes(arguments) if scene else {"camera": serial}).items():
+    for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
         nodes.setdefault(name, {}).update(parameters)
     return nodes
 
@@ -240,9 +237,8 @@ def replay_fault(replay: ReplayNode | None) -> str:
     """Describe why the source was not played completely; "" if it was."""
     if replay is None or (replay.outcome != "failed" and not replay.unreadable):
         return ""
-    return (
-        f"failed: {replay.reason}" if replay.outcome == "failed" else f"{replay.unreadable} entries could not be read"
-    )
+    failed = replay.outcome == "failed"
+    return f"failed: {replay.reason}" if failed else f"{replay.unreadable} entries could not be read"
 
 
 def report_conflicts(graph: Graph) -> list[str]:
@@ -255,10 +251,25 @@ def report_conflicts(graph: Graph) -> list[str]:
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     """Draw until the end of the source, N answers, or Ctrl-C; False if answers are missing."""
-    replay = graph.replay
-    draw = None if arguments.json else partial(_panel, graph, arguments.source)
+    replay, count = graph.replay, arguments.count
+
+    def ended() -> bool:
+        if arguments.failures:
+            raise arguments.failures[0]
+        return (replay is not None and replay.ended.is_set()) or (count is not None and graph.answered() >= count)
+
+    def panel() -> Panel:
+        waiting = f"waiting for the first: {_source_state(graph)}"
+        return live_panel(graph.monitor.view(), f"foretouch run: {arguments.source} (Ctrl-C to end)", waiting)
+
+    def report() -> None:
+        if not graph.played():
+            warn(f"waiting for the first cloud: {_source_state(graph)}")
+        elif not arguments.json:
+            warn(f"{graph.answered()}{f' of {count}' if count else ''} clouds answered")
+
     try:
-        watch(partial(_ended, graph, arguments), draw, partial(_report, graph, arguments), every_s=5.0)
+        watch(ended, None if arguments.json else panel, report, every_s=5.0)
     except KeyboardInterrupt:
         arguments.state = _source_state(graph)  # a source that was stopped is neither absent nor stalled
         graph.stop_source()  # or answers would still arrive after the counts
@@ -268,26 +279,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
         graph.stop_source()
     graph.wait_for_hand(timeout_s=10.0)
     # A live source does not wait for answers: the nodes count what they had to drop.
-    return replay is None or graph.wait_for_answers(min(graph.played(), arguments.count or graph.played()))
-
-
-def _ended(graph: Graph, arguments: argparse.Namespace) -> bool:
-    if arguments.failures:
-        raise arguments.failures[0]
-    played = graph.replay is not None and graph.replay.ended.is_set()
-    return played or (arguments.count is not None and graph.answered() >= arguments.count)
-
-
-def _panel(graph: Graph, source: str) -> Panel:
-    waiting = f"waiting for the first: {_source_state(graph)}"
-    return live_panel(graph.monitor.view(), f"foretouch run: {source} (Ctrl-C to end)", waiting)
-
-
-def _report(graph: Graph, arguments: argparse.Namespace) -> None:
-    if not graph.played():
-        warn(f"waiting for the first cloud: {_source_state(graph)}")
-    elif not arguments.json:
-        warn(f"{graph.answered()}{f' of {arguments.count}' if arguments.count else ''} clouds answered")
+    return replay is None or graph.wait_for_answers(min(graph.played(), count or graph.played()))
 
 
 def _source_state(graph: Graph) -> str:
@@ -315,11 +307,8 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
-        source, state = (
-            "scene" if "hand" in graph.nodes else "camera",
-            getattr(arguments, "state", _source_state(graph)),
-        )
-        warn(f"no cloud came from the {source}: {state}")
+        source = "scene" if "hand" in graph.nodes else "camera"
+        warn(f"no cloud came from the {source}: {getattr(arguments, 'state', _source_state(graph))}")
         return 3
     if untouched := at_rest(view.executed and view.executed[1]):
         warn("the last executed grasp touched nothing: its readings are those at rest")
@@ -355,8 +344,8 @@ def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"
-    drawn = DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title)
-    return drawn if readings is None else replace(drawn, rest=readings.tare, read=readings.touch)
+    read = {} if readings is None else {"rest": readings.tare, "read": readings.touch}
+    return DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title, **read)
 
 
 def at_rest(readings: TouchCut | None) -> bool:

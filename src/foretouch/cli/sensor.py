@@ -10,7 +10,7 @@ from foretouch.cli.output import print_json, print_table, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.tactile.description import Sensor, load_sensor, sensor_files
+from foretouch.tactile.description import load_sensor, sensor_files
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +25,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action.add_json()
         if count:
             about = "YAML file, or the name of a sensor of the package"
-            about += ", or a dataset or model, whose dead taxels are hollow" * (name == "show")
             action.add_argument("sensors", metavar="SENSOR", nargs=count, help=about)
         if name == "check":
             about = "dataset to compare the description with: ranges, noise, drift, rate, and taxels that failed"
@@ -40,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
         from foretouch.report.sensor_figure import save_sensor_figure
 
         require_writable(arguments.out, *PICTURE_SUFFIXES)
-        save_sensor_figure(_read_sensor(arguments.sensors[0]), arguments.out)
+        save_sensor_figure(load_sensor(arguments.sensors[0]), arguments.out)
     if arguments.action == "check" and arguments.against is not None:
         return _compare(arguments)
     records = [_record(name) for name in (sensor_files() if arguments.action == "list" else arguments.sensors)]
@@ -78,7 +77,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 def _record(name: str) -> dict[str, Any]:
     """The JSON object of a sensor."""
     try:
-        sensor = _read_sensor(name)
+        sensor = load_sensor(name)
     except ForetouchError as err:
         return {"input": name, "status": "refused", "reason": error_line(name, err)}
     config = sensor.config
@@ -95,22 +94,6 @@ def _record(name: str) -> dict[str, Any]:
         "values": [{"name": one.name, "unit": one.unit} for one in config.values],
         "scalars": [{"name": one.name, "unit": one.unit} for one in config.scalars],
     }
-
-
-def _read_sensor(name: str) -> Sensor:
-    """A description; that of a dataset or a model, with the taxels that are dead there."""
-    path = Path(name)
-    if path.suffix == ".yaml" or not path.exists():
-        return load_sensor(name)
-    from foretouch.dataset.samples import is_sample_set, open_samples, sensor_of_samples
-
-    if is_sample_set(path):
-        return sensor_of_samples(open_samples(path))
-    from foretouch.models.card import card_sensor, read_card
-    from foretouch.models.registry import find_card
-
-    card = find_card(path)
-    return card_sensor(read_card(card), card)
 
 
 def _row(record: dict[str, Any]) -> list[str]:

@@ -98,7 +98,7 @@ class SessionCheck:
             self._rate(
                 "hand",
                 HAND_SHARE * self._reader.sensor.config.update_rate,
-                "is the driver running, and --tactile-topic its topic?",
+                "is the driver running, and tactile_topic its topic?",
             ),
             self._clock("hand", HAND_OFFSET_S),
             self._rate("camera", CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),

@@ -75,8 +75,7 @@ def open_viewer(recording: Path) -> None:
             [*_viewer(), recording], env=environment, stderr=subprocess.PIPE, text=True, errors="replace", check=False
         )
     if done.returncode:
-        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-        cause = next((line for line in lines if line.startswith("Error")), lines[0] if lines else "no message")
+        cause = next(iter(done.stderr.strip().splitlines()), "no message")
         raise ForetouchError(f"Rerun cannot open a window ({cause}): write a file with --save F.rrd instead")
 
 
@@ -107,6 +106,4 @@ def _not_drawn(output: str) -> ForetouchError:
         return MissingDependencyError(
             "--screenshot: Rerun finds no graphics driver (Vulkan): apt install libvulkan1 mesa-vulkan-drivers"
         )
-    causes = [line.strip() for line in output.splitlines() if "panicked" in line or "ERROR" in line]
-    cause = causes[0] if causes else f"nothing was loaded within {_SCREENSHOT_S:.0f} s"
-    return ForetouchError(f"--screenshot: Rerun has drawn nothing: {cause}")
+    return ForetouchError(f"--screenshot: Rerun has drawn nothing within {_SCREENSHOT_S:.0f} s")

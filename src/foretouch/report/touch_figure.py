@@ -21,10 +21,9 @@ from foretouch.report.panels import new_figure, save
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction, assumed_table
 
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
-_SHEET_COLUMNS = 2  # samples side by side
 _ROW_INCH = 2.2  # height of a grasp
 _SCALE_INCH = 0.85  # height of the scale of colours
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
@@ -45,13 +44,15 @@ class DrawnGrasp:
     title: str = ""
 
 
-def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: Sensor | None = None) -> Path:
-    """Write one PNG with a row for each grasp: scene, contacts, taxels predicted and read, and how they agree.
+def save_touch_picture(
+    path: str | Path, grasps: Sequence[DrawnGrasp], sensor: Sensor = BIOTAC_SP, *, scenes: bool = True
+) -> Path:
+    """Write one PNG with a row for each grasp: scene (if asked for), contacts, taxels predicted and read, and how they agree.
 
-    Taxels that were read outside of their intervals have a ring, dead ones are hollow. The folder of the file is created. The sensor
-    of all touches is the BioTac SP unless given.
+    All touches are of one sensor. Taxels that were read outside of their intervals have a ring, dead ones are hollow. The folder of
+    the file is created.
     """
-    view = TaxelView(sensor or BIOTAC_SP)
+    view = TaxelView(sensor)
     # Finger, `predicted` or `read`, and touch of each panel of taxels; those of a finger are side by side.
     panels = [
         [
@@ -63,7 +64,7 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
         for grasp in grasps
     ]
     most = max(map(len, panels))
-    left = [2.6, 1.9] if any(one.target for one in grasps) else []  # scene and contacts
+    left = [2.6, 1.9][not scenes :] if any(one.target for one in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
     scale = TaxelScale(
         view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row]
@@ -75,11 +76,12 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp], sensor: S
         part.suptitle("\n".join(filter(None, (one.title, _agreement(one, view.sensor)))), fontsize=10)
         axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
         views, fingers, unused = np.split(axes, [len(left), len(left) + len(row)])
-        if one.target is not None:
+        if one.target is not None and scenes:
             title = f"what the camera sees\nof the table, {abs(one.target.plane.offset):.2f} m away"
             _draw_scene(views[0], one.scene or one.target.cloud, one.target, "" if title == seen else title)
             seen = title
-            _draw_front(views[1], one.target.cloud, one.prediction.grasp, view.fingers)
+        if one.target is not None:
+            _draw_front(views[-1], one.target.cloud, one.prediction.grasp, view.fingers)
         for panel in (*unused, *(views if one.target is None else ())):
             panel.set_axis_off()
         inside = _inside(one)
@@ -105,10 +107,8 @@ def _inside(one: DrawnGrasp) -> Bool | None:
 def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
     """A sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
     value, read = one.prediction.value, one.read
-    if value is None:
-        return f"not predicted: {one.prediction.reason}"
-    if read is None:
-        return ""
+    if value is None or read is None:
+        return f"not predicted: {one.prediction.reason}" if one.prediction.reason else ""
     columns = {channel: sensor.taxel_columns[..., k].ravel() for k, channel in enumerate(sensor.taxel_channels)}
     apart = np.abs(value.values - read.values)
     means = [f"{name.name} {name.text(apart[part].mean())} {name.unit}" for name, part in columns.items()]
@@ -120,43 +120,19 @@ def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
     return fill(f"{text}; within their 90 % intervals: {', '.join(shares)}", _LINE)
 
 
-def save_contact_sheet(
-    path: str | Path, samples: Sequence[GraspSample], title: str = "", sensor: Sensor | None = None
-) -> Path:
-    """Write one PNG with the clouds, contacts and readings of samples; an unlabelled one is drawn without fingers.
-
-    The sensor of all touches is the BioTac SP unless given.
-    """
-    view = TaxelView(sensor or BIOTAC_SP)
-    rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
-    figure = new_figure(7.6 * _SHEET_COLUMNS, 2.6 * rows + 1.3)  # below title and scale
-    figure.suptitle(title)
-    grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.2, 0.8, 0.8] * _SHEET_COLUMNS)
-    for axes in grid.flat:
-        axes.set_axis_off()
-    scale = TaxelScale(view, [(one.touch, one.tare) for one in samples if one.touch is not None])
-    for front, sample in zip(grid.reshape(-1, 3), samples, strict=False):
-        _draw_sample(list(front), sample, scale)
-    if scale.drawn is not None:
-        scale.add_to(figure, list(grid.flat))
-    return save(figure, Path(path), dpi=100)
-
-
-def _draw_sample(panels: Sequence[Axes], sample: GraspSample, scale: TaxelScale) -> None:
-    """Draw object and fingers of a sample."""
-    front, *fingers = panels
-    front.set_axis_on()
-    _draw_front(front, sample.cloud, sample.grasp, scale.view.fingers)
-    front.set_title(f"{sample.id}, {1e3 * sample.grasp.width_m:.0f} mm", fontsize=9)
-    if sample.touch is None:
-        return
-    for k, (axes, name) in enumerate(zip(fingers, sample.touch.channels.fingers, strict=True)):
-        axes.set_axis_on()
-        scale.draw(axes, sample.touch, sample.tare, k, size=110)
-        force = sample.extra.get(f"force_{name.lower()}_n")
-        numbers = [scale.view.scalars(k, sample.touch), "" if force is None else f"{force:.1f} N"]
-        title = f"{scale.view.fingers[k]}\n{', '.join(filter(None, numbers))}"
-        axes.set_title(title, fontsize=9, color=_FINGER_COLOURS[k])
+def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor: Sensor = BIOTAC_SP) -> Path:
+    """Write one PNG with the contacts and the readings of samples, a row each, as `save_touch_picture` draws them."""
+    rows = [
+        DrawnGrasp(
+            prediction=TouchPrediction(one.grasp, None),
+            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)),
+            rest=one.tare,
+            read=one.touch,
+            title=one.id,
+        )
+        for one in samples
+    ]
+    return save_touch_picture(path, rows, sensor, scenes=False)
 
 
 class TaxelScale:

@@ -13,7 +13,7 @@ from foretouch.tactile.channels import (
     TactileRanges,
     biotac_touch,
 )
-from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, offsets, tdc_of, to_kohm, touch_faults
+from foretouch.tactile.readings import FULL_SCALE, is_tdc, make_tare, tdc_of, to_kohm, touch_faults
 
 __all__ = [
     "BIOTAC",
@@ -29,7 +29,6 @@ __all__ = [
     "biotac_touch",
     "is_tdc",
     "make_tare",
-    "offsets",
     "tdc_of",
     "to_kohm",
     "touch_faults",

@@ -64,8 +64,9 @@ class FingerContact:
         self._recent: deque[tuple[int, Float64]] = deque(maxlen=_MAX_READINGS)
         self._reference: Float64 | None = None
         self._noise = np.empty(0)
-        self._since_update = 0
-        self._state = _Hysteresis()
+        self._since_update = 0  # readings
+        self._against = 0  # consecutive readings that speak for the other state
+        self._first_ns = self._since_ns = 0  # stamps of the first of these, and of the first reading of the state
 
     def update(self, stamp_ns: int, counts: npt.ArrayLike) -> ContactEvent | None:
         """Process a reading, (M,) values of the finger with its stamp [ns]; stamps may go back."""
@@ -75,20 +76,28 @@ class FingerContact:
         if self._reference is None:
             return None
         self.score = float(_scores((reading - self._reference) / self._noise, self._channels))
-        change = self._state.update(stamp_ns, self.score)
-        self.touching = self._state.touching
-        if change is None:
+        touching = bool(self.touching)
+        drift = touching and stamp_ns - self._since_ns > LONGEST_S * SECOND_NS
+        if not drift and not (self.score < RELEASE_LEVEL if touching else self.score > 1.0):
+            self.touching, self._against = touching, 0
             return None
-        if change[0] == "release" and self.score >= RELEASE_LEVEL:
+        self._first_ns = self._first_ns if self._against else stamp_ns
+        self._against += 1
+        if self._against < CONFIRM and not drift:
+            self.touching = touching
+            return None
+        self.touching, self._against, self._since_ns = not touching, 0, self._first_ns
+        event = ContactEvent(self.finger, "release" if touching else "onset", self._first_ns)
+        if touching and self.score >= RELEASE_LEVEL:
             self.reset()  # not a release but drift: the reference is no longer valid
         self._recent.clear()  # readings before this contact are no reference for the next one
-        return ContactEvent(self.finger, *change)
+        return event
 
     def reset(self) -> None:
         """Discard the reference, for instance after a clock jump or a sensor dropout."""
         self.touching, self.score, self._reference = None, 0.0, None
         self._recent.clear()
-        self._state = _Hysteresis()
+        self._against = 0
 
     def _update_reference(self, stamp_ns: int, reading: Float64) -> None:
         """Compute the reference from the recent readings without contact."""
@@ -165,36 +174,12 @@ def find_contact(
 ) -> tuple[int | None, ...]:
     """First contact of each finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
     onsets: list[int | None] = []
-    for scores in contact_scores(counts, rest, channels).T:
-        state = _Hysteresis()
-        changes = (state.update(int(stamp), float(score)) for stamp, score in zip(stamps_ns, scores, strict=True))
-        onsets.append(next((change[1] for change in changes if change is not None), None))
+    for above in (contact_scores(counts, rest, channels) > 1.0).T:
+        run = (
+            np.lib.stride_tricks.sliding_window_view(above, CONFIRM).all(axis=1) if len(above) >= CONFIRM else above[:0]
+        )
+        onsets.append(int(stamps_ns[int(run.argmax())]) if run.any() else None)
     return tuple(onsets)
-
-
-class _Hysteresis:
-    """Contact state from scores, with hysteresis and confirmation."""
-
-    def __init__(self) -> None:
-        self.touching = False
-        self._consecutive = 0
-        self._first_ns = 0
-        self._since_ns = 0
-
-    def update(self, stamp_ns: int, score: float) -> tuple[Literal["onset", "release"], int] | None:
-        drift = self.touching and stamp_ns - self._since_ns > LONGEST_S * SECOND_NS
-        against = score < RELEASE_LEVEL if self.touching else score > 1.0
-        if not against and not drift:
-            self._consecutive = 0
-            return None
-        if self._consecutive == 0:
-            self._first_ns = stamp_ns
-        self._consecutive += 1
-        if self._consecutive < CONFIRM and not drift:
-            return None
-        self.touching, self._consecutive = not self.touching, 0
-        self._since_ns = self._first_ns
-        return ("onset" if self.touching else "release"), self._first_ns
 
 
 def _scores(change: Float64, channels: Channels) -> Float64:

@@ -136,9 +136,6 @@ class SensorConfig(Settings):
     )
     array: ArrayConfig | None = None
     taxels: str = setting("", "Name of a CSV file beside the description: index, x, y, z, nx, ny, nz [m]")
-    pixels: tuple[int, ...] = setting(
-        (), "Rows and columns of an image of the taxels: columns row, col in `taxels`", minimum=1
-    )
     pad: tuple[float, ...] = setting(
         (-0.2, -0.2, -0.2, 0.2, 0.2, 0.2), "Box that holds all taxels: lowest x, y, z, then highest", unit="m"
     )
@@ -151,12 +148,10 @@ class SensorConfig(Settings):
         _check_names_and_paths(self)
         if (self.array is None) == (not self.taxels):
             raise ConfigError("array, taxels: give exactly one of them")
-        if self.array is not None and self.pixels:
-            raise ConfigError("pixels: those of an array are its rows and columns")
         if Path(self.taxels).name != self.taxels:
             raise ConfigError(f"taxels: {self.taxels!r} is not a valid file name beside the description")
         require_length(self, 6, "pad")
-        require_length(self, 2, *(["pixels"] if self.pixels else []), *(["grasp"] if len(self.grasp) == 1 else []))
+        require_length(self, 2, *(["grasp"] if len(self.grasp) == 1 else []))
         if not re.fullmatch(r"[A-Za-z]\w*/[A-Za-z]\w*", self.source.type, re.ASCII):
             raise ConfigError(f"source.type: {self.source.type!r} is not a type of messages, as package/Name")
         scalars = [channel.name for channel in self.scalars]
@@ -291,8 +286,7 @@ class Sensor:
         """All that `sensor_of` needs, as plain types, for manifests and cards."""
         stated: dict[str, Any] = _stated(self.config.to_mapping())
         if self.config.taxels:
-            parts = self.layout.positions, self.layout.normals, self.layout.pixels
-            stated["taxels"] = [None if one is None else one.tolist() for one in parts]
+            stated["taxels"] = [self.layout.positions.tolist(), self.layout.normals.tolist(), None]
         return stated
 
 
@@ -318,12 +312,12 @@ def load_sensor(sensor: str | Path) -> Sensor:
             raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(sensor, known)}")
         path = known[str(sensor)]
     config = SensorConfig.from_mapping(load_yaml(path), str(path))
-    layout = config.array.layout() if config.array else read_layout(path.parent / config.taxels, config.pixels)
+    layout = config.array.layout() if config.array else read_layout(path.parent / config.taxels)
     return _checked(config, layout, shown(path))
 
 
 def _checked(config: SensorConfig, layout: Layout, where: str) -> Sensor:
-    """The sensor; a `ConfigError` if a taxel is outside of the pad or the image, or a dead one does not exist."""
+    """The sensor; a `ConfigError` if a taxel is outside of the pad, or a dead one does not exist."""
     outside = ((layout.positions < config.pad[:3]) | (layout.positions > config.pad[3:])).any(axis=1)
     if outside.any():
         index = int(outside.argmax())
@@ -332,9 +326,6 @@ def _checked(config: SensorConfig, layout: Layout, where: str) -> Sensor:
     for finger in config.fingers:
         if max(finger.dead, default=-1) >= len(layout.positions):
             raise ConfigError(f"{where}: dead: {finger.name} has no taxel {max(finger.dead)}")
-    pixels = layout.pixels
-    if pixels is not None and config.pixels and ((pixels < 0) | (pixels >= config.pixels)).any():
-        raise ConfigError(f"{where}: pixels: a taxel is outside of the image of {list(config.pixels)} pixels")
     return Sensor(config, layout)
 
 
@@ -357,16 +348,15 @@ def sensor_of(mapping: Any, where: str) -> Sensor:
 def _layout_of(taxels: list[Any], where: str) -> Layout:
     """The taxels in a description of `Sensor.to_mapping`."""
     try:
-        points, normals, pixels = taxels
+        points, normals, _ = taxels
         parts = np.asarray([points, normals], np.float64).reshape(2, -1, 3)
-        places = None if pixels is None else np.asarray(pixels, np.int64).reshape(len(parts[0]), 2)
     except (TypeError, ValueError, OverflowError) as err:
-        raise ConfigError(f"{where}: positions, normals and pixels are expected") from err
+        raise ConfigError(f"{where}: positions, normals and null are expected") from err
     if not 0 < len(parts[0]) <= MOST_TAXELS:
         raise ConfigError(f"{where}: {len(parts[0])} are not 1 to {MOST_TAXELS}")
     if not np.allclose(np.linalg.norm(parts[1], axis=1), 1.0) or not np.isfinite(parts).all():
         raise ConfigError(f"{where}: are not finite, or the normals not of unit length")
-    return Layout(parts[0], parts[1], places)
+    return Layout(parts[0], parts[1])
 
 
 def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:

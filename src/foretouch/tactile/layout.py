@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the taxels of a sensor are: in an array, or by a CSV file with a line for each."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,10 +11,9 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError, quoted
 from foretouch.files import read_bytes
-from foretouch.types import Bool, Float64, Index, Int64
+from foretouch.types import Bool, Float64, Index
 
 COLUMNS: Final = ("index", "x", "y", "z", "nx", "ny", "nz")
-PIXEL_COLUMNS: Final = ("row", "col")
 
 MOST_TAXELS: Final = 65_536
 """Taxels of a finger."""
@@ -30,7 +28,6 @@ class Layout:
 
     positions: Float64  # (N, 3) [m]; read-only
     normals: Float64  # (N, 3), outward, of unit length; read-only
-    pixels: Int64 | None  # (N, 2) row and column of each taxel in an image; None without one
 
     def __post_init__(self) -> None:
         self.positions.flags.writeable = self.normals.flags.writeable = False
@@ -86,10 +83,9 @@ class ArrayConfig(Settings):
     def layout(self) -> Layout:
         """The taxels, in the order of a message."""
         grid = np.indices((self.rows, self.cols)).transpose((1, 2, 0) if self.order == "row-major" else (2, 1, 0))
-        pixels = grid.reshape(-1, 2)
-        positions = np.zeros((len(pixels), 3))
-        positions[:, :2] = pixels * np.array(self.spacing or self.size) - self.offset
-        return Layout(positions, np.tile((0.0, 0.0, 1.0), (len(pixels), 1)), pixels)
+        positions = np.zeros((self.rows * self.cols, 3))
+        positions[:, :2] = grid.reshape(-1, 2) * np.array(self.spacing or self.size) - self.offset
+        return Layout(positions, np.tile((0.0, 0.0, 1.0), (len(positions), 1)))
 
 
 def nearest_valid(positions: Float64, valid: Bool) -> list[tuple[int, Index]]:
@@ -108,56 +104,42 @@ def require_length(settings: Settings, length: int, *names: str) -> None:
             raise ConfigError(f"{name}: {list(getattr(settings, name))} are not {length} numbers")
 
 
-def read_layout(path: Path, image: Sequence[int]) -> Layout:
-    """Read the taxels from a CSV file: index, x, y, z, nx, ny, nz [m], and row, col in an image; `#` begins a comment.
+def read_layout(path: Path) -> Layout:
+    """Read the taxels from a CSV file with the columns of `COLUMNS` [m]; `#` begins a comment.
 
-    Args:
-        path: The file.
-        image: Rows and columns of the image; empty without one.
-
-    Returns:
-        The taxels; normals that were rounded are of unit length, others are as written, to the bit.
-
-    Raises:
-        FileError: Names the file, the line and the rule.
+    Normals that were rounded are made of unit length, others are as written, to the bit. A `FileError` names the file, the line and
+    the rule.
     """
-    columns = (*COLUMNS, *PIXEL_COLUMNS) if image else COLUMNS
     text = read_bytes(path, _BYTES).decode("utf-8-sig", "replace").splitlines()
     lines = {f"line {n}": line for n, line in enumerate(text, 1) if line.strip() and not line.startswith("#")}
-    if next(iter(lines.values()), None) != ",".join(columns):
-        raise FileError(path, f"does not begin with the line {','.join(columns)}")
+    if next(iter(lines.values()), None) != ",".join(COLUMNS):
+        raise FileError(path, f"does not begin with the line {','.join(COLUMNS)}")
     numbered = list(lines.items())[1:]
     if not 0 < len(numbered) <= MOST_TAXELS:
         raise FileError(path, f"holds {len(numbered)} taxels, not 1 to {MOST_TAXELS}")
-    table = np.array([_numbers(path, name, line, len(columns)) for name, line in numbered])
-    index, normals, pixels = table[:, 0], table[:, 4:7], table[:, 7:]
+    table = np.array([_numbers(path, name, line) for name, line in numbered])
+    index, normals = table[:, 0], table[:, 4:7]
     with np.errstate(over="ignore"):
         length = np.linalg.norm(normals, axis=1)
-    inside = (pixels >= 0) & (pixels < (image or 0)) & (pixels % 1 == 0)
+    again = ~np.isin(np.arange(len(index)), np.unique(index, return_index=True)[1])
     for rule, wrong in (
-        (f"index: not each of 0 to {len(table) - 1} once", ~np.isin(index, np.arange(len(table))) | _repeats(index)),
+        (f"index: not each of 0 to {len(table) - 1} once", again | ~np.isin(index, np.arange(len(index)))),
         ("nx, ny, nz: the normal is zero; where it is unknown, state that of the nearest taxel", length == 0.0),
         ("nx, ny, nz: the normal is not of unit length", np.abs(length - 1.0) > 0.01),
-        (f"row, col: not one of {list(image)} pixels for each", ~inside.all(axis=1) | (_repeats(pixels) & bool(image))),
     ):
         if wrong.any():
             raise FileError(path, rule, field=numbered[wrong.argmax()][0])
     rounded = np.abs(length - 1.0) > 1e-9
     normals[rounded] /= length[rounded, None]
     table = table[np.argsort(index)]
-    return Layout(table[:, 1:4].copy(), table[:, 4:7].copy(), table[:, 7:].astype(np.int64) if image else None)
+    return Layout(table[:, 1:4].copy(), table[:, 4:7].copy())
 
 
-def _numbers(path: Path, name: str, line: str, count: int) -> list[float]:
+def _numbers(path: Path, name: str, line: str) -> list[float]:
     try:
         values = [float(cell) for cell in line.split(",")]
     except ValueError:
         values = []
-    if len(values) != count or not np.isfinite(values).all():
-        raise FileError(path, f"{quoted(line)} is not {count} finite numbers", field=name)
+    if len(values) != len(COLUMNS) or not np.isfinite(values).all():
+        raise FileError(path, f"{quoted(line)} is not {len(COLUMNS)} finite numbers", field=name)
     return values
-
-
-def _repeats(rows: Float64) -> Bool:
-    """Which rows of a table with columns occurred before."""
-    return ~np.isin(np.arange(len(rows)), np.unique(rows, axis=0, return_index=True)[1])

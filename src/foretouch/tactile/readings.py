@@ -89,11 +89,6 @@ def to_celsius(tdc: float) -> float:
     return 4025.0 / math.log((155183.0 - 46555.0 * share) / share) - 273.15
 
 
-def offsets(touch: Touch, tare: Touch) -> Float64:
-    """(D,) float64, touch minus tare: with pressure, PDC rises and electrodes fall."""
-    return touch.values - tare.values
-
-
 def to_kohm(electrode: npt.ArrayLike) -> Float64:
     """Impedance of electrodes [kOhm], float64, by the product manual: Z = (4095 / E - 1) * 10.
 

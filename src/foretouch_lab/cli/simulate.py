@@ -114,7 +114,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
     if not arguments.no_sheet:
         from foretouch.report.touch_figure import save_contact_sheet
 
-        save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}", writer.sensor)
+        save_contact_sheet(arguments.out / SHEET, shown, writer.sensor)
     _report(simulation, writer.sha256, arguments, seconds)
     return 0
 

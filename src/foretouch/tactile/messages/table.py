@@ -46,8 +46,6 @@ class TactileConfig(Settings, read_only=True):
     middle: str = setting(
         "", "Name of the finger at g2 in the messages; empty for the default of the type, MF or 1, or of the sensor"
     )
-    state_pdc: int = setting(0, "Index of PDC in a channel of TactileState", minimum=0)
-    state_electrodes: int = setting(1, "Index of the first of 24 electrodes in a channel of TactileState", minimum=0)
 
     @cached_property
     def described(self) -> Sensor:

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile_msgs/TactileState`: one channel of numbers for each finger, named as the driver chooses.
+"""`tactile_msgs/TactileState`: one channel of numbers for each finger, PDC and the electrodes, named as the driver chooses."""
 
-The order of the numbers in a channel is not standardised: `state_pdc` and `state_electrodes` give the indices.
-"""
-
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -18,21 +16,18 @@ FINGERS: Final = ("TH", "MF")
 
 def make_reader(config: TactileConfig) -> TactileReader:
     """The decoder for the chosen channels."""
-    return TactileReader(partial(_read, config=config))
+    return TactileReader(partial(_read, fingers=config.fingers))
 
 
-def _read(message: Any, config: TactileConfig) -> TactileReading:
+def _read(message: Any, fingers: Sequence[str]) -> TactileReading:
     channels = {sensor.name: np.asarray(sensor.values, np.float32) for sensor in message.sensors}
-    pdc, first = config.state_pdc, config.state_electrodes
-    length = max(pdc + 1, first + ELECTRODES)
-    for name in config.fingers:
+    for name in fingers:
         if name not in channels:
             raise TactileError(f"{name}: no such channel; there are {', '.join(map(repr, channels)) or 'none'}")
-        if len(channels[name]) < length:
-            raise TactileError(f"{name}: {len(channels[name])} values, {length} are needed")
-    th, mf = (channels[name] for name in config.fingers)
-    electrodes = slice(first, first + ELECTRODES)
-    counts = np.concatenate([th[pdc : pdc + 1], mf[pdc : pdc + 1], th[electrodes], mf[electrodes]])
+        if len(channels[name]) <= ELECTRODES:
+            raise TactileError(f"{name}: {len(channels[name])} values, {1 + ELECTRODES} are needed")
+    th, mf = (channels[name][: 1 + ELECTRODES] for name in fingers)
+    counts = np.concatenate([th[:1], mf[:1], th[1:], mf[1:]])
     if not np.isfinite(counts).all():
         raise TactileError("TactileState: a count is not finite")
     return TactileReading(stamp_ns(message.header.stamp), counts, np.empty(0, np.float32))

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The words of a command: help, and refusals of what is misspelled or a number that cannot be used, with the nearest known name."""
+
+import argparse
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from every_case import every_case
+
+from foretouch.cli.main import COMMANDS, _parser, main
+from foretouch.cli.parser import EXAMPLES
+
+CONFIG = Path(__file__).parents[2] / "config"
+
+
+def parsers() -> Iterator[argparse.ArgumentParser]:
+    """Of each command, and of its actions."""
+    yield _parser(None)
+    for command in COMMANDS:
+        (found,) = (one for one in _parser(command)._actions if isinstance(one, argparse._SubParsersAction))
+        parser = found.choices[command]
+        yield parser
+        for below in (one for one in parser._actions if isinstance(one, argparse._SubParsersAction)):
+            yield from below.choices.values()
+
+
+def test_the_help_of_every_command_has_an_example_defaults_groups_and_exit_statuses(monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    found = {parser.prog.partition(" ")[2]: parser for parser in parsers()}
+    assert set(found) == set(EXAMPLES)
+
+    def check(parser: argparse.ArgumentParser) -> None:
+        text, example = parser.format_help(), EXAMPLES[parser.prog.partition(" ")[2]]
+        assert max(map(len, text.splitlines())) <= 80
+        assert re.search(r"exit status:\n  0 done; 1 .*; 2 wrong", text)
+        assert f"example:\n  {example[:60]}" in text
+        words = shlex.split(example)
+        assert " ".join(words).startswith(parser.prog)
+        _parser(words[1]).parse_args(words[1:])  # or argparse ends the process
+        options = [one for one in parser._actions if one.option_strings and one.dest not in {"help", "version"}]
+        for option in options:
+            assert option.option_strings[-1] in text
+            if option.nargs != 0 and not option.required:
+                assert re.search("default|required", parser._get_formatter()._get_help_string(option)), option.dest
+        if len(options) > 10:
+            assert len(re.findall(r"^([a-z].*):$", text, re.MULTILINE)) >= 4
+            others = text.partition("others:\n")[2].partition("\n\n")[0]
+            assert others.split()[:2] in ([], ["-h,", "--help"]), others
+
+    every_case(found, check)
+
+
+def test_words_and_numbers_of_no_use_are_usage_errors_with_the_nearest_word(capsys) -> None:
+    cases = (
+        ("evalute default store", "'evalute' is not one of segment, ", "did you mean evaluate?"),
+        ("dataset infoo store", "'infoo' is not one of info, ", "did you mean info?"),
+        ("run --source x --pictrue y.png", "--pictrue: there is no such option; did you mean --picture?"),
+        ("grasp x.pcd --target nearst", "'nearst' is not one of nearest, ", "did you mean nearest?"),
+        ("dataset import x -o y --topic tactil=/x", "--topic: 'tactil=/x' is not KIND=NAME with a kind of clouds"),
+        ("record -o none --seconds -1", "--seconds: -1 is not above 0"),
+        ("run --source none --count 0", "--count: 0 is not 1 or more"),
+        ("replay none --rate fast", "--rate: 'fast' is not a finite number"),
+        ("train none -o none --workers 2.5", "--workers: '2.5' is not a whole number"),
+        ("run --source none --plane 0,0,1", "--plane: '0,0,1' is not 4 numbers with commas between them"),
+        ("run --source none --serve localhost:", "--serve: 'localhost:' is not HOST:PORT, such as 127.0.0.1:8765"),
+        ("run --source none --serve 127.0.0.1:99999", "is not HOST:PORT"),
+    )
+
+    def check(line: str, *texts: str) -> None:
+        with pytest.raises(SystemExit, match="2"):
+            main(line.split())
+        err = capsys.readouterr().err
+        assert all(text in err for text in texts), err
+
+    every_case(cases, check)
+
+
+MAY_BE_ZERO = ("--seed", "--vary", "--wait-limit")
+CHECKED_LATER = {"grasp --tip-mm": "tip_mm", "grasp --count": "count", "grasp --slide-m": "slide_m"}
+"""Options whose bounds are those of a setting, and its name in the error."""
+
+
+def _takes_a_number(kind: Callable[[str], object]) -> bool:
+    try:
+        return isinstance(kind("7"), int | float)
+    except argparse.ArgumentTypeError:  # such as four numbers
+        return False
+
+
+def test_every_option_of_a_number_refuses_what_no_command_can_use(call, files) -> None:
+    options = {
+        f"{parser.prog.removeprefix('foretouch ')} {action.option_strings[-1]}": action.type
+        for parser in parsers()
+        for action in parser._actions
+        if callable(action.type) and _takes_a_number(action.type)
+    }
+    assert {"record --seconds", "dataset build --seed", "predict --budget-ms", *CHECKED_LATER} <= set(options)
+
+    def check(name: str, text: str) -> None:
+        if text == "0" and name.endswith(MAY_BE_ZERO):
+            assert options[name](text) == 0
+            return
+        with pytest.raises(argparse.ArgumentTypeError, match=f"{text!r} is not |{text} is not "):
+            options[name](text)
+
+    parsed = options.keys() - CHECKED_LATER.keys()
+    every_case([(name, text) for name in parsed for text in ("-1", "0", "nan", "inf", "x", "")], check)
+    for name, text in (
+        ("grasp --tip-mm", "nan"),
+        ("grasp --tip-mm", "0"),
+        ("grasp --count", "0"),
+        ("grasp --slide-m", "inf"),
+    ):
+        call("grasp", files / "object.pcd", name.split()[1], text).check_refused(CHECKED_LATER[name])
+
+
+SCENE = "objects:\n  - {name: can, shape: can, size_m: [0.07, 0.07, 0.1]}\n"
+FIELDS = (  # of a scene, of the pipeline, of a training
+    ("simulate", SCENE + "camera: {noize: {}}", "camera.noize", "noise"),
+    ("segment", "segmentation: {crop: {max_rnage_m: 1.0}}", "segmentation.crop.max_rnage_m", "max_range_m"),
+    ("train", "methd: contact", "methd", "method"),
+)
+NAMES = (  # recipes, experiments, presets, areas, models, settings of a command
+    ("train p3 data=x -o y", "p3: is neither a file nor one of contact-v2, p1, p1_as_published, p2", "p2"),
+    ("experiment cross_validaton -o y", "'cross_validaton'", "cross_validation"),
+    ("experiment cross_validation -o y --preset smokee", "'smokee'", "smoke"),
+    ("tradeoff modle -o y", "'modle'", "model"),
+    ("predict x.pcd --model contact_v2", "contact_v2", "contact-v2"),
+    (f"simulate {CONFIG}/scenes/clean.yaml --explain --set camera.noize={{}}", "--set: camera.noize: unknown", "noise"),
+    ("train contact-v2 trees=3 data=x -o y", "trees", "contact.trees"),
+    ("record -o y --set tactile_topc=/x", "--set: tactile_topc: unknown setting", "tactile_topic"),
+)
+
+
+def test_fields_and_names_are_refused_with_the_nearest_known_one(call, files, tmp_path) -> None:
+    def check_field(command: str, text: str, field: str, nearest: str) -> None:
+        path = tmp_path / "own.yaml"
+        path.write_text(text + "\n")
+        words = {"simulate": (path, "--explain"), "segment": (files / "scene.npz", "--config", path)}
+        answer = call(command, *words.get(command, (path, "data=x", "-o", "y")))
+        for part in (f"{path}", f": {field}: unknown setting; known: ", f"; did you mean {nearest}?"):
+            answer.check_refused(part)
+
+    def check_name(words: str, name: str, nearest: str) -> None:
+        answer = call(*words.split())
+        answer.check_refused(name)
+        answer.check_refused(f"did you mean {nearest}?")
+
+    every_case(FIELDS, check_field)
+    every_case(NAMES, check_name)
+
+
+REFUSED = (  # nodes and parameters of a file
+    ("/foretouch/touch_predicter", "autostart: true", "did you mean /foretouch/touch_predictor?"),
+    ("/foretuch/grasp", "autostart: true", "did you mean /foretouch/grasp?"),
+    ("touch_predictor", "autostart: true", "did you mean /foretouch/touch_predictor?"),
+    ("/left/touch_predicter", "autostart: true", "did you mean /foretouch/touch_predictor?"),
+    ("/foretouch/touch_predictor", "use_tarre: false", ": use_tarre: unknown parameter; did you mean use_tare?"),
+    ("/foretouch/grasp", "use_tare: false", ": use_tare: unknown parameter"),  # a parameter of another node
+    ("/**", "latency_budget: 5.0", "did you mean latency_budget_ms?"),
+    ("/foretouch/*", "queue_deth: 3", "did you mean queue_depth?"),
+    ("/foretouch/recorder", "points:", "points: is empty"),
+)
+ACCEPTED = (
+    ("/foretouch/touch_predictor", "{use_tare: false, use_sim_time: true}"),
+    ("/foretouch:\n touch_predictor", "use_tare: false"),  # a namespace
+    ("/**", "{use_tare: false, qos_overrides./foretouch/touch.publisher.depth: 3}"),
+    ("/**/grasp", "grasp.count: 3"),
+    ("/left/grasp", "grasp.count: 3"),
+    ("/robot2/grasp", "grasp.count: 3", "/robot1"),
+    ("/move_group", "anything: 3"),
+)
+
+
+def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -> None:
+    pytest.importorskip("rclpy")
+    from foretouch.errors import ConfigError
+    from foretouch.ros.graph import NODES as KNOWN
+    from foretouch.ros.runtime.parameter_files import check_parameters
+
+    path = tmp_path / "robot.yaml"
+
+    def check_refused(node: str, text: str, wanted: str) -> None:
+        path.write_text(f"{node}:\n  ros__parameters:\n    {text}\n")
+        answer = call("record", "-o", tmp_path / "out", "--params", path)
+        answer.check_refused(f"{path}: /{node.strip('/')}: ")
+        answer.check_refused(wanted)
+
+    def check_accepted(node: str, text: str, namespace: str = "/foretouch") -> None:
+        path.write_text(f"{node}:\n  ros__parameters:\n    {text}\n")
+        check_parameters(["--ros-args", "--params-file", str(path)], KNOWN, ["grasp"], namespace)
+
+    every_case(REFUSED, check_refused)
+    every_case(ACCEPTED, check_accepted)
+    for words, text in (
+        (["-p", "use_tare:=false"], "-p use_tare:=false: use_tare: unknown parameter"),
+        (["--param", "touch_predictor:use_tarre:=false"], "did you mean use_tare?"),
+    ):
+        with pytest.raises(ConfigError) as err:
+            check_parameters(["--ros-args", *words], KNOWN, ["grasp"], "/foretouch")
+        assert text in str(err.value)
+    check_parameters(["--ros-args", "-p", "grasp.count:=3"], KNOWN, ["grasp"], "/foretouch")
