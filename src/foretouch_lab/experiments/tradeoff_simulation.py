@@ -30,7 +30,7 @@ from foretouch_lab.learning.training.contact import ContactPredictor, ContactTra
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
-from foretouch_lab.simulation.simulate import SAMPLE_KEYS, Simulation
+from foretouch_lab.simulation.simulate import Simulation
 from foretouch_lab.simulation.world import SampleKey
 
 RIGID: Final = "rigid"
@@ -150,7 +150,7 @@ def _touched(scene: SceneConfig, count: int) -> dict[int, tuple[Float64, Float64
     (2, 24) drops of the electrodes of both fingers before sensor effects [counts], their (2,) forces [N], and (50,) whole
     readings [counts].
     """
-    engine = Engine(scene, EFFECTS, ("readings", "contacts", "touch"))
+    engine = Engine(scene, EFFECTS)
     found = {}
     for slot in range(count):
         try:
@@ -223,7 +223,7 @@ def _tabulate(_settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
 def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
     """See `Area.timed`: simulates the first grasps that do not fail, one after the other."""
     scene = data.changed(variant.values)
-    engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
+    engine = Engine(scene, EFFECTS)
     kept = []
     for slot in range(2 * _TIMED):
         try:

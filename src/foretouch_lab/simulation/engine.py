@@ -2,8 +2,7 @@
 """Effects, each one step of a sample, and the engine that runs those that a scene calls for and measures their time.
 
 Each effect has a random stream of its own: an effect that is off leaves all bit-equal that is not computed from its result.
-Of each object of the scene, those effects run, in the order of their list, that the scene calls for and whose result leads
-to an output. The others cost nothing.
+Of each object of the scene, those effects run, in the order of their list, that the scene calls for. The others cost nothing.
 """
 
 import time
@@ -37,7 +36,6 @@ class SampleState:
     exact_depth: Float64  # (h, w) along the optical axis [m], inf where there is nothing
     labels: Int32  # (h, w): 0 none, 1 table, 2 the object, 3 and on the clutter
     hits: list[Hits | None]  # of each body, flat over the window; None for a body that the window does not show
-    normals: Float64  # (h, w, 3), outward unit normals in the world; zero where no body is
     depth: Float64  # (h, w) [m], as the camera measures it; inf where it measures nothing
     cloud: Cloud  # the object's points in the camera frame
     pixels: Int64  # (n,), pixel of each point in the flat image
@@ -78,36 +76,21 @@ class Effect:
         run: Computes the effect.
         when: Field of the scene that calls for it, such as `camera.noise` (`objects.` stands for the object of the
             sample), or a function that returns the reason to run it with an object, or None.
-        reads: Keys of the state that must be there, those that it changes included.
-        writes: Keys that it makes or changes.
-        changes: Keys that it both reads and writes.
         off: Reason why it does not run where nothing calls for it; by default the field that is absent.
         again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is there.
-        detail: Describes that field, for the reason.
     """
 
     name: str
     run: Callable[["Job", SampleState], None]
     when: str | Callable[[SceneConfig, ObjectConfig], str | None]
-    reads: tuple[str, ...] = ()
-    writes: tuple[str, ...] = ()
-    changes: tuple[str, ...] = ()
     off: str = ""
     again: bool = False
-    detail: Callable[[Any], str] | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("reads", "writes"):
-            object.__setattr__(self, name, tuple(dict.fromkeys((*getattr(self, name), *self.changes))))
 
     def reason(self, scene: SceneConfig, item: ObjectConfig) -> str | None:
         """Why it runs with an object of a scene; None where nothing calls for it."""
         if callable(self.when):
             return self.when(scene, item)
-        value = _field_of(self.when, scene, item)
-        if value is None or value == ():
-            return None
-        return self.when if self.detail is None else f"{self.when}: {self.detail(value)}"
+        return None if _field_of(self.when, scene, item) in (None, ()) else self.when
 
 
 def _field_of(path: str, scene: SceneConfig, item: ObjectConfig) -> Any:
@@ -171,7 +154,6 @@ class Engine:
     Attributes:
         scene: The scene.
         effects: All effects there are, in the order in which they run.
-        outputs: The keys that are asked for.
         timings: By effect, for all that are listed: those that never ran have no calls.
         world: What all samples share.
         chains: Of each object, the effects that run.
@@ -179,7 +161,6 @@ class Engine:
 
     scene: SceneConfig
     effects: Sequence[Effect]
-    outputs: tuple[str, ...]
     timings: dict[str, EffectTiming] = field(init=False)
     world: World = field(init=False)
     chains: list[list[Effect]] = field(init=False)
@@ -187,42 +168,24 @@ class Engine:
     def __post_init__(self) -> None:
         self.timings = {effect.name: EffectTiming() for effect in self.effects}
         self.world = World.of(self.scene)
-        self.chains = [self._chain(item) for item in self.scene.objects]
-
-    def _chain(self, item: ObjectConfig) -> list[Effect]:
-        """The effects that lead to the outputs for one object, found from the outputs backwards."""
-        wanted, chain = set(self.outputs), []
-        for effect in reversed(self.effects):
-            if not wanted.isdisjoint(effect.writes) and effect.reason(self.scene, item) is not None:
-                chain.append(effect)
-                wanted.update(effect.reads)
-        return chain[::-1]
+        self.chains = [
+            [effect for effect in self.effects if effect.reason(self.scene, item) is not None]
+            for item in self.scene.objects
+        ]
 
     def explain(self) -> list[EffectPlan]:
         """Which effects will run and which will not, without running any."""
         plans = []
         for effect in self.effects:
-            reasons = [effect.reason(self.scene, item) for item in self.scene.objects]
-            ran = [k for k, chain in enumerate(self.chains) if effect in chain]
-            reason = ", ".join(dict.fromkeys(reasons[k] or "" for k in ran))
-            if not ran:
-                reason = "nothing reads it" if any(reasons) else effect.off or f"no {effect.when}"
-            plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(self.scene.objects[k].name for k in ran)))
+            ran = [(item, why) for item in self.scene.objects if (why := effect.reason(self.scene, item)) is not None]
+            reason = ", ".join(dict.fromkeys(why for _, why in ran)) or effect.off or f"no {effect.when}"
+            plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(item.name for item, _ in ran)))
         return plans
 
-    def run(self, key: SampleKey, item: ObjectConfig | None = None) -> SampleState:
-        """Make one sample.
-
-        Args:
-            key: Which one.
-            item: In place of that object: one that calls for the same effects, such as itself of another material.
-
-        Raises:
-            SimulationError: If an effect refuses; `reason` names the kind.
-        """
+    def run(self, key: SampleKey) -> SampleState:
+        """Make one sample; a `SimulationError` names the `reason` for which an effect refuses it."""
         index = object_index(self.scene, key.slot)
-        item = self.scene.objects[index] if item is None else item
-        state = SampleState()
+        item, state = self.scene.objects[index], SampleState()
         for effect in self.chains[index]:
             timing = self.timings[effect.name]
             start = time.thread_time()

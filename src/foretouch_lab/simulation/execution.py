@@ -18,8 +18,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Grasp
 from foretouch_lab.simulation.contact.pad import ContactFrame
-from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.effects.reading import drift_of
+from foretouch_lab.simulation.effects import grasp, reading, view
 from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
 from foretouch_lab.simulation.fingertip import quantise, read_press
 from foretouch_lab.simulation.scene import SceneConfig
@@ -29,7 +28,7 @@ from foretouch_lab.simulation.world import SampleKey, World
 
 _BLOCK = 200  # messages that are made at a time
 _STREAMS = 1 << 20  # apart from the numbers by which grasps are repeated
-_NOT_LIVE = ("sessions", "tares")  # one hand, one day; a tare is found in the rest
+_NOT_LIVE = ("sessions", "counts", "tares")  # one hand, one day; touch and tare are found in the messages
 _NOT_AT_REST = (*_NOT_LIVE, "fingertip", "timeline", "slip")
 
 Counts = npt.NDArray[Any]
@@ -47,7 +46,7 @@ class GraspTimingConfig(TimelineConfig, read_only=True):
 class GraspTrajectory:
     """One executed grasp."""
 
-    counts: Counts  # (T, 2, 25 or 29) int16: thumb and middle finger, PDC, electrodes and, if simulated, the others; of taxels
+    counts: Counts  # (T, 2, 29) int16: thumb and middle finger, PDC, electrodes and the others, 0 if not simulated; of taxels
     # (T, 2, V) float64, the values of each finger in the order of the channels
     start: int  # row at which the hand starts to close
     onset: int | None  # row of first touch; None where a finger never touches
@@ -94,24 +93,25 @@ class SimulatedHand:
         self._idle_rows = 0
         self._elapsed_s = 0.0
         live = {"grasp": self._given_grasp, "drift": self._drift, "calendar": self._calendar}
-        reads = {"grasp": (), "drift": ("series", "times")}
-        effects = [
-            replace(e, run=live.get(e.name, e.run), reads=reads.get(e.name, e.reads))
-            for e in EFFECTS
-            if e.name not in _NOT_LIVE
-        ]
-        self._executing = Engine(self.scene, effects, ("series", "load", "fingers", "contacts", "others"))
-        at_rest = Effect(
-            "rest", self._no_contact, "fingers", reads=("sensors",), writes=("series", "times", "load", "slid")
+        grasping, read = (
+            [
+                replace(effect, run=live.get(effect.name, effect.run))
+                for effect in effects
+                if effect.name not in _NOT_LIVE
+            ]
+            for effects in (grasp.EFFECTS, reading.EFFECTS)
         )
-        effects = [at_rest if e.name == "moments" else e for e in effects if e.name not in _NOT_AT_REST]
-        self._resting = Engine(self.scene, effects, ("series", "others"))
+        self._executing = Engine(self.scene, [*view.PLACING, *grasping, *read])
+        at_rest = Effect("rest", self._no_contact, "fingers")
+        self._resting = Engine(
+            self.scene, [at_rest if e.name == "moments" else e for e in read if e.name not in _NOT_AT_REST]
+        )
 
-    def execute(self, grasp: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> GraspTrajectory:
+    def execute(self, chosen: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> GraspTrajectory:
         """Take an object.
 
         Args:
-            grasp: In the camera frame, thumb at g1.
+            chosen: In the camera frame, thumb at g1.
             slot: Which sample of the scene lies on the table.
             repeat: How many messages or grasps there were before: what the sensor adds differs from one to the next.
             elapsed_s: Time since the hand was switched on, for what drifts [s].
@@ -119,7 +119,7 @@ class SimulatedHand:
         Returns:
             The trajectory; where the grasp comes to nothing, that of a hand that closes without touching.
         """
-        self._grasp, self._elapsed_s = grasp, elapsed_s
+        self._grasp, self._elapsed_s = chosen, elapsed_s
         start = round(self.config.rest_s * self.config.rate_hz)
         try:
             state = self._executing.run(self._key(slot, repeat))
@@ -128,10 +128,10 @@ class SimulatedHand:
             length_s = 2.0 * (config.rest_s + config.approach_s + config.close_s) + config.hold_s
             counts = self.rest(round(length_s * config.rate_hz), repeat, elapsed_s)
             return GraspTrajectory(
-                counts, start, None, None, None, grasp.midpoint, grasp.rotation, reason=err.reason, message=str(err)
+                counts, start, None, None, None, chosen.midpoint, chosen.rotation, reason=err.reason, message=str(err)
             )
         steady = np.flatnonzero(state.load == 1.0)
-        midpoint, rotation = _achieved(state.fingers, grasp, self._executing.world)
+        midpoint, rotation = _achieved(state.fingers, chosen, self._executing.world)
         return GraspTrajectory(
             counts=self._counts(state),
             start=start,
@@ -164,8 +164,7 @@ class SimulatedHand:
     def _counts(self, state: SampleState) -> Counts:
         if (array := self._executing.world.array) is not None:
             return array.quantise(state.series)
-        series = np.concatenate([state.series, state.others], axis=2) if hasattr(state, "others") else state.series
-        return quantise(series).astype(np.int16)
+        return quantise(np.concatenate([state.series, state.others], axis=2)).astype(np.int16)
 
     def _key(self, slot: int, repeat: int) -> SampleKey:
         return SampleKey(self.scene.seed, slot, 0, repeat)
@@ -180,9 +179,8 @@ class SimulatedHand:
     def _no_contact(self, _job: Job, state: SampleState) -> None:
         array = self._resting.world.array
         low = np.array([finger.rest for finger in state.sensors]) if array is None else array.rest
-        state.series = np.repeat(low[None], self._idle_rows, axis=0)
-        state.times = np.arange(self._idle_rows) / self.config.rate_hz
-        state.load, state.slid = np.zeros((2, self._idle_rows))
+        rows = self._idle_rows
+        reading.start(state, np.arange(rows) / self.config.rate_hz, np.zeros(rows), low, low)
 
     def _calendar(self, job: Job, state: SampleState) -> None:
         """The campaign passes with the time since the hand was switched on."""
@@ -193,7 +191,7 @@ class SimulatedHand:
         """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
         config: DriftConfig = job.settings
         before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), config.session_s)
-        state.series += drift_of(job.world, config, before + self._elapsed_s + state.times)
+        state.series += reading.drift_of(job.world, config, before + self._elapsed_s + state.times)
 
 
 class RestingFingers:

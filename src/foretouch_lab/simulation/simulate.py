@@ -18,7 +18,6 @@ import numpy as np
 
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.processes import one_thread_each, process_pool
-from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import GraspSample
 from foretouch_lab.simulation.effects import EFFECTS
@@ -26,9 +25,6 @@ from foretouch_lab.simulation.engine import EffectPlan, EffectTiming, Engine, Sa
 from foretouch_lab.simulation.fingertip import quantise
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.world import SampleKey, object_index
-
-#: The keys of the state that every sample is made of.
-SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
 
 _BLOCK = 16  # slots that a worker makes at a time
 _AHEAD = 3  # blocks a worker that may wait for the reader
@@ -105,7 +101,7 @@ def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
 
 @lru_cache(maxsize=1)  # a worker process has one scene all its life
 def _engine_of(scene: SceneConfig) -> Engine:
-    return Engine(scene, EFFECTS, (*SAMPLE_KEYS, "others", *([] if scene.campaign is None else ["campaign_time"])))
+    return Engine(scene, EFFECTS)
 
 
 # Samples, time by effect, failures, and whether they end with a slot that is given up.
@@ -164,8 +160,6 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
         extra[f"area_{finger}_m2"] = float(contact.area_m2)
     if scene.campaign is not None:
         extra |= _campaign_values(state)
-    if hasattr(state, "others"):
-        extra |= _other_values(state)
     return GraspSample(
         id=f"{item.name}/{slot:06d}",
         object=item.name,
@@ -174,7 +168,7 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
         touch=state.touch,
         tare=state.tare,
         stamp_ns=0 if scene.campaign is None else state.campaign_time.stamp_ns,
-        extra=extra,
+        extra=extra | _other_values(state),
     )
 
 
@@ -182,8 +176,7 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
     """Where in the campaign a sample is, and its true rest levels: PDC, and the mean of the electrodes [counts]."""
     now = state.campaign_time
     values = {"session": float(now.session), "visit": float(now.visit), "powered_s": now.powered_s}
-    level = state.level[0] if hasattr(state, "level") else np.zeros((2, 1 + ELECTRODES))
-    for finger, sensor, moved in zip(("th", "mf"), state.sensors, level, strict=True):
+    for finger, sensor, moved in zip(("th", "mf"), state.sensors, state.level[0], strict=True):
         values[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
         values[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
     return values

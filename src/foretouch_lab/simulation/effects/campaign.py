@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from foretouch.tactile import ELECTRODES
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.fingertip import (
     TAC_PER_KELVIN_S,
@@ -15,7 +14,7 @@ from foretouch_lab.simulation.fingertip import (
     warming,
 )
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scene.campaign import CONTACT_S, CampaignConfig, ThermistorConfig
+from foretouch_lab.simulation.scene.campaign import CONTACT_S, ThermistorConfig
 from foretouch_lab.simulation.scene.objects import ObjectConfig
 from foretouch_lab.simulation.world import Campaign
 
@@ -35,10 +34,6 @@ def _calendar(job: Job, state: SampleState) -> None:
 
 def _exchange(job: Job, state: SampleState) -> None:
     state.sensors = _campaign(job).fingers(state.campaign_time.session)
-
-
-def _level(_job: Job, state: SampleState) -> None:
-    state.level = np.zeros((len(state.times), 2, 1 + ELECTRODES))
 
 
 def _drift(job: Job, state: SampleState) -> None:
@@ -82,22 +77,9 @@ def _tares(job: Job, state: SampleState) -> None:
         state.tare = None
 
 
-def _calendar_detail(config: CampaignConfig) -> str:
-    return (
-        f"{config.size} grasps in {len(config.days)} sessions over {config.days[-1]:g} days, "
-        f"{config.objects} objects each, {config.grasps} grasps of each"
-        + (f", every {config.repeat_every}th repeats the one before" if config.repeat_every else "")
-    )
-
-
 def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     config = scene.campaign.warm_up if scene.campaign else None
     return None if config is None or config.tdc else f"campaign.warm_up: {config.warming_s:g} s after each power-on"
-
-
-def _needs_level(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    reasons = (effect.reason(scene, item) for effect in (_DRIFT, _WARM_UP, FINGER_TEMPERATURE))
-    return next(filter(None, reasons), None)
 
 
 def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
@@ -105,55 +87,16 @@ def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     return None if kept == "grasp" else f"campaign.tares: {kept}"
 
 
-_NO_DRIFT = "no campaign.drift or campaign.warm_up"
-
-_DRIFT = Effect(
-    "level_drift",
-    _drift,
-    "campaign.drift",
-    reads=("campaign_time", "times", "load"),
-    changes=("level",),
-    detail=lambda terms: f"memory {', '.join(f'{term.memory_days:g}' for term in terms)} days",
-)
-_WARM_UP = Effect(
-    "warm_up",
-    _warm_up,
-    _warms_up,
-    reads=("campaign_time", "times"),
-    changes=("level",),
-    off="no campaign.warm_up, or finger_temperature holds it",
-)
-FINGER_TEMPERATURE = Effect(
-    "finger_temperature",
-    _finger_temperature,
-    "campaign.warm_up.tdc",
-    reads=("campaign_time", "times", "load"),
-    changes=("others", "level"),
-)
-
 #: Which sensors are mounted.
-MOUNTING = (
-    Effect("calendar", _calendar, "campaign", writes=("campaign_time",), detail=_calendar_detail),
-    Effect(
-        "exchange",
-        _exchange,
-        "campaign.exchanges",
-        reads=("campaign_time",),
-        writes=("sensors",),
-        detail=lambda exchanges: ", ".join(f"{each.finger} at session {each.session}" for each in exchanges),
-    ),
-)
+MOUNTING = (Effect("calendar", _calendar, "campaign"), Effect("exchange", _exchange, "campaign.exchanges"))
 
 #: How far their levels have drifted.
 DRIFT = (
-    Effect("level", _level, _needs_level, reads=("times",), writes=("level",), off=_NO_DRIFT),
-    _DRIFT,
-    _WARM_UP,
-    FINGER_TEMPERATURE,
-    Effect("level_shift", _shift, _needs_level, reads=("level",), changes=("series",), off=_NO_DRIFT),
+    Effect("level_drift", _drift, "campaign.drift"),
+    Effect("warm_up", _warm_up, _warms_up, off="no campaign.warm_up, or finger_temperature holds it"),
+    Effect("finger_temperature", _finger_temperature, "campaign.warm_up.tdc"),
+    Effect("level_shift", _shift, "campaign"),
 )
 
 #: Which tares are recorded.
-TARES = (
-    Effect("tares", _tares, _needs_tares, reads=("campaign_time",), changes=("tare",), off="each grasp has a tare"),
-)
+TARES = (Effect("tares", _tares, _needs_tares, off="each grasp has a tare"),)

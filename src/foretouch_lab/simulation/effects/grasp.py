@@ -277,25 +277,23 @@ def _held(job: Job, state: SampleState) -> None:
 
 
 EFFECTS = (
-    Effect("grasp", _plan, "grasps", reads=("cloud", "pixels"), writes=("plan", "grasp")),
-    Effect("fingers", _fingers, "grasps", reads=("grasp",), writes=("fingers",)),
-    Effect("targets", _targets, "grasps", writes=("targets", "axial_load_n", "tangential_n")),
-    Effect("execution_error", _execution_error, "grasps.error", changes=("fingers", "targets"), again=True),
-    Effect("posture", _posture, "fingers", reads=("fingers",), writes=("postures",)),
-    Effect("first_touch", _first_touch, "fingers", reads=("bodies", "fingers", "postures"), writes=("pads", "touches")),
-    Effect("relief", _relief, "fingers", reads=("bodies", "pads", "touches"), writes=("relief",)),
-    Effect("surface", _surface, "objects.surface", reads=("bodies", "pads", "touches"), changes=("relief",)),
-    Effect("weight", _weight, "gravity", reads=("bodies", "touches"), changes=("axial_load_n", "tangential_n")),
+    Effect("grasp", _plan, "grasps"),
+    Effect("fingers", _fingers, "grasps"),
+    Effect("targets", _targets, "grasps"),
+    Effect("execution_error", _execution_error, "grasps.error", again=True),
+    Effect("posture", _posture, "fingers"),
+    Effect("first_touch", _first_touch, "fingers"),
+    Effect("relief", _relief, "fingers"),
+    Effect("surface", _surface, "objects.surface"),
+    Effect("weight", _weight, "gravity"),
     *(
         Effect(
             f"contact_{level}",
             partial(_solve, level),
             partial(_needs_level, level),
-            reads=("pads", "relief", "targets", "axial_load_n"),
-            writes=("contacts",),
             off=f"fidelity: no object calls for {level}",
         )
         for level in LEVELS
     ),
-    Effect("held", _held, "gravity", reads=("tangential_n",), changes=("contacts",)),
+    Effect("held", _held, "gravity"),
 )

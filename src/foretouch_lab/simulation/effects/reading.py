@@ -33,9 +33,7 @@ from foretouch_lab.simulation.fingertip import (
     temperature_drift,
     warming,
 )
-from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
-from foretouch_lab.simulation.scene.objects import ObjectConfig
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.world import SampleKey, World
 
@@ -87,8 +85,16 @@ def _reading(
 
 
 def _tare_and_touch(_job: Job, state: SampleState) -> None:
-    state.times, state.load, state.hold_row = np.zeros(2), np.array([0.0, 1.0]), 1
-    state.series = state.readings.copy()
+    state.hold_row, (low, high) = 1, state.readings
+    start(state, np.zeros(2), np.array([0.0, 1.0]), low, high)
+
+
+def start(state: SampleState, times: Float64, load: Float64, low: Float64, high: Float64) -> None:
+    """Messages at times (T,) [s] that go from `low` to `high` (2, V) with the load (T,); nothing else is added yet."""
+    state.times, state.load, state.slid = times, load, np.zeros(len(load))
+    state.series = low + load[:, None, None] * (high - low)
+    state.others = np.zeros((len(load), 2, len(OTHERS)))
+    state.level = np.zeros((len(load), 2, 1 + ELECTRODES))
 
 
 def _timeline(job: Job, state: SampleState) -> None:
@@ -96,11 +102,9 @@ def _timeline(job: Job, state: SampleState) -> None:
     config: TimelineConfig = job.settings
     rest, close, hold = (max(1, round(s * config.rate_hz)) for s in (config.rest_s, config.close_s, config.hold_s))
     ramp = np.arange(1, close) / close
-    state.load = np.concatenate([np.zeros(rest), ramp, np.ones(hold), ramp[::-1], np.zeros(rest)])
-    state.times, state.slid = np.arange(len(state.load)) / config.rate_hz, np.zeros(len(state.load))
-    state.hold_row = rest + len(ramp) + hold - 1
-    low, high = state.readings
-    state.series = low + state.load[:, None, None] * (high - low)
+    load = np.concatenate([np.zeros(rest), ramp, np.ones(hold), ramp[::-1], np.zeros(rest)])
+    state.hold_row, (low, high) = rest + len(ramp) + hold - 1, state.readings
+    start(state, np.arange(len(load)) / config.rate_hz, load, low, high)
 
 
 def _rate_hz(job: Job) -> float:
@@ -134,14 +138,6 @@ def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> 
     command = command_of(scene, float(state.targets[k]))
     contact = solve_contact(contact_problem(job, window, behind), command, scene.fidelity)
     return _reading(job, state, k, frame, behind, contact)
-
-
-def _others(_job: Job, state: SampleState) -> None:
-    state.others = np.zeros((len(state.times), 2, len(OTHERS)))
-
-
-def _needs_others(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    return _VIBRATION.reason(scene, item) or campaign.FINGER_TEMPERATURE.reason(scene, item)
 
 
 def _vibration(job: Job, state: SampleState) -> None:
@@ -235,48 +231,27 @@ def _touch(channels: Channels, fingers: Float64 | Int64) -> Touch:
     return Touch(values, channels)
 
 
-_TIMED = ("times", "load", "hold_row", "series")
-_VIBRATION = Effect(
-    "vibration", _vibration, "fingers.vibration", reads=("load", "slid"), changes=("others",), again=True
-)
-
 EFFECTS = (
-    Effect("sensors", _mounted, "fingers", writes=("sensors",)),
+    Effect("sensors", _mounted, "fingers"),
     *campaign.MOUNTING,
-    Effect(
-        "fingertip",
-        _ideal,
-        "fingers",
-        reads=("sensors", "fingers", "pads", "touches", "relief", "contacts", "tangential_n"),
-        writes=("readings",),
-    ),
+    Effect("fingertip", _ideal, "fingers"),
     Effect(
         "moments",
         _tare_and_touch,
         lambda scene, _item: "fingers" if scene.fingers.timeline is None else None,
-        reads=("readings",),
-        writes=_TIMED,
         off="fingers.timeline makes them",
     ),
-    Effect("timeline", _timeline, "fingers.timeline", reads=("readings",), writes=(*_TIMED, "slid")),
-    Effect("other_channels", _others, _needs_others, reads=("times",), writes=("others",), off="no PAC, TAC or TDC"),
+    Effect("timeline", _timeline, "fingers.timeline"),
     *campaign.DRIFT,
-    Effect(
-        "slip",
-        _slip,
-        "fingers.slip",
-        reads=("sensors", "readings", "bodies", "fingers", "touches", "pads", "targets", "tangential_n", "load"),
-        changes=("series", "slid"),
-        again=True,
-    ),
-    _VIBRATION,
-    Effect("crosstalk", _crosstalk, "fingers.crosstalk", changes=("series",)),
-    Effect("creep", _creep, "fingers.creep", changes=("series",)),
-    Effect("drift", _drift, "fingers.drift", reads=("times", "load"), changes=("series",), again=True),
-    Effect("sessions", _sessions, "fingers.sessions", changes=("series",)),
-    Effect("noise", _noise, "fingers.noise", changes=("series",), again=True),
-    Effect("scan_hold", _scan, "fingers.scan", changes=("series",), again=True),
-    Effect("dead_electrodes", _dead, "fingers.dead", changes=("series",)),
-    Effect("counts", _counts, "fingers", reads=("series", "load", "hold_row"), writes=("touch", "tare")),
+    Effect("slip", _slip, "fingers.slip", again=True),
+    Effect("vibration", _vibration, "fingers.vibration", again=True),
+    Effect("crosstalk", _crosstalk, "fingers.crosstalk"),
+    Effect("creep", _creep, "fingers.creep"),
+    Effect("drift", _drift, "fingers.drift", again=True),
+    Effect("sessions", _sessions, "fingers.sessions"),
+    Effect("noise", _noise, "fingers.noise", again=True),
+    Effect("scan_hold", _scan, "fingers.scan", again=True),
+    Effect("dead_electrodes", _dead, "fingers.dead"),
+    Effect("counts", _counts, "fingers"),
     *campaign.TARES,
 )

@@ -118,8 +118,8 @@ def _free_path(body: Body, other: Body, towards: Float64) -> float:
 
 def _object_window(job: Job, state: SampleState) -> None:
     view = job.world.view
-    if job.scene.camera.segmented is not None:  # which needs the table
-        _whole_window(job, state)
+    if job.scene.camera.segmented is not None:
+        _whole_window(job, state)  # segmentation needs the table
         return
     rows, columns = view.window(state.bodies[0].corners())
     if rows.start >= rows.stop or columns.start >= columns.stop:
@@ -151,14 +151,15 @@ def _render(job: Job, state: SampleState) -> None:
     state.depth = depth.copy()
 
 
-def _normals(_job: Job, state: SampleState) -> None:
+def normals_of(state: SampleState) -> Float64:
+    """(h, w, 3), outward unit normals in the world; zero where no body is."""
     normals = np.zeros((*state.labels.shape, 3))
     flat, labels = normals.reshape(-1, 3), state.labels.reshape(-1)
     for label, (body, hit) in enumerate(zip(state.bodies, state.hits, strict=True), FIRST_OBJECT):
         if hit is not None:
             seen = labels == label
             flat[seen] = body.world_normals(hit.normal[seen])
-    state.normals = normals
+    return normals
 
 
 def _flying_pixels(job: Job, state: SampleState) -> None:
@@ -184,7 +185,7 @@ def _holes(job: Job, state: SampleState) -> None:
     spots = uniform_filter(job.rng().random(state.depth.shape), _SPOT_PX, mode="wrap")
     hole = spots > np.quantile(spots, 1.0 - HOLE_SHARE)
     rays = job.world.rays[state.window]
-    facing = -np.einsum("ijk,ijk->ij", rays, state.normals) / np.linalg.norm(rays, axis=2)
+    facing = -np.einsum("ijk,ijk->ij", rays, normals_of(state)) / np.linalg.norm(rays, axis=2)
     hole |= (state.labels >= FIRST_OBJECT) & (facing < np.cos(np.radians(GRAZING_DEG)))
     state.depth = np.where(hole, np.inf, state.depth)
 
@@ -223,7 +224,7 @@ def _segmented(job: Job, state: SampleState) -> None:
 def _colour(job: Job, state: SampleState) -> None:
     rows, columns = state.window
     v, u = np.divmod(state.pixels, job.world.view.width)
-    normal = state.normals[v - rows.start, u - columns.start]
+    normal = normals_of(state)[v - rows.start, u - columns.start]
     state.cloud = replace(state.cloud, rgb=(light(normal)[:, None] * np.asarray(job.settings)).astype(np.uint8))
 
 
@@ -240,28 +241,21 @@ def _grown(span: slice, size: int) -> slice:
     return slice(max(0, span.start - _MARGIN_PX), min(size, span.stop + _MARGIN_PX))
 
 
-PLACING = (
-    Effect("object", _object, "objects", writes=("bodies",)),
-    Effect("clutter", _clutter, "clutter", changes=("bodies",)),
-)
+PLACING = (Effect("object", _object, "objects"), Effect("clutter", _clutter, "clutter"))
 _SEEING = (
-    Effect("window", _object_window, "camera", reads=("bodies",), writes=("window",)),
-    Effect("render", _render, "camera", reads=("bodies", "window"), writes=("exact_depth", "labels", "hits", "depth")),
-    Effect("normals", _normals, lambda *_: "holes or colour", reads=("bodies", "labels", "hits"), writes=("normals",)),
-    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels", changes=("depth",)),
-    Effect("depth_noise", _noise, "camera.noise", changes=("depth",)),
-    Effect("stereo_shadow", _shadow, "camera.stereo", reads=("exact_depth",), changes=("depth",)),
-    Effect("holes", _holes, "camera.holes", reads=("normals", "labels", "window"), changes=("depth",)),
-    Effect("depth_steps", _quantise, "camera.z_step_m", changes=("depth",)),
-    Effect("cloud", _cloud, "camera", reads=("depth", "labels", "window"), writes=("cloud", "pixels")),
-    Effect("segmentation", _segmented, "camera.segmented", reads=("depth",), changes=("cloud", "pixels")),
-    Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window"), changes=("cloud",)),
+    Effect("window", _object_window, "camera"),
+    Effect("render", _render, "camera"),
+    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels"),
+    Effect("depth_noise", _noise, "camera.noise"),
+    Effect("stereo_shadow", _shadow, "camera.stereo"),
+    Effect("holes", _holes, "camera.holes"),
+    Effect("depth_steps", _quantise, "camera.z_step_m"),
+    Effect("cloud", _cloud, "camera"),
+    Effect("segmentation", _segmented, "camera.segmented"),
+    Effect("colour", _colour, "objects.colour"),
 )
 
 EFFECTS = (*PLACING, *_SEEING)
 
 #: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
-FRAME_EFFECTS = (
-    replace(_SEEING[0], run=_whole_window, reads=()),
-    *(replace(effect, again=True) for effect in _SEEING[1:-3]),
-)
+FRAME_EFFECTS = (replace(_SEEING[0], run=_whole_window), *(replace(effect, again=True) for effect in _SEEING[1:-3]))
