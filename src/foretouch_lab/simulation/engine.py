@@ -42,7 +42,7 @@ class SampleState:
     plan: GraspPlan  # result of GeoGrasp
     grasp: Grasp  # the grasp that is executed, in the camera frame
     fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world
-    targets: Float64  # (2,) that both fingers are commanded to reach, [N] or [m] by the scene's `control`
+    target: float  # what both fingers are commanded to reach, [N] or [m] by the scene's `control`
     axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
     tangential_n: Float64  # (2, 3) [N], force of the object's weight on both fingers in the world, across their line
     postures: tuple[tuple[ContactFrame, Float64], tuple[ContactFrame, Float64]]

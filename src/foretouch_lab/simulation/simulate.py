@@ -153,8 +153,8 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
     if key.repeat:
         extra["repeat"] = float(key.repeat)
     fingers = (name.lower() for name in state.touch.channels.fingers)
-    for finger, target, contact in zip(fingers, state.targets, state.contacts, strict=True):
-        extra[f"target_{finger}"] = float(target)
+    for finger, contact in zip(fingers, state.contacts, strict=True):
+        extra[f"target_{finger}"] = state.target
         extra[f"force_{finger}_n"] = contact.force_n
         extra[f"depth_{finger}_m"] = float(contact.depth_m)
         extra[f"area_{finger}_m2"] = float(contact.area_m2)

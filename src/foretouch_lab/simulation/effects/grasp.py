@@ -3,14 +3,13 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
 from foretouch.types import Float64, Grasp
-from foretouch_lab.simulation.contact.grip import LEVELS, choose_level, solve_grip, weigh
+from foretouch_lab.simulation.contact.grip import solve_grip, weigh
 from foretouch_lab.simulation.contact.pad import (
     ContactFrame,
     PadConfig,
@@ -90,7 +89,7 @@ def _execution_error(job: Job, state: SampleState) -> None:
         ContactFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
         for finger in (thumb, middle)
     )
-    state.targets = state.targets * max(0.0, 1.0 + rng.normal(0.0, TARGET_SHARE))
+    state.target = state.target * max(0.0, 1.0 + rng.normal(0.0, TARGET_SHARE))
 
 
 def _small_rotation(vector: Float64) -> Float64:
@@ -104,12 +103,9 @@ def _small_rotation(vector: Float64) -> Float64:
 
 
 def _targets(job: Job, state: SampleState) -> None:
-    """In a balanced grip both fingers aim at one number, since the object passes the force on."""
-    grasps, rng = job.scene.grasps, job.rng()
-    name = "force_n" if grasps.control == "force" else "depth_m"
-    fingers = [grasps.thumb] if grasps.middle is None else [grasps.thumb, grasps.middle]
-    drawn = [draw(rng, getattr(finger, name)) for finger in fingers]
-    state.targets = np.array([drawn[0], drawn[-1]])
+    """Both fingers aim at one number, since the object passes the force on."""
+    grasps = job.scene.grasps
+    state.target = draw(job.rng(), grasps.thumb.force_n if grasps.control == "force" else grasps.thumb.depth_m)
     state.axial_load_n, state.tangential_n = 0.0, np.zeros((2, 3))
 
 
@@ -227,17 +223,12 @@ def _weight(job: Job, state: SampleState) -> None:
     centre = body.position + (body.mesh.centroid * body.size) @ body.rotation.T
     thumb, middle = state.touches
     weight_n = np.array([0.0, 0.0, -(job.item.mass_kg or 0.0) * _GRAVITY_M_S2])
-    axial_n, state.tangential_n = weigh(weight_n, thumb.origin, middle.origin, centre)
-    if job.scene.grasps.balanced:
-        state.axial_load_n = axial_n
+    state.axial_load_n, state.tangential_n = weigh(weight_n, thumb.origin, middle.origin, centre)
 
 
-def _solve(level: str, job: Job, state: SampleState) -> None:
-    scene = job.scene
-    pairs, balanced = zip(state.pads, state.relief, strict=True), scene.grasps.balanced
-    problems = [contact_problem(job, pad, height) for pad, height in pairs]
-    commands = [command_of(scene, float(target)) for target in state.targets]
-    state.contacts = solve_grip(problems, commands, balanced=balanced, axial_load_n=state.axial_load_n, level=level)
+def _solve(job: Job, state: SampleState) -> None:
+    problems = [contact_problem(job, *each) for each in zip(state.pads, state.relief, strict=True)]
+    state.contacts = solve_grip(problems, command_of(job.scene, state.target), state.axial_load_n, job.scene.fidelity)
 
 
 def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[ElasticLayer, ...]:
@@ -256,13 +247,6 @@ def command_of(scene: SceneConfig, target: float) -> Command:
 def contact_problem(job: Job, window: PadWindow, behind: Float64) -> ContactProblem:
     """The gap between a pad and the surface behind its tangent plane; a `ContactError` if both exist nowhere."""
     return ContactProblem(gap_field(window.depth, -behind), pad_of(job).step_m, _layers_of(job.scene, job.item))
-
-
-def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:
-    if scene.fidelity != "auto":
-        return f"fidelity: {level}" if scene.fidelity == level else None
-    chosen, why = choose_level(_layers_of(scene, item))
-    return f"fidelity: auto ({why})" if chosen == level else None
 
 
 def _held(job: Job, state: SampleState) -> None:
@@ -286,14 +270,6 @@ EFFECTS = (
     Effect("relief", _relief, "fingers"),
     Effect("surface", _surface, "objects.surface"),
     Effect("weight", _weight, "gravity"),
-    *(
-        Effect(
-            f"contact_{level}",
-            partial(_solve, level),
-            partial(_needs_level, level),
-            off=f"fidelity: no object calls for {level}",
-        )
-        for level in LEVELS
-    ),
+    Effect("contact", _solve, "fidelity"),
     Effect("held", _held, "gravity"),
 )

@@ -135,7 +135,7 @@ def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> 
     if length > 0.0:
         frame = replace(frame, origin=frame.origin - slid_m * across / length)
     behind = surface_behind(window, state.bodies[0], frame)
-    command = command_of(scene, float(state.targets[k]))
+    command = command_of(scene, state.target)
     contact = solve_contact(contact_problem(job, window, behind), command, scene.fidelity)
     return _reading(job, state, k, frame, behind, contact)
 

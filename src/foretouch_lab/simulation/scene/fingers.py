@@ -130,12 +130,15 @@ class FingersConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class GraspTargetConfig(RangedSettings):
-    """What a finger's controller aims at, drawn uniformly; `control` decides which of the two counts."""
+    """What the fingers' controllers aim at, drawn uniformly; `control` decides which of the two counts.
 
-    force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
-    depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high")
+    The object is free to move between the fingers, so both get the same.
+    """
 
-    LOWEST = 0.0
+    force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high", bounds=(0.0, 1e4))
+    depth_m: tuple[float, ...] = setting(
+        (0.0005, 0.0015), "Closing beyond first touch, low and high", bounds=(0.0, 0.1)
+    )
 
 
 TARGET_SHARE = 0.1  # standard deviation of the force or depth that is reached, relative to its target
@@ -164,15 +167,4 @@ class GraspsConfig(Settings):
     max_width_m: float = setting(0.13, "Widest opening of the hand", bounds=(0.001, 0.5))
     control: str = setting("force", "Quantity that the hand controls", choices=("force", "depth"))
     thumb: GraspTargetConfig = GraspTargetConfig()
-    middle: GraspTargetConfig | None = None
-    balanced: bool = setting(
-        True, "Whether the object is free to move between the fingers, so that their forces balance"
-    )
     error: ExecutionErrorConfig | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.balanced and self.control == "force" and self.middle is not None:
-            raise ConfigError(
-                "middle: a target of its own, but balanced fingers share one force; leave it out or set balanced: false"
-            )

@@ -221,7 +221,7 @@ _CONSTANTS: Final[dict[str, Any]] = {
         "flying_pixels": {"share": FLYING_SHARE},
         "holes": {"share": HOLE_SHARE, "grazing_deg": GRAZING_DEG},
     },
-    "grasps": {"error": {"target_share": TARGET_SHARE}},
+    "grasps": {"balanced": True, "middle": None, "error": {"target_share": TARGET_SHARE}},
     "fingers": {
         "pad": {
             "core_half_length_m": CORE_HALF_LENGTH_M,
