@@ -191,7 +191,7 @@ class SimulatedHand:
         """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
         config: DriftConfig = job.settings
         before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), config.session_s)
-        state.series += reading.drift_of(job.world, config, before + self._elapsed_s + state.times)
+        state.series += reading.drift_of(job.world, before + self._elapsed_s + state.times)
 
 
 class RestingFingers:

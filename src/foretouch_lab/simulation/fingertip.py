@@ -47,6 +47,9 @@ _CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring 
 PDC_PER_KELVIN: Final = 8.0  # [counts/K]; orders of magnitude, not measurements: they differ from sensor to sensor
 ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
 
+BODY_KELVIN: Final = 3.0  # rise of the liquid's temperature since power-on, in the end
+WARMING_S: Final = 600.0  # time constant of the warming
+
 TDC_PER_KELVIN: Final = 75.0  # [counts/K]; slope of the converter's curve between 2350 and 2700, where recordings are
 TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; an order of magnitude: recorded TAC varies by tens of counts
 VIBRATION_NOISE: Final = (
@@ -59,6 +62,8 @@ PAC_REST: Final = 2048.0  # PAC of a still fingertip
 TAC_REST: Final = 2048.0  # TAC at a steady temperature
 TDC_REST: Final = (2400.0, 2580.0)  # TDC of thumb and middle finger at power-on [counts], about as recorded
 
+NOISE_ELECTRODE: Final = 4.2  # standard deviation of the white noise of an electrode [counts]
+NOISE_PDC: Final = 0.3  # of PDC
 WANDER_COUNTS: Final = 1.9  # standard deviation of the slow fluctuation of an electrode
 WANDER_S: Final = 0.4  # time in which its correlation falls to 1/e
 
@@ -67,22 +72,6 @@ CREEP_TIME_S: Final = 1.5  # time constant of the late part
 
 SLIP_SPEED_M_S: Final = 0.005  # mean speed of the object over the skin
 SLIP_LENGTH_M: Final = 0.0005  # mean length of one slip
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoiseConfig(Settings):
-    """Noise of the channels."""
-
-    electrode_counts: float = setting(4.2, "Standard deviation of the white noise of an electrode", bounds=(0.0, 1e6))
-    pdc_counts: float = setting(0.3, "Standard deviation of the white noise of PDC", bounds=(0.0, 1e6))
-
-
-@dataclass(frozen=True, kw_only=True)
-class TemperatureConfig(Settings):
-    """Warming of the liquid, which moves all counts; it is not compensated in the sensor."""
-
-    body_kelvin: float = setting(3.0, "Rise of the liquid's temperature since power-on, in the end", bounds=(-1e3, 1e3))
-    warming_s: float = setting(600.0, "Time constant of the warming", bounds=(1e-3, 1e9))
 
 
 def ou_noise(
@@ -127,14 +116,14 @@ def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s
     return result
 
 
-def warming(config: TemperatureConfig, times_s: Float64) -> Float64:
+def warming(times_s: Float64, body_kelvin: float = BODY_KELVIN, warming_s: float = WARMING_S) -> Float64:
     """(T,) float64: rise of the liquid's temperature [K] at times since power-on [s]."""
-    return np.asarray(config.body_kelvin * -np.expm1(-times_s / config.warming_s))
+    return np.asarray(body_kelvin * -np.expm1(-times_s / warming_s))
 
 
-def temperature_drift(config: TemperatureConfig, times_s: Float64) -> Float64:
-    """(T, 25) float64: drift of PDC and electrodes [counts] at times (T,) since power-on [s]."""
-    return np.outer(warming(config, times_s), [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
+def temperature_drift(rise_k: Float64) -> Float64:
+    """(T, 25) float64: drift of PDC and electrodes [counts] by a rise of the temperature (T,) [K], not compensated in the sensor."""
+    return np.outer(rise_k, [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
 
 
 def slip_path(rows: int, rate_hz: float, rng: np.random.Generator) -> Float64:

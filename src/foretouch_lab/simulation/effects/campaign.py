@@ -14,7 +14,7 @@ from foretouch_lab.simulation.fingertip import (
     warming,
 )
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scene.campaign import CONTACT_S, ThermistorConfig
+from foretouch_lab.simulation.scene.campaign import CONTACT_S, WarmUpConfig
 from foretouch_lab.simulation.scene.objects import ObjectConfig
 from foretouch_lab.simulation.world import Campaign
 
@@ -41,22 +41,17 @@ def _drift(job: Job, state: SampleState) -> None:
 
 
 def _warm_up(job: Job, state: SampleState) -> None:
-    config, now = _campaign(job).config.warm_up, state.campaign_time
-    assert config is not None  # noqa: S101  # which calls for it
-    state.level += temperature_drift(config, now.powered_s + now.speed * state.times)[:, None]
-
-
-def _finger_temperature(job: Job, state: SampleState) -> None:
-    """Fingers warm on, and approach the temperature of an object as long as they touch it."""
-    config: ThermistorConfig = job.settings
+    """The liquid warms on; with TDC, fingers also approach the temperature of an object as long as they touch it."""
+    config: WarmUpConfig = job.settings
     campaign, now, timeline = _campaign(job), state.campaign_time, job.scene.fingers.timeline
-    warm_up = campaign.config.warm_up
-    assert warm_up is not None  # noqa: S101  # it holds the settings
-    start_k, object_k = campaign.kelvin(config, now.session, job.key.slot // campaign.config.grasps)
+    rise_k = warming(now.powered_s + now.speed * state.times, config.body_kelvin, config.warming_s)
+    if config.tdc is None:
+        state.level += temperature_drift(rise_k)[:, None]
+        return
+    start_k, object_k = campaign.kelvin(config.tdc, now.session, job.key.slot // campaign.config.grasps)
     rate_hz = _CONTACT_HZ if timeline is None else timeline.rate_hz
     cooled = creep(state.load, rate_hz, share=1.0, time_s=CONTACT_S)
-    common_k = warming(warm_up, now.powered_s + now.speed * state.times) + object_k * cooled
-    change = TDC_PER_KELVIN * (common_k[:, None] + start_k)  # (T, 2)
+    change = TDC_PER_KELVIN * ((rise_k + object_k * cooled)[:, None] + start_k)  # (T, 2)
     flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / CONTACT_S
     tac = np.broadcast_to((TAC_REST + flow)[:, None], change.shape)
     state.others[..., 2:] = np.stack([tac, change + TDC_REST], axis=2)
@@ -77,11 +72,6 @@ def _tares(job: Job, state: SampleState) -> None:
         state.tare = None
 
 
-def _warms_up(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    config = scene.campaign.warm_up if scene.campaign else None
-    return None if config is None or config.tdc else f"campaign.warm_up: {config.warming_s:g} s after each power-on"
-
-
 def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     kept = scene.campaign.tares if scene.campaign else "grasp"
     return None if kept == "grasp" else f"campaign.tares: {kept}"
@@ -93,8 +83,7 @@ MOUNTING = (Effect("calendar", _calendar, "campaign"), Effect("exchange", _excha
 #: How far their levels have drifted.
 DRIFT = (
     Effect("level_drift", _drift, "campaign.drift"),
-    Effect("warm_up", _warm_up, _warms_up, off="no campaign.warm_up, or finger_temperature holds it"),
-    Effect("finger_temperature", _finger_temperature, "campaign.warm_up.tdc"),
+    Effect("warm_up", _warm_up, "campaign.warm_up"),
     Effect("level_shift", _shift, "campaign"),
 )
 

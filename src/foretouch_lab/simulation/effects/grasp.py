@@ -24,7 +24,7 @@ from foretouch_lab.simulation.contact.problem import Command, ContactProblem, El
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
-from foretouch_lab.simulation.scene.objects import POISSON, ObjectConfig, SurfaceConfig
+from foretouch_lab.simulation.scene.objects import POISSON, RELIEF_M, ObjectConfig
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.solids import Body
 from foretouch_lab.simulation.world import object_index
@@ -205,7 +205,6 @@ def _relief(_job: Job, state: SampleState) -> None:
 
 def _surface(job: Job, state: SampleState) -> None:
     """Waves of random directions and phases, fixed to the object: two touches of one spot feel the same relief."""
-    surface: SurfaceConfig = job.settings
     body = state.bodies[0]
     rng = np.random.default_rng([job.scene.seed, object_index(job.scene, job.key.slot), body.variant])
     axes = rng.standard_normal((_WAVES, 3))
@@ -214,7 +213,7 @@ def _surface(job: Job, state: SampleState) -> None:
     waves = []
     for window, frame in zip(state.pads, state.touches, strict=True):
         points = (frame.points(window.x, window.y, 0.0) - body.position) @ body.rotation
-        waves.append(np.cos(points @ axes.T + phase).sum(axis=-1) * surface.relief_m * np.sqrt(2.0 / _WAVES))
+        waves.append(np.cos(points @ axes.T + phase).sum(axis=-1) * RELIEF_M * np.sqrt(2.0 / _WAVES))
     state.relief = state.relief + np.stack(waves)
 
 

@@ -16,6 +16,8 @@ from foretouch_lab.simulation.effects import campaign
 from foretouch_lab.simulation.effects.grasp import command_of, contact_problem, pad_of, surface_behind
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.fingertip import (
+    NOISE_ELECTRODE,
+    NOISE_PDC,
     PAC_REST,
     VIBRATION_CONTACT,
     VIBRATION_NOISE,
@@ -23,7 +25,6 @@ from foretouch_lab.simulation.fingertip import (
     VIBRATION_SLIP,
     WANDER_COUNTS,
     WANDER_S,
-    NoiseConfig,
     creep,
     ou_noise,
     quantise,
@@ -164,19 +165,19 @@ def _drift(job: Job, state: SampleState) -> None:
     first = int(np.argmax(state.load > 0.0))
     since = now + age + state.times - state.times[first]
     since[:first] -= age
-    state.series += drift_of(job.world, config, np.maximum(since, 0.0))
+    state.series += drift_of(job.world, np.maximum(since, 0.0))
 
 
-def drift_of(world: World, config: DriftConfig, since_s: Float64) -> Float64:
+def drift_of(world: World, since_s: Float64) -> Float64:
     """(T, 2, V) by how much readings have drifted at times (T,) since the sensors are on [s]."""
     if world.array is not None:
-        return np.asarray(warming(config.temperature, since_s)[:, None, None] * world.array.kelvin)
-    return np.asarray(temperature_drift(config.temperature, since_s)[:, None])
+        return np.asarray(warming(since_s)[:, None, None] * world.array.kelvin)
+    return np.asarray(temperature_drift(warming(since_s))[:, None])
 
 
 def _crosstalk(job: Job, state: SampleState) -> None:
     assert job.world.array is not None  # noqa: S101  # the settings are of arrays alone
-    state.series = job.world.array.with_crosstalk(state.series, job.settings)
+    state.series = job.world.array.with_crosstalk(state.series)
 
 
 def _sessions(job: Job, state: SampleState) -> None:
@@ -192,15 +193,14 @@ def _sessions(job: Job, state: SampleState) -> None:
 
 
 def _noise(job: Job, state: SampleState) -> None:
-    config: NoiseConfig = job.settings
     rng, rows = job.rng(), len(state.series)
     if job.world.array:
         state.series += job.world.array.noise(rows, rng)
         return
     slow = ou_noise(rows, 2 * ELECTRODES, WANDER_COUNTS, WANDER_S, _rate_hz(job), rng)
-    state.series[..., 1:] += config.electrode_counts * rng.standard_normal((rows, 2, ELECTRODES))
+    state.series[..., 1:] += NOISE_ELECTRODE * rng.standard_normal((rows, 2, ELECTRODES))
     state.series[..., 1:] += slow.reshape(rows, 2, ELECTRODES)
-    state.series[..., 0] += config.pdc_counts * rng.standard_normal((rows, 2))
+    state.series[..., 0] += NOISE_PDC * rng.standard_normal((rows, 2))
 
 
 def _scan(job: Job, state: SampleState) -> None:

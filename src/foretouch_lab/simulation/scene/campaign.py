@@ -6,7 +6,7 @@ from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch_lab.simulation.fingertip import TemperatureConfig
+from foretouch_lab.simulation.fingertip import BODY_KELVIN, WARMING_S
 from foretouch_lab.simulation.scene.ranges import RangedSettings
 
 DAY_S: Final = 86400.0
@@ -71,9 +71,13 @@ class ThermistorConfig(RangedSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WarmUpConfig(TemperatureConfig):
+class WarmUpConfig(Settings):
     """Warming after each power-on; with `tdc`, the electrodes follow TDC, and PDC does not, as in the recordings."""
 
+    body_kelvin: float = setting(
+        BODY_KELVIN, "Rise of the liquid's temperature since power-on, in the end", bounds=(-1e3, 1e3)
+    )
+    warming_s: float = setting(WARMING_S, "Time constant of the warming", bounds=(1e-3, 1e9))
     tdc: ThermistorConfig | None = None
 
 

@@ -10,9 +10,9 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.tactile.description import Sensor, load_sensor, require_two
 from foretouch_lab.simulation.contact.pad import PadConfig
-from foretouch_lab.simulation.fingertip import NoiseConfig, SimulatedFingerConfig, TemperatureConfig, ThumbConfig
+from foretouch_lab.simulation.fingertip import SimulatedFingerConfig, ThumbConfig
 from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch
-from foretouch_lab.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
+from foretouch_lab.simulation.taxels import TaxelConfig, require_channels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,6 @@ class TimelineConfig(Settings, read_only=True):
 class DriftConfig(RangedSettings):
     """Counts drift with the liquid's temperature, so a tare grows old."""
 
-    temperature: TemperatureConfig = TemperatureConfig()
     session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-on, low and high", bounds=(0.0, 1e9))
     tare_age_s: tuple[float, ...] = setting(
         (2.0, 30.0), "Age of the tare at the touch, low and high", bounds=(0.0, 1e9)
@@ -62,7 +61,6 @@ _TAXELS: Final[dict[str, tuple[Any, ...]]] = {
     **dict.fromkeys(("vibration", "scan", "dead"), (None,)),
     "thumb": (ThumbConfig(),),
     "middle": (SimulatedFingerConfig(),),
-    "noise": (None, NoiseConfig()),
     "pad.window_m": (PadConfig().window_m,),
 }
 
@@ -75,6 +73,8 @@ class FingersConfig(Settings):
         creep: The skin relaxes under load within seconds.
         slip: The object slides over the skin during the hold.
         vibration: PAC swings at first touch, release and slip; how much is an assumption, not a measurement.
+        noise: Electrodes and PDC, or taxels, have white noise; electrodes wander besides.
+        crosstalk: Neighbours, and the other axes, of a taxel read a part of its force; how much is an assumption.
         sessions: Rest levels differ from object to object, each of which was recorded on another day.
         scan: Electrodes are sampled one after the other, so that a message repeats about eight of them.
 
@@ -89,14 +89,14 @@ class FingersConfig(Settings):
     thumb_posture: PostureConfig = PostureConfig()
     middle_posture: PostureConfig = PostureConfig()
     taxels: TaxelConfig | None = None
-    crosstalk: CrosstalkConfig | None = None
+    crosstalk: Switch | None = None
     timeline: TimelineConfig | None = None
     creep: Switch | None = None
     slip: Switch | None = None
     vibration: Switch | None = None
     drift: DriftConfig | None = None
     sessions: Switch | None = None
-    noise: NoiseConfig | None = None
+    noise: Switch | None = None
     scan: Switch | None = None
     dead: DeadConfig | None = None
     hand: int = setting(

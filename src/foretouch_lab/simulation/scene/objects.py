@@ -18,6 +18,7 @@ from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch, draw
 
 RESTS = ("upright", "side", "any")
 POISSON = 0.3  # Poisson's ratio of soft objects
+RELIEF_M = 2e-4  # standard deviation of the height of a fine relief
 MESH = "mesh"  # shape of an object whose surface comes from a file
 
 
@@ -35,17 +36,11 @@ class PoseConfig(RangedSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SurfaceConfig(Settings):
-    """Fine relief, too small for the mesh and the camera, but not for a fingertip."""
-
-    relief_m: float = setting(2e-4, "Standard deviation of the height", bounds=(0.0, 2e-3))
-
-
-@dataclass(frozen=True, kw_only=True)
 class ObjectConfig(Settings):
     """One kind of object. Without `young_pa` it is rigid.
 
-    With the shape `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
+    With `surface`, it has a fine relief, too small for the mesh and the camera, but not for a fingertip. With the shape
+    `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
     """
 
     name: str = setting("object", "Object name of the samples")
@@ -65,7 +60,7 @@ class ObjectConfig(Settings):
     thickness_m: float | None = setting(None, "Thickness of the soft layer on a rigid core", bounds=(1e-4, 0.5))
     friction: float = setting(0.783, "Coefficient of friction against the skin", bounds=(0.0, 3.0))
     mass_kg: float | None = setting(None, "Mass of the object; needed where the scene has gravity", minimum=0.0)
-    surface: SurfaceConfig | None = None
+    surface: Switch | None = None
     colour: tuple[int, ...] | None = setting(
         None, "Red, green and blue of the points; absent for a cloud without colours", bounds=(0, 255)
     )

@@ -35,7 +35,7 @@ from foretouch_lab.simulation.depth_scene import (
 )
 from foretouch_lab.simulation.scene.campaign import CONTACT_S, SLOPE_MF, SLOPE_SPREAD, SLOPE_TH, CampaignConfig
 from foretouch_lab.simulation.scene.fingers import TARGET_SHARE, FingersConfig, GraspsConfig
-from foretouch_lab.simulation.scene.objects import POISSON, ClutterConfig, ObjectConfig, draw_families
+from foretouch_lab.simulation.scene.objects import POISSON, RELIEF_M, ClutterConfig, ObjectConfig, draw_families
 from foretouch_lab.simulation.scene.ranges import Switch
 
 
@@ -213,7 +213,7 @@ _FINGER: Final = {
     "electrode_gain_spread": fingertip.GAIN_SPREAD,
 }
 _CONSTANTS: Final[dict[str, Any]] = {
-    "objects": {"poisson": POISSON},
+    "objects": {"poisson": POISSON, "surface": {"relief_m": RELIEF_M}},
     "table": {"size_m": TABLE_M.tolist()},
     "camera": {
         "noise": {"baseline_m": D415_BASELINE_M},
@@ -252,8 +252,15 @@ _CONSTANTS: Final[dict[str, Any]] = {
         },
         "thumb": _FINGER,
         "middle": _FINGER,
-        "noise": {"wander_counts": fingertip.WANDER_COUNTS, "wander_s": fingertip.WANDER_S},
+        "noise": {
+            "electrode_counts": fingertip.NOISE_ELECTRODE,
+            "pdc_counts": fingertip.NOISE_PDC,
+            "wander_counts": fingertip.WANDER_COUNTS,
+            "wander_s": fingertip.WANDER_S,
+        },
         "dead": {"stuck_at": "low"},
+        "crosstalk": taxels.CROSSTALK,
+        "taxels": {"full_scale_n": taxels.FULL_SCALE_N},
         "vibration": {
             "noise_counts": fingertip.VIBRATION_NOISE,
             "contact_counts": fingertip.VIBRATION_CONTACT,
@@ -261,6 +268,8 @@ _CONSTANTS: Final[dict[str, Any]] = {
         },
         "drift": {
             "temperature": {
+                "body_kelvin": fingertip.BODY_KELVIN,
+                "warming_s": fingertip.WARMING_S,
                 "electrode_counts_per_kelvin": fingertip.ELECTRODE_PER_KELVIN,
                 "pdc_counts_per_kelvin": fingertip.PDC_PER_KELVIN,
             }
