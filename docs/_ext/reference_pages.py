@@ -382,7 +382,7 @@ def graph() -> dict[str, Ends]:
         np.savez(f"{folder}/cloud.npz", xyz=np.ones((4, 4, 3), np.float32))
         scene = str(ROOT / "src/foretouch_lab/simulation/scenes/clean.yaml")
         needed: dict[str, dict[str, Any]] = {
-            "camera": {"source": "synthetic"},
+            "camera": {"source": "scene", "scene.path": scene},
             "hand": {"scene.path": scene},
             "replay": {"path": f"{folder}/cloud.npz", "lockstep": True},
         }

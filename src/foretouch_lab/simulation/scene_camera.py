@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene as a camera: whole images of its samples, fed to librealsense's software device.
 
-From there on the code is that of a real camera. `swinging_frames` moves the objects a little, so that no two images in a
-row are equal.
+From there on the code is that of a real camera.
 """
 
 import logging
@@ -15,43 +14,17 @@ from foretouch.camera.config import ScheduleConfig
 from foretouch.camera.message_faults import FaultConfig, MessageFaults
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
-from foretouch_lab.simulation.depth_scene import (
-    FIRST_OBJECT,
-    TABLE,
-    DepthImage,
-    DepthScene,
-    random_scene,
-    to_millimetres,
-)
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, to_millimetres
 from foretouch_lab.simulation.effects import view
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, scheduled_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 from foretouch_lab.simulation.world import SampleKey, object_index
 
-_REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
 _LOG = logging.getLogger(__name__)
 _MS_NS = 1_000_000
 _VIEWS = 4  # of one sample, each with independent noise; rendering takes most of a core
-
-
-def swinging_frames(
-    scene: DepthScene, count: int, *, rng: np.random.Generator | None = None, noise_m: float = 0.0
-) -> list[DepthImage]:
-    """Frames of one period in which the first object swings to and fro along x.
-
-    Args:
-        scene: At rest; without objects all frames show the same.
-        count: How many frames make the period.
-        rng: Of the noise; may be None without.
-        noise_m: As for `DepthScene.render` [m].
-    """
-    images = []
-    for phase in 2.0 * np.pi * np.arange(count) / count:
-        offset = np.array([_REACH_M * np.sin(phase), 0.0, 0.0])
-        images.append((scene.moved(0, offset) if scene.objects else scene).render(rng, noise_m))
-    return images
 
 
 class FrameMaker:
@@ -94,8 +67,8 @@ class FrameMaker:
         return DepthImage(to_millimetres(depth), rgb, labels, world.view.matrix, world.plane.coefficients)
 
 
-class _SceneImages:
-    """The image that a camera takes now: call it, then ask `stamp_ns` when it was taken.
+class SceneFrames:
+    """The images that a camera takes of a scene; call it for the image with a number, and when it was taken.
 
     A sample is rendered when it is first seen, and up to four times where the camera's noise differs from image to
     image; these are then shown in turn. One that the scene has no place for is not shown: the camera measures nothing.
@@ -123,26 +96,20 @@ class _SceneImages:
         self._views = _VIEWS if any(effect is not None for effect in noisy) else 1
         self._slot: int | None = None
         self._images: list[DepthImage] = []
-        self._taken_ns: int | None = None
         self.fault = ""  # why the last sample is not shown
 
-    def __call__(self, number: int) -> DepthImage:
-        """The image with this number."""
+    def __call__(self, number: int) -> tuple[DepthImage, int | None]:
+        """The image, and the stamp [ns] before it was rendered, in whole milliseconds; None if it is lost."""
         now_ns = self._clock_ns()
         stamp_ns = self._faults.stamp(now_ns)
-        # Whole milliseconds come back from the library's double-precision stamps as they went in.
-        self._taken_ns = None if stamp_ns is None else stamp_ns // _MS_NS * _MS_NS
-        slot = self._schedule.slot(now_ns if self._taken_ns is None else self._taken_ns)
+        taken_ns = None if stamp_ns is None else stamp_ns // _MS_NS * _MS_NS
+        slot = self._schedule.slot(now_ns if taken_ns is None else taken_ns)
         if slot != self._slot:
             self._images, self._slot = [], slot
         if len(self._images) < self._views:
             self._images.append(self._render(slot, len(self._images)))
-            return self._images[-1]
-        return self._images[number % self._views]
-
-    def stamp_ns(self, number: int) -> int | None:  # noqa: ARG002
-        """When the last image was taken: before it was rendered [ns]; None if it is to be lost."""
-        return self._taken_ns
+            return self._images[-1], taken_ns
+        return self._images[number % self._views], taken_ns
 
     def _render(self, slot: int, repeat: int) -> DepthImage:
         self.fault = ""
@@ -155,33 +122,14 @@ class _SceneImages:
 
 
 def scheduled_camera(schedule: ScheduleConfig, fps: int, faults: MessageFaults | None = None) -> SyntheticCamera:
-    """As `scene_camera`, of the scene that the schedule names; a `ConfigError` if it breaks a rule."""
-    return scene_camera(scheduled_scene(schedule), schedule, fps, faults)
-
-
-def swinging_camera(width: int, height: int, fps: int) -> SyntheticCamera:
-    """A device that streams a random scene of three objects, of which one swings; not yet started.
+    """A device that streams the scene that a schedule names, not yet started.
 
     Args:
-        width: Width of the images [px].
-        height: Their height [px].
-        fps: Images a second, of which at most 30 are kept in memory and repeated [Hz].
-    """
-    rng = np.random.default_rng(0)
-    scene = random_scene(rng, width, height)
-    return SyntheticCamera(swinging_frames(scene, min(30, fps), rng=rng), fps)
-
-
-def scene_camera(
-    scene: SceneConfig, schedule: ScheduleConfig, fps: int, faults: MessageFaults | None = None
-) -> SyntheticCamera:
-    """A device that streams a scene, not yet started.
-
-    Args:
-        scene: The scene; its camera decides size and lens.
-        schedule: Which sample is on the table when.
+        schedule: Which sample of which scene is on the table when; the scene's camera decides size and lens.
         fps: Images a second, as far as rendering keeps up [Hz].
         faults: Of stamps and images; their settings may be replaced while it streams.
+
+    Raises:
+        ConfigError: If the scene breaks a rule.
     """
-    images = _SceneImages(scene, schedule, faults)
-    return SyntheticCamera(images, fps, serial="scene", stamp_ns=images.stamp_ns)
+    return SyntheticCamera(SceneFrames(scheduled_scene(schedule), schedule, faults), fps, serial="scene")

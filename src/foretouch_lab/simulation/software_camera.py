@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.camera.device import DeviceSource, realsense
 from foretouch.errors import CameraError
@@ -19,31 +18,25 @@ from foretouch_lab.simulation.depth_scene import DepthImage
 _DEPTH_UNIT_M = 0.001
 _PIXEL_BYTES = 2
 
+Frames = Callable[[int], tuple[DepthImage, int | None]]
+"""The n-th frame, and its stamp [ns since 1970], None if it is lost. The library stores milliseconds in double precision."""
+
 
 class SyntheticCamera(DeviceSource):
     """A `DeviceSource` that can be fed, paused, unplugged and plugged in again. As a context manager, it feeds itself.
 
     Args:
-        frames: The n-th frame, or a sequence that is repeated; all of one size and lens.
+        frames: All of one size and lens; a sequence is repeated, with the time of feeding as stamps.
         fps: Frames per second of `start` [Hz].
         serial: Its serial number.
-        stamp_ns: Returns the stamp of the n-th frame [ns since 1970], called after the frame is made, or None if the
-            frame is lost; by default the time of feeding. The library stores milliseconds in double precision.
     """
 
-    def __init__(
-        self,
-        frames: Callable[[int], DepthImage] | Sequence[DepthImage],
-        fps: int = 30,
-        serial: str = "synthetic",
-        stamp_ns: Callable[[int], int | None] | None = None,
-    ) -> None:
-        if not callable(frames) and not frames:
-            raise CameraError("synthetic camera: no frames to feed")
-        self.frame = frames if callable(frames) else lambda number: frames[number % len(frames)]
-        self._stamp_ns: Callable[[int], int | None] = stamp_ns or (lambda _: time.time_ns())
+    def __init__(self, frames: Frames | Sequence[DepthImage], fps: int = 30, serial: str = "synthetic") -> None:
+        self.frames: Frames = (
+            frames if callable(frames) else lambda number: (frames[number % len(frames)], time.time_ns())
+        )
         self._fps = fps
-        first = self.frame(0)
+        first, _ = self.frames(0)
         self.shape = first.depth_mm.shape  # (H, W) of every frame
         self._device, self._sensor, self._profile = _software_device(first, fps, serial)
         self._number = 0
@@ -64,15 +57,12 @@ class SyntheticCamera(DeviceSource):
         return self.plugged
 
     def feed(self) -> int:
-        """Feed one frame now and return its number; a `CameraError` if it has another size than the first."""
+        """Feed one frame now and return its number."""
         with self._lock:
             number = self._number
-            frame = self.frame(number)
-            if frame.depth_mm.shape != self.shape:
-                raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self.shape}")
-            stamp_ns = self._stamp_ns(number)
+            image, stamp_ns = self.frames(number)
             if self.plugged and stamp_ns is not None:
-                self._sensor.on_video_frame(_video_frame(self._profile, frame.depth_mm, number, stamp_ns / 1e6))
+                self._sensor.on_video_frame(_video_frame(self._profile, image, number, stamp_ns / 1e6))
             self._number += 1
             return number
 
@@ -113,17 +103,21 @@ class SyntheticCamera(DeviceSource):
             self._stopping.wait(due - time.monotonic())
 
 
-def _software_device(frame: DepthImage, fps: int, serial: str) -> tuple[Any, Any, Any]:
+def _software_device(image: DepthImage, fps: int, serial: str) -> tuple[Any, Any, Any]:
     """Make a device with a depth sensor; it, the sensor and the profile of its stream."""
     rs = realsense()
     device = rs.software_device()
     device.register_info(rs.camera_info.name, "Synthetic D415")
     device.register_info(rs.camera_info.serial_number, serial)
     sensor = device.add_sensor("Stereo Module")
-    stream = rs.video_stream()
+    stream, lens = rs.video_stream(), rs.intrinsics()
+    height, width = image.depth_mm.shape
+    lens.width, lens.height = width, height
+    lens.fx, lens.fy, lens.ppx, lens.ppy = map(float, image.K[[0, 1, 0, 1], [0, 1, 2, 2]])
+    lens.model, lens.coeffs = rs.distortion.brown_conrady, [0.0] * 5
     stream.type, stream.index, stream.uid, stream.fps = rs.stream.depth, 0, int(rs.stream.depth), fps
-    stream.height, stream.width = frame.depth_mm.shape
-    stream.bpp, stream.fmt, stream.intrinsics = _PIXEL_BYTES, rs.format.z16, _intrinsics(frame)
+    stream.height, stream.width = height, width
+    stream.bpp, stream.fmt, stream.intrinsics = _PIXEL_BYTES, rs.format.z16, lens
     profile = sensor.add_video_stream(stream).as_video_stream_profile()
     sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
     # Of the D415 [mm]; the library's disparity filters require it.
@@ -132,22 +126,11 @@ def _software_device(frame: DepthImage, fps: int, serial: str) -> tuple[Any, Any
     return device, sensor, profile
 
 
-def _intrinsics(frame: DepthImage) -> Any:
-    rs = realsense()
-    height, width = frame.depth_mm.shape
-    intrinsics = rs.intrinsics()
-    intrinsics.width, intrinsics.height = width, height
-    intrinsics.fx, intrinsics.fy = float(frame.K[0, 0]), float(frame.K[1, 1])
-    intrinsics.ppx, intrinsics.ppy = float(frame.K[0, 2]), float(frame.K[1, 2])
-    intrinsics.model, intrinsics.coeffs = rs.distortion.brown_conrady, [0.0] * 5
-    return intrinsics
-
-
-def _video_frame(profile: Any, depth_mm: npt.NDArray[np.uint16], number: int, stamp_ms: float) -> Any:
+def _video_frame(profile: Any, image: DepthImage, number: int, stamp_ms: float) -> Any:
     rs = realsense()
     frame = rs.software_video_frame()
-    frame.pixels = np.ascontiguousarray(depth_mm)  # the library copies it
-    frame.bpp, frame.stride, frame.depth_units = _PIXEL_BYTES, depth_mm.shape[1] * _PIXEL_BYTES, _DEPTH_UNIT_M
+    frame.pixels = np.ascontiguousarray(image.depth_mm)  # the library copies it
+    frame.bpp, frame.stride, frame.depth_units = _PIXEL_BYTES, image.depth_mm.shape[1] * _PIXEL_BYTES, _DEPTH_UNIT_M
     frame.timestamp, frame.domain = stamp_ms, rs.timestamp_domain.system_time
     frame.frame_number, frame.profile = number, profile
     return frame

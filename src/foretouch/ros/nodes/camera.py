@@ -27,9 +27,7 @@ class CameraNodeConfig(NodeConfig):
     """Settings of the camera node."""
 
     source: str = setting(
-        "device",
-        "`device` (see `camera`), `synthetic` (three objects on a table, of which one swings), `scene` (see `scene`), or the path of a recording",
-        read_only=True,
+        "device", "`device` (see `camera`), `scene` (see `scene`), or the path of a recording", read_only=True
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
@@ -47,7 +45,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
     exclusive_topics = ("points",)
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
-        self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `synthetic` or `scene`
+        self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `scene`
         self._camera: RealSenseCamera | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
@@ -58,12 +56,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
     def _setup(self) -> None:
         config = self.config
-        if config.source == "synthetic":
-            camera = config.camera
-            self.synthetic = _simulation(config.source).swinging_camera(camera.width, camera.height, camera.fps)
-        elif config.source == "scene":
+        if config.source == "scene":
             self._faults = MessageFaults(config.faults)
-            self.synthetic = _simulation(config.source).scheduled_camera(config.scene, config.camera.fps, self._faults)
+            simulation = laboratory("simulation.scene_camera", "source: scene")
+            self.synthetic = simulation.scheduled_camera(config.scene, config.camera.fps, self._faults)
             self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
         self._points = self.advertise(PointCloud2, "points")
 
@@ -71,7 +67,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._failure = ""
         self._stopping.clear()
         config, source = self.config.camera.replace(**self._size), self.config.source
-        if source not in {"device", "synthetic", "scene"}:
+        if source not in {"device", "scene"}:
             config = config.replace(file=source)
         self._camera = RealSenseCamera(config, self.synthetic, self._log_status)
         if self.synthetic is not None:
@@ -115,7 +111,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
     def warnings(self) -> tuple[str, ...]:
         """Why a scene is not shown."""
-        fault = getattr(self.synthetic.frame, "fault", "") if self.synthetic else ""
+        fault = self.synthetic.frames.fault if self.synthetic else ""
         return (fault,) if fault else ()
 
     def notes(self) -> dict[str, str]:
@@ -162,8 +158,3 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             self.get_logger().info(str(status))
         else:
             self.get_logger().warning(str(status))
-
-
-def _simulation(source: str) -> Any:
-    """The module that makes simulated cameras; a `MissingDependencyError` where the laboratory is not installed."""
-    return laboratory("simulation.scene_camera", f"source: {source}")
