@@ -67,27 +67,22 @@ class ObjectConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._read_file()
+        if (self.shape == MESH) != bool(self.file):
+            raise ConfigError(f"{self.name}.file: is {'needed' if self.shape == MESH else 'only'} for the shape mesh")
+        if self.file:
+            self._read_file()
         if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
             file = f"{self.name}.file: {self.file}: " if self.file else ""
-            unit = "; it looks like millimetres: give size_m in metres" if max(self.size_m, default=0.0) >= 5.0 else ""
-            raise ConfigError(f"{file}size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m{unit}")
-        if self.young_pa is None and self.thickness_m is not None:
-            raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
-        if self.young_pa is not None and self.thickness_m is None:
-            raise ConfigError(f"{self.name}.young_pa: {self.young_pa:g} Pa of no layer; give thickness_m too")
+            raise ConfigError(f"{file}size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
+        if (self.young_pa is None) != (self.thickness_m is None):
+            raise ConfigError(f"{self.name}.young_pa: needs thickness_m, and thickness_m needs young_pa")
         if self.shape != "random" and (self.variants > 1 or self.first_variant > 0):
-            field = "variants" if self.variants > 1 else "first_variant"
-            raise ConfigError(f"{self.name}.{field}: {getattr(self, field)}, but the shape {self.shape} has one")
+            raise ConfigError(f"{self.name}.variants, first_variant: the shape {self.shape} has one variant")
         if self.colour is not None and len(self.colour) != 3:
             raise ConfigError(f"{self.name}.colour: {list(self.colour)} is not red, green and blue")
 
     def _read_file(self) -> None:
         """Check the mesh, and set its hash and its size where they are not given."""
-        if (self.shape == MESH) != bool(self.file):
-            raise ConfigError(f"{self.name}.file: is {'needed' if self.shape == MESH else 'only'} for the shape mesh")
-        if self.shape != MESH:
-            return
         try:
             mesh, sha256 = read_mesh_file(self.file)
         except FileError as err:
