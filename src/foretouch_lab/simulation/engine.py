@@ -6,6 +6,7 @@ Of each object of the scene, those effects run, in the order of their list, that
 """
 
 import time
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -60,8 +61,7 @@ class SampleState:
     load: Float64  # (T,), 0 without contact and 1 in full contact
     hold_row: int  # the message that is the touch; the tare is the median of those before the first load
     level: Float64  # (T, 2, 25) [counts], how far the readings have drifted in the course of the campaign
-    others: Float64  # (T, 2, 4) [counts], PAC0, PAC1, TAC and TDC of both fingers, not rounded; 0 if not simulated
-    slid: Float64  # (T,) [m], how far the object has slid
+    others: Float64  # (T, 2, 4) [counts], PAC0, PAC1 (always 0), TAC and TDC of both fingers, not rounded; 0 if not simulated
     series: Float64  # (T, 2, V), with what the sensor adds
     touch: Touch  # readings in contact
     tare: Touch | None  # readings before contact; None where no tare is recorded
@@ -139,14 +139,6 @@ class EffectPlan:
     objects: tuple[str, ...] = ()  # the objects it runs with
 
 
-@dataclass
-class EffectTiming:
-    """How often an effect ran and how long in all, by the processor time of its thread [s]."""
-
-    calls: int = 0
-    seconds: float = 0.0
-
-
 @dataclass(eq=False)
 class Engine:
     """Makes samples of one scene.
@@ -154,19 +146,20 @@ class Engine:
     Attributes:
         scene: The scene.
         effects: All effects there are, in the order in which they run.
-        timings: By effect, for all that are listed: those that never ran have no calls.
+        calls: How often each effect ran.
+        seconds: How long each ran in all, by the processor time of its thread [s].
         world: What all samples share.
         chains: Of each object, the effects that run.
     """
 
     scene: SceneConfig
     effects: Sequence[Effect]
-    timings: dict[str, EffectTiming] = field(init=False)
+    calls: Counter[str] = field(default_factory=Counter)
+    seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     world: World = field(init=False)
     chains: list[list[Effect]] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.timings = {effect.name: EffectTiming() for effect in self.effects}
         self.world = World.of(self.scene)
         self.chains = [
             [effect for effect in self.effects if effect.reason(self.scene, item) is not None]
@@ -187,7 +180,6 @@ class Engine:
         index = object_index(self.scene, key.slot)
         item, state = self.scene.objects[index], SampleState()
         for effect in self.chains[index]:
-            timing = self.timings[effect.name]
             start = time.thread_time()
             try:
                 effect.run(Job(self.scene, item, self.world, key, effect), state)
@@ -197,6 +189,6 @@ class Engine:
                 reason = _REASONS.get(type(err), effect.name)
                 raise SimulationError(f"{item.name}: {effect.name}: {err}", reason) from err
             finally:
-                timing.calls += 1
-                timing.seconds += time.thread_time() - start
+                self.calls[effect.name] += 1
+                self.seconds[effect.name] += time.thread_time() - start
         return state

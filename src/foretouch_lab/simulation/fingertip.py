@@ -38,7 +38,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.tactile import BIOTAC_SP, ELECTRODES, FULL_SCALE, to_kohm
 from foretouch.types import Float64, Int64
-from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
+from foretouch_lab.simulation.contact.pad import PadConfig, PadWindow
 from foretouch_lab.simulation.contact.problem import ContactSolution
 
 _FRESH_PER_ROW: Final = 16.8  # electrodes that are sampled between two messages
@@ -52,13 +52,6 @@ WARMING_S: Final = 600.0  # time constant of the warming
 
 TDC_PER_KELVIN: Final = 75.0  # [counts/K]; slope of the converter's curve between 2350 and 2700, where recordings are
 TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; an order of magnitude: recorded TAC varies by tens of counts
-VIBRATION_NOISE: Final = (
-    5.0  # standard deviation of PAC of a still fingertip [counts]; this and the next are assumptions
-)
-VIBRATION_CONTACT: Final = 200.0  # of PAC at first touch and at release [counts]
-VIBRATION_SLIP: Final = 200.0  # of PAC per slip of 1 mm [counts/mm]
-VIBRATION_S: Final = 0.03  # time in which a vibration of the skin falls to 1/e
-PAC_REST: Final = 2048.0  # PAC of a still fingertip
 TAC_REST: Final = 2048.0  # TAC at a steady temperature
 TDC_REST: Final = (2400.0, 2580.0)  # TDC of thumb and middle finger at power-on [counts], about as recorded
 
@@ -215,39 +208,25 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
     """
     if solution.force_n == 0.0:
         return finger.rest
-    skin = solution.displacement[0]
-    volume = _displaced_volume(skin, pad.step_m**2)
-    approach = _skin_approach(_electrode_weights(pad, window.frame, window.points), skin, volume)
-    electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
-    return np.append(_pdc_counts(window.frame, volume, finger), electrodes)
+    skin, cell_m2, normal = solution.displacement[0], pad.step_m**2, window.frame.normal
+    # Where the skin's displacement is a rise, it takes liquid up.
+    volume_m3 = max(float(np.minimum(skin, BOTTOMING_M).sum()) * cell_m2, 0.0)
+    approach = electrode_weights(pad, window) @ skin.ravel() - volume_m3 / BULGE_AREA_M2
+    facing = math.pow(max(-float(normal[2]), 0.0), RIM_POWER)
+    pdc = finger.pdc_rest + finger.pdc_span * facing * math.tanh(volume_m3 / SATURATION_M3)
+    return np.append(pdc, electrode_counts(approach, finger.electrode_rest, finger.electrode_gain))
 
 
 def read_press(finger: Finger) -> Float64:
     """(25,) counts [counts] of a fingertip whose whole pad is pressed by a person, halfway to its largest pressure."""
     approach = 0.5 * THINNING_M * np.maximum(-BIOTAC_SP.layout.normals[:, 2], 0.0)
-    electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
+    electrodes = electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
     return np.append(finger.pdc_rest + 0.5 * finger.pdc_span, electrodes)
 
 
-def _displaced_volume(displacement: Float64, cell_m2: float) -> float:
-    """Liquid pushed aside by the contact [m³]; where the skin's displacement is a rise, it takes liquid up."""
-    return max(float(np.minimum(displacement, BOTTOMING_M).sum()) * cell_m2, 0.0)
-
-
-def _pdc_counts(frame: ContactFrame, volume_m3: float, finger: Finger) -> float:
-    """PDC in counts, not yet rounded, of a pad that is touched at a frame."""
-    facing = math.pow(max(-float(frame.rotation[2, 2]), 0.0), RIM_POWER)
-    return finger.pdc_rest + finger.pdc_span * facing * math.tanh(volume_m3 / SATURATION_M3)
-
-
-def _electrode_weights(
-    pad: PadConfig, frame: ContactFrame, skin_points: Float64, kernel_m: float = KERNEL_M
-) -> Float64:
-    """(24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1.
-
-    `skin_points` (N, N, 3) are the cells on the skin in the frame of the fingertip [m]; not finite beside the pad.
-    """
-    points = skin_points.reshape(-1, 3)
+def electrode_weights(pad: PadConfig, window: PadWindow) -> Float64:
+    """(24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1."""
+    points = window.points.reshape(-1, 3)
     normals = BIOTAC_SP.layout.normals
     places = BIOTAC_SP.layout.positions + pad.layer_m * normals
     on_skin = np.isfinite(points.sum(axis=1))
@@ -255,21 +234,16 @@ def _electrode_weights(
     # |p - e|² = |p|² - 2 p·e + |e|², so that the bulk of the work is one product of matrices
     squares = np.einsum("ij,ij->i", points, points) - 2.0 * places @ points.T
     squares += np.einsum("ij,ij->i", places, places)[:, None]
-    scale = pad.step_m**2 / (2.0 * math.pi * kernel_m**2)
-    facing = np.maximum(normals @ frame.rotation[:, 2], 0.0)
-    weights: Float64 = np.exp(squares * (-0.5 / kernel_m**2))
+    scale = pad.step_m**2 / (2.0 * math.pi * KERNEL_M**2)
+    facing = np.maximum(normals @ window.frame.normal, 0.0)
+    weights: Float64 = np.exp(squares * (-0.5 / KERNEL_M**2))
     weights *= (scale * facing)[:, None]
     weights *= on_skin
     return weights
 
 
-def _skin_approach(weights: Float64, displacement: Float64, volume_m3: float) -> Float64:
-    """(24,) float64 [m]: how much closer the skin is to each electrode; negative where it bulges."""
-    return np.asarray(weights @ displacement.ravel() - volume_m3 / BULGE_AREA_M2)
-
-
-def _electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
-    """Counts (..., 24) of electrodes, not yet rounded, by the approach of `_skin_approach` and the counts without contact."""
+def electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
+    """Counts (..., 24) of electrodes, not yet rounded, by the approach of the skin [m] and the counts without contact."""
     impedance_kohm = to_kohm(rest) * np.exp(np.clip(gain * approach / THINNING_M, -_MAX_EXPONENT, _MAX_EXPONENT))
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
 

@@ -7,8 +7,8 @@ failure counted by reason. What stands in a slot depends on the scene, the seed 
 number of workers.
 """
 
-from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
@@ -21,7 +21,7 @@ from foretouch.processes import one_thread_each, process_pool
 from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
 from foretouch.types import GraspSample
 from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.engine import EffectPlan, EffectTiming, Engine, SampleState
+from foretouch_lab.simulation.engine import EffectPlan, Engine, SampleState
 from foretouch_lab.simulation.fingertip import quantise
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.world import SampleKey, object_index
@@ -44,8 +44,8 @@ class Simulation:
     """A run over a scene; iterate `samples` once."""
 
     scene: SceneConfig  # the scene
-    timings: dict[str, EffectTiming] = field(default_factory=lambda: {e.name: EffectTiming() for e in EFFECTS})
-    # by effect, over all tries so far
+    calls: Counter[str] = field(default_factory=Counter)  # how often each effect ran so far
+    seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))  # and how long in all [s]
     failures: list[Failure] = field(default_factory=list)  # tries that came to nothing, so far
 
     @property
@@ -68,30 +68,19 @@ class Simulation:
             ConfigError: If the scene is a campaign of fewer grasps.
             SimulationError: If a slot fails `scene.max_attempts` times.
         """
-        _require_length(self.scene, count)
+        if self.scene.campaign is not None and count > self.scene.campaign.size:
+            raise ConfigError(f"campaign: {count} grasps exceed its {self.scene.campaign.size}")
         blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
         made_here = map(partial(_make_block, self.scene), blocks)
         results = made_here if workers == 1 else _spread(self.scene, blocks, workers)
-        for samples, timings, failures, given_up in results:
-            self._add(timings, failures)
+        for samples, calls, seconds, failures, given_up in results:
+            self.calls.update(calls)
+            for name, spent in seconds.items():
+                self.seconds[name] += spent
+            self.failures.extend(failures)
             yield from samples
             if given_up:
                 raise _given_up(failures[-self.scene.max_attempts :])
-
-    def _add(self, timings: Mapping[str, EffectTiming], failures: Sequence[Failure]) -> None:
-        for name, timing in timings.items():
-            self.timings[name].calls += timing.calls
-            self.timings[name].seconds += timing.seconds
-        self.failures.extend(failures)
-
-
-def _require_length(scene: SceneConfig, count: int) -> None:
-    campaign = scene.campaign
-    if campaign is not None and count > campaign.size:
-        raise ConfigError(
-            f"campaign: {count} grasps exceed its {campaign.size} ({len(campaign.days)} sessions of {campaign.objects} "
-            f"objects, {campaign.grasps} grasps each)"
-        )
 
 
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
@@ -104,15 +93,15 @@ def _engine_of(scene: SceneConfig) -> Engine:
     return Engine(scene, EFFECTS)
 
 
-# Samples, time by effect, failures, and whether they end with a slot that is given up.
-_Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
+# Samples, calls and time by effect, failures, and whether they end with a slot that is given up.
+_Block = tuple[list[GraspSample], Counter[str], dict[str, float], list[Failure], bool]
 
 
 def _make_block(scene: SceneConfig, slots: range) -> _Block:
     from threadpoolctl import threadpool_limits
 
     engine = _engine_of(scene)
-    engine.timings = {effect.name: EffectTiming() for effect in EFFECTS}
+    engine.calls, engine.seconds = Counter(), defaultdict(float)
     samples: list[GraspSample] = []
     failures: list[Failure] = []
     with threadpool_limits(1):  # sums of threaded BLAS depend on the number of threads
@@ -120,9 +109,9 @@ def _make_block(scene: SceneConfig, slots: range) -> _Block:
             made, failed = _first_success(engine, _tries(engine, slot))
             failures += failed
             if made is None:
-                return samples, engine.timings, failures, True
+                return samples, engine.calls, engine.seconds, failures, True
             samples.append(_sample(scene, slot, *made))
-    return samples, engine.timings, failures, False
+    return samples, engine.calls, engine.seconds, failures, False
 
 
 def _tries(engine: Engine, slot: int) -> list[SampleKey]:

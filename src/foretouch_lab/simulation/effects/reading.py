@@ -18,11 +18,6 @@ from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.fingertip import (
     NOISE_ELECTRODE,
     NOISE_PDC,
-    PAC_REST,
-    VIBRATION_CONTACT,
-    VIBRATION_NOISE,
-    VIBRATION_S,
-    VIBRATION_SLIP,
     WANDER_COUNTS,
     WANDER_S,
     creep,
@@ -92,7 +87,7 @@ def _tare_and_touch(_job: Job, state: SampleState) -> None:
 
 def start(state: SampleState, times: Float64, load: Float64, low: Float64, high: Float64) -> None:
     """Messages at times (T,) [s] that go from `low` to `high` (2, V) with the load (T,); nothing else is added yet."""
-    state.times, state.load, state.slid = times, load, np.zeros(len(load))
+    state.times, state.load = times, load
     state.series = low + load[:, None, None] * (high - low)
     state.others = np.zeros((len(load), 2, len(OTHERS)))
     state.level = np.zeros((len(load), 2, 1 + ELECTRODES))
@@ -121,7 +116,6 @@ def _slip(job: Job, state: SampleState) -> None:
     """
     in_hold = state.load == 1.0
     path = slip_path(int(np.count_nonzero(in_hold)), _rate_hz(job), job.rng())
-    state.slid[in_hold] = path
     if path[-1] == 0.0:
         return
     moved = np.stack([_reading_after_slip(job, state, k, float(path[-1])) for k in range(2)])
@@ -139,18 +133,6 @@ def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> 
     command = command_of(scene, state.target)
     contact = solve_contact(contact_problem(job, window, behind), command, scene.fidelity)
     return _reading(job, state, k, frame, behind, contact)
-
-
-def _vibration(job: Job, state: SampleState) -> None:
-    """First touch and release shake a fingertip, and so does each slip; the skin damps it."""
-    edges = np.diff(state.load > 0.0, prepend=False)
-    slips_m = np.maximum(np.diff(state.slid, prepend=0.0), 0.0)
-    struck = VIBRATION_CONTACT * edges + 1e3 * VIBRATION_SLIP * slips_m
-    kept = np.exp(-1.0 / (_rate_hz(job) * VIBRATION_S))
-    rng, swing = job.rng(), 0.0
-    for row, blow in zip(state.others, struck, strict=True):
-        swing = max(kept * swing, float(blow))
-        row[:, :2] = PAC_REST + np.hypot(VIBRATION_NOISE, swing) * rng.standard_normal((2, 2))
 
 
 def _creep(job: Job, state: SampleState) -> None:
@@ -244,7 +226,6 @@ EFFECTS = (
     Effect("timeline", _timeline, "fingers.timeline"),
     *campaign.DRIFT,
     Effect("slip", _slip, "fingers.slip", again=True),
-    Effect("vibration", _vibration, "fingers.vibration", again=True),
     Effect("crosstalk", _crosstalk, "fingers.crosstalk"),
     Effect("creep", _creep, "fingers.creep"),
     Effect("drift", _drift, "fingers.drift", again=True),

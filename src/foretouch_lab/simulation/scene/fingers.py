@@ -58,7 +58,7 @@ class DeadConfig(Settings):
 # What fields are where the sensor is not an array of taxels, and where it is one: the others' groups are refused.
 _NO_TAXELS: Final[dict[str, tuple[Any, ...]]] = {"taxels": (None,), "crosstalk": (None,)}
 _TAXELS: Final[dict[str, tuple[Any, ...]]] = {
-    **dict.fromkeys(("vibration", "scan", "dead"), (None,)),
+    **dict.fromkeys(("scan", "dead"), (None,)),
     "thumb": (ThumbConfig(),),
     "middle": (SimulatedFingerConfig(),),
     "pad.window_m": (PadConfig().window_m,),
@@ -72,7 +72,6 @@ class FingersConfig(Settings):
     Attributes:
         creep: The skin relaxes under load within seconds.
         slip: The object slides over the skin during the hold.
-        vibration: PAC swings at first touch, release and slip; how much is an assumption, not a measurement.
         noise: Electrodes and PDC, or taxels, have white noise; electrodes wander besides.
         crosstalk: Neighbours, and the other axes, of a taxel read a part of its force; how much is an assumption.
         sessions: Rest levels differ from object to object, each of which was recorded on another day.
@@ -93,7 +92,6 @@ class FingersConfig(Settings):
     timeline: TimelineConfig | None = None
     creep: Switch | None = None
     slip: Switch | None = None
-    vibration: Switch | None = None
     drift: DriftConfig | None = None
     sessions: Switch | None = None
     noise: Switch | None = None
@@ -105,7 +103,7 @@ class FingersConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("creep", "slip", "vibration", "scan"):
+        for name in ("creep", "slip", "scan"):
             if self.timeline is None and getattr(self, name) is not None:
                 raise ConfigError(f"{name}: acts over time, but there is no timeline; give one")
         sensor = self.taxel_sensor()
