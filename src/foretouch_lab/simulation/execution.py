@@ -46,7 +46,7 @@ class GraspTimingConfig(TimelineConfig, read_only=True):
 class GraspTrajectory:
     """One executed grasp."""
 
-    counts: Counts  # (T, 2, 29) int16: thumb and middle finger, PDC, electrodes and the others, 0 if not simulated; of taxels
+    counts: Counts  # (T, 2, 25 or 29) int16: thumb and middle finger, PDC, electrodes and, if simulated, the others; of taxels
     # (T, 2, V) float64, the values of each finger in the order of the channels
     start: int  # row at which the hand starts to close
     onset: int | None  # row of first touch; None where a finger never touches
@@ -164,7 +164,8 @@ class SimulatedHand:
     def _counts(self, state: SampleState) -> Counts:
         if (array := self._executing.world.array) is not None:
             return array.quantise(state.series)
-        return quantise(np.concatenate([state.series, state.others], axis=2)).astype(np.int16)
+        others = [state.others] if state.others.any() else []
+        return quantise(np.concatenate([state.series, *others], axis=2)).astype(np.int16)
 
     def _key(self, slot: int, repeat: int) -> SampleKey:
         return SampleKey(self.scene.seed, slot, 0, repeat)

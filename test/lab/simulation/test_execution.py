@@ -11,7 +11,6 @@ from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.types import Grasp
 from foretouch_lab.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.simulate import Simulation
 
 TIMING = GraspTimingConfig(rest_s=0.4, approach_s=0.3, close_s=0.2, hold_s=0.5)
 
@@ -41,7 +40,7 @@ def test_phases_come_when_they_are_due_and_pressure_rises_and_falls_with_them() 
 def test_the_hold_reads_what_the_data_set_says_of_this_grasp() -> None:
     for item in (CAN, SPONGE):
         config = scene(item)
-        sample = run(config, "touch", "tare", slot=2)
+        sample = run(config, slot=2)
         found = executed(config, slot=2)
         spans = (slice(0, found.onset), sample.tare), (slice(found.contact, found.release), sample.touch)
         for rows, expected in spans:
@@ -58,7 +57,7 @@ def test_a_hand_with_taxels_reads_what_the_data_set_says_and_a_press_moves_only_
         CAN, fingers={"sensor": "xela_uskin_4x4", "drift": {"session_s": [0.0, 0.0], "tare_age_s": [0.0, 0.0]}}
     )
     quiet = scene(CAN, fingers={"sensor": "xela_uskin_4x4"})
-    sample, found = run(quiet, "touch", "tare"), executed(quiet)
+    sample, found = run(quiet), executed(quiet)
     columns = sample.touch.channels.finger_columns.values()
     for row, expected in ((0, sample.tare), (found.contact, sample.touch), (-1, sample.tare)):
         np.testing.assert_array_equal(found.counts[row], [expected.values[one] for one in columns])
@@ -80,23 +79,6 @@ def test_the_sensor_adds_only_what_the_scene_calls_for_and_each_time_anew() -> N
     hold = first.counts[first.contact : first.release].mean(axis=0)
     clean = executed(quiet).counts[first.contact]
     np.testing.assert_allclose(hold, clean, atol=5 * 4.6 / np.sqrt(8))  # 0.5 s hold about eight independent values
-
-
-def test_pac_swings_at_first_touch_release_and_slip() -> None:
-    quiet, slipping = ({"timeline": {}, "vibration": {}, **one} for one in ({}, {"slip": {}}))
-    found = executed(scene(fingers=quiet))
-    pac = found.counts[..., 25:27].astype(float) - 2048.0
-    swing = pac.reshape(len(pac), -1).std(axis=1)
-    assert swing[: found.onset].max() < 20.0 < swing[found.onset : found.onset + 3].max()
-    assert swing[found.contact + 20 : found.release].max() < 20.0 < swing[found.release :].max()
-    assert not found.counts[..., 27:].any()  # no temperature
-    moving = executed(scene(fingers=slipping)).counts[found.contact + 20 : found.release, :, 25:27]
-    assert moving.std() > 2.0 * pac[found.contact + 20 : found.release].std()
-    sample = next(iter(Simulation(scene(fingers=quiet)).samples(1)))
-    assert {name for name in sample.extra if "AC" in name} == {
-        f"{t}PAC{k}_{f}" for t in ("", "tare_") for k in (0, 1) for f in ("TH", "MF")
-    }
-    assert not executed(scene(), repeat=1).counts[..., 25:].size
 
 
 def test_resting_fingers_are_as_noisy_as_real_ones() -> None:

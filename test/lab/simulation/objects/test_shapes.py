@@ -37,5 +37,5 @@ def test_volumes_and_the_centre_of_known_solids() -> None:
     for mesh in (sphere, turned):
         assert volume(mesh) == pytest.approx(4.0 / 3.0 * np.pi * 0.05**3, rel=2e-3)
     assert volume(shapes._rounded_box(0.001)) == pytest.approx(1.0, rel=1e-3)
-    moved = TriangleMesh(sphere.vertices + [0.1, 0.2, 0.3], sphere.faces)
+    moved = TriangleMesh(sphere.vertices + np.array([0.1, 0.2, 0.3]), sphere.faces)
     np.testing.assert_allclose(moved.centroid, [0.1, 0.2, 0.3], atol=1e-6)
