@@ -140,7 +140,6 @@ def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
         learning.network_cases,
         pytest.param(learning.run_cases, marks=pytest.mark.slow),
         simulation.contact_cases,
-        simulation.mesh_cases,
         simulation.sample_cases,
         pytest.param(simulation.effect_cases, marks=pytest.mark.slow),
     ],

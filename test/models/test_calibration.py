@@ -112,20 +112,15 @@ def test_damage_is_refused_by_name() -> None:
             Calibration.from_tensors(tensors, BIOTAC)
 
     cases = [
-        ("rest", lambda a: None, "rest: is missing"),
-        ("rest", changed(3, np.nan), "rest: holds a value that is not finite$"),
+        ("rest", changed(3, np.nan), "rest: is missing, .* or not finite$"),
         ("new/between", lambda a: None, "new/between: is missing"),
-        ("known/difference_shrinkage", lambda a: None, "known/difference_shrinkage: is missing"),
         ("known/between", lambda a: a[:, :49], r"known/between: shape \(50, 49\) is not \(50, 50\)"),
-        ("known/within", lambda a: a[:2], r"known/within: shape \(2,\) is not \(50,\)"),
-        ("known/within", changed(0, 5e-324), "known/within: .* not finite and at least 1e-09"),
-        ("new/spread", changed(0, -1.0), "new/spread: .* not finite and at least 1e-09"),
-        ("new/half_width", changed(49, np.inf), "new/half_width: .* not finite and at least 1e-09"),
+        ("known/within", changed(0, 5e-324), r"known/within: .* not within \[1e-09"),
+        ("new/half_width", changed(49, np.inf), r"new/half_width: .* not within \[1e-09"),
         ("new/between", changed((0, 1), 1e6), "new/between: is not symmetric"),
         ("new/between", lambda a: -a, "new/between: is not a covariance"),
-        ("new/between", lambda a: 1e200 * a, "new/between: .* exceeds 1e.12"),
-        ("new/difference_shrinkage", changed(5, 1.5), r"new/difference_shrinkage: leaves \[0, 1\]"),
-        ("new/difference_shrinkage", changed(5, -0.1), r"new/difference_shrinkage: leaves \[0, 1\]"),
+        ("new/between", lambda a: 1e200 * a, r"new/between: .* not within \[-1e.12"),
+        ("new/difference_shrinkage", changed(5, 1.5), r"new/difference_shrinkage: .* not within \[0, 1\]"),
         ("tracker/slow", changed(5, np.nan), "^tracker/slow: "),
     ]
     every_case(cases, check)

@@ -128,14 +128,11 @@ def test_a_tare_of_an_exchanged_finger_restarts_it_at_once() -> None:
     assert_allclose(tracker.level(START + 6 * DAY).offset[26:], 400.0, rtol=0.1)
 
 
-def test_readings_as_modelled_restart_a_finger_as_rarely_as_stated(rng) -> None:
+def test_intervals_return_to_their_coverage_after_a_change(rng) -> None:
     tracker, restarts = SensorTracker(drifting(slow=0.0, fast=0.0, lasting=0.0)), 0
-    for k in range(1000):
+    for k in range(1000):  # readings as modelled restart a finger as rarely as stated
         restarts += len(touch(tracker, 60.0 * k, rng.normal(0.0, 20.0, SIZE)))
     assert restarts <= 2
-
-
-def test_intervals_return_to_their_coverage_after_a_change(rng) -> None:
     tracker = SensorTracker(replace(drifting(slow=0.0, fast=0.0, lasting=0.0), alarm=PATIENT.alarm))
     inside = []
     for k in range(600):
@@ -209,7 +206,6 @@ def test_stamps_and_readings_that_cannot_be_are_refused_and_change_nothing() -> 
     every_case(
         [
             ("stamp: .*61.0 s before that of the newest reading", START - 61 * S),
-            ("stamp: .*11 years after", START + 11 * 365 * DAY),
             *(("stamp: .*is not nanoseconds", stamp) for stamp in (-1, 1.5, 2**63, True)),
             *(("reading: value", START, reading) for reading in spoiled),
             ("reading: shape", START, REST[:7]),
@@ -230,16 +226,14 @@ def test_parameters_that_cannot_be_are_refused_by_name() -> None:
             tensors[name].flat[3] = HARM[harm]
         elif harm == "shape":
             tensors[name] = tensors[name][None] if name == "where_scale" else tensors[name][:1]  # of any length
-        elif harm == "missing":
-            del tensors[name]
         else:
-            tensors[name] = tensors[name].astype(np.int64)
+            del tensors[name]
         with pytest.raises(ModelError, match=f"^{name}: "):
             TrackerParameters.from_tensors(tensors, channels=BIOTAC)
 
     # Of models that were fitted without temperatures or features.
     optional = ("slope", "slope_sd", "where_scale", "where_ratio")
-    harms = {name: (*HARM, "shape", "integer", *("missing",) * (name not in optional)) for name in again.to_tensors()}
+    harms = {name: (*HARM, "shape", *("missing",) * (name not in optional)) for name in again.to_tensors()}
     every_case([(name, harm) for name, found in harms.items() for harm in found], check)
 
 

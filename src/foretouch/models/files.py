@@ -89,16 +89,24 @@ class TensorRecord:
         return record
 
     def _check(self) -> None:
-        """Raise ModelError, which names the array, if the arrays cannot be used."""
+        """Raise ModelError, which names the array, if a shape or a value breaks a rule of `_rules`."""
+        sizes = self._sizes()
+        for name, (letters, low, high) in self._rules().items():
+            array = getattr(self, name)
+            sizes |= {one: n for one, n in zip(letters, array.shape, strict=False) if one not in sizes}
+            wanted = tuple(sizes.get(one, -1) for one in letters)
+            if array.shape != wanted:
+                raise ModelError(f"{name}: shape {array.shape} is not {wanted}")
+            if not ((array >= low) & (array <= high)).all():  # NaN fails too
+                raise ModelError(f"{name}: holds a value that is not within [{low:g}, {high:g}]")
+
+    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
+        """By name of the array, a letter for each axis of its shape, and its least and largest value."""
         raise NotImplementedError
 
-    def _require(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Raise ModelError unless these arrays are finite and of these shapes, in which -1 is any length."""
-        for name, shape in shapes.items():
-            found = getattr(self, name)
-            fits = found.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
-            if not fits or not np.isfinite(found).all():
-                raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
+    def _sizes(self) -> dict[str, int]:
+        """Known lengths by letter; axes with another letter are of one length in all arrays."""
+        return {}
 
 
 Record = TypeVar("Record", bound=TensorRecord)

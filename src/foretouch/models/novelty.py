@@ -12,6 +12,7 @@ Gross errors (a house instead of a can, metres mistaken for millimetres, a grasp
 fallback, because its kernel fades to the mean by itself.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -110,10 +111,20 @@ class Fallback(TensorRecord):
         inside = np.broadcast_to(scores >= IN_DISTRIBUTION, len(counts))
         return weight * counts + (1.0 - weight) * self.mean, inside
 
+    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
+        most = 1e6  # of sizes, which are metres or a logarithm
+        return {
+            "centre": ("8", -most, most),
+            "scale": ("8", 1e-12, most),
+            "known": ("S8", -1e12, 1e12),
+            "span": ("2", 0.0, 1e12),
+            "mean": ("D", -1e12, 1e12),
+        }
+
+    def _sizes(self) -> dict[str, int]:
+        return {"8": _SIZES, "2": 2, "D": self.channels.size}
+
     def _check(self) -> None:
-        sizes, mean = (_SIZES,), (self.channels.size,)
-        self._require({"centre": sizes, "scale": sizes, "known": (-1, _SIZES), "span": (2,), "mean": mean})
-        if not (self.scale > 0.0).all():
-            raise ModelError("scale: a value is not above 0")
+        super()._check()
         if len(self.known) < _NEAREST or not self.span[0] < self.span[1]:
             raise ModelError("known, span: too few clouds, or a span that is empty")

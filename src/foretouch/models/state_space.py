@@ -162,15 +162,15 @@ class TrackerParameters(TensorRecord):
         largest = np.abs(self.basis).max(axis=0)
         return bool((np.abs(self.basis) * other <= 1e-9 * largest).all())
 
+    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
+        return _RULES
+
+    def _sizes(self) -> dict[str, int]:
+        channels = self.channels
+        return {"D": channels.size, "M": len(channels.modalities), "F": len(channels.fingers), "2": 2}
+
     def _check(self) -> None:
-        sizes = {"D": self.channels.size, "M": len(self.channels.modalities), "F": len(self.channels.fingers), "2": 2}
-        sizes["P"] = self.where_scale.size
-        for name, (letters, low, high) in _RULES.items():
-            array, shape = getattr(self, name), tuple(sizes[letter] for letter in letters)
-            if array.shape != shape or array.dtype != np.float64:
-                raise ModelError(f"{name}: {array.dtype} {array.shape} is not float64 {shape}")
-            if not ((array >= low) & (array <= high)).all():  # NaN fails too
-                raise ModelError(f"{name}: holds a value that is not within [{low:g}, {high:g}]")
+        super()._check()
         length = np.linalg.norm(self.basis, axis=1)
         if not (length > 0.0).all() or not np.linalg.cond(self.basis / length[:, None], 1) < _MAX_CONDITION:
             raise ModelError(f"basis: is singular, or its condition exceeds {_MAX_CONDITION:g}")

@@ -120,7 +120,7 @@ def test_absent_replaced_and_unfit_files_are_named_with_file_and_field(card: Pat
 
     cases = [
         ("toy.safetensors: mean: is missing", "mean", None),
-        ("toy.safetensors: forest_E_MF/forest: its arrays", "forest_E_MF/leaf", np.zeros(3, np.int32)),
+        ("toy.safetensors: forest_E_MF/leaf: shape", "forest_E_MF/leaf", np.zeros(3, np.int32)),
         ("toy.trust.safetensors: rest: is missing", "rest", None),
     ]
     every_case(cases, check)

@@ -30,7 +30,15 @@ LIMITS = {"stall_s": 0.3, "reopen_s": 0.6, "start_s": 0.6, "backoff_min_s": 0.1,
 QUICK = {f"camera__timeouts__{name}": value for name, value in LIMITS.items()}
 
 
-def start(graph, source="synthetic", **parameters):
+@pytest.fixture
+def scene_file(tmp_path):
+    """A scene of small images; each sample stays for a tenth of a second."""
+    path = tmp_path / "scene.yaml"
+    path.write_text("camera: {width: 212, height: 120}\nobjects: [{name: can, size_m: [0.07, 0.07, 0.1]}]")
+    return {"scene__path": str(path), "scene__dwell_s": 0.1}
+
+
+def start(graph, source="scene", **parameters):
     """The node, the clouds that it publishes, and its reports."""
     heard, reports = graph.listen(PointCloud2, "points"), graph.reports("camera")
     (node,) = graph.add("camera", source=source, **{**SMALL, **parameters})
@@ -45,11 +53,10 @@ def is_streaming(reports):
     return reports and reports[-1].level == DiagnosticStatus.OK and reports[-1].values["camera"] == "streaming"
 
 
-def test_a_synthetic_camera_publishes_organised_clouds(graph):
+def test_the_camera_of_a_scene_publishes_organised_clouds(graph, scene_file):
     before = time.time_ns()
-    node, heard, reports = start(graph, synthetic__seed=3)
+    node, heard, reports = start(graph, **scene_file)
     graph.until(lambda: len(heard) >= 5)
-    truths = [node.synthetic.frame(k).cloud().xyz for k in range(15)]
     stamps = [stamp_ns(message.header.stamp) for message in heard]
     assert stamps == sorted(set(stamps))
     assert before < stamps[0] < stamps[-1] < time.time_ns()
@@ -57,7 +64,7 @@ def test_a_synthetic_camera_publishes_organised_clouds(graph):
         assert (message.header.frame_id, message.height, message.width) == ("camera_depth_optical_frame", 120, 212)
         assert (message.point_step, message.row_step) == (12, 12 * 212)
         xyz = decode_cloud(message).xyz
-        assert any(np.array_equal(xyz, truth, equal_nan=True) for truth in truths)
+        assert np.isfinite(xyz).all(axis=-1).mean() > 0.9
     node.trigger_deactivate()
     summary = node.statistics.summary()
     assert (summary.received, summary.waiting) == (summary.used + sum(summary.dropped.values()), 0)
@@ -69,8 +76,8 @@ def test_a_synthetic_camera_publishes_organised_clouds(graph):
     graph.until(lambda: len(heard) > count)
 
 
-def test_a_stalled_or_unplugged_camera_is_named_in_diagnostics_and_comes_back(graph):
-    node, heard, reports = start(graph, **QUICK)
+def test_a_stalled_or_unplugged_camera_is_named_in_diagnostics_and_comes_back(graph, scene_file):
+    node, heard, reports = start(graph, **QUICK, **scene_file)
     for fault, end, texts in (
         (node.synthetic.pause, node.synthetic.start, ("stalled: no frame for", "reconnecting: ")),
         (partial(plug, node, on=False), partial(plug, node, on=True), ("absent: ", "is unplugged; attempt")),
@@ -117,8 +124,8 @@ def test_a_recording_that_is_missing_or_none_and_parameters_that_exclude_each_ot
         graph.add("camera", camera__file="a.db3", camera__serial="1")
 
 
-def test_timeouts_change_while_it_streams_and_the_rest_is_refused(graph):
-    _, heard, _ = start(graph, camera__filters=["decimation"], camera__frame_id="eye")
+def test_timeouts_change_while_it_streams_and_the_rest_is_refused(graph, scene_file):
+    _, heard, _ = start(graph, **scene_file, camera__filters=["decimation"], camera__frame_id="eye")
     graph.until(lambda: heard)
     assert heard[0].header.frame_id == "eye"
     assert heard[0].width < 110  # half of 212, rounded as the library does

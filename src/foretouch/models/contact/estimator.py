@@ -101,10 +101,22 @@ class NoveltyDetector(TensorRecord):
         inside = ((limited >= self.low) & (limited <= self.high)).all(axis=1)
         return np.where(inside, np.clip((end - distance) / (end - start), 0.0, 1.0), 0.0)
 
+    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
+        sizes, limits = ("C", -1e12, 1e12), ("L", -1e12, 1e12)
+        return {
+            "centre": sizes,
+            "turn": ("CC", -1e12, 1e12),
+            "known": ("SC", -1e12, 1e12),
+            "span": ("2", 0.0, 1e12),
+            "low": limits,
+            "high": limits,
+        }
+
+    def _sizes(self) -> dict[str, int]:
+        return {"C": len(_SIZES), "L": len(_LIMITED), "2": 2}
+
     def _check(self) -> None:
-        size, limits = len(_SIZES), (len(_LIMITED),)
-        self._require({"centre": (size,), "turn": (size, size), "known": (-1, size), "span": (2,)})
-        self._require({"low": limits, "high": limits})
+        super()._check()
         if not len(self.known) or not self.span[0] < self.span[1]:
             raise ModelError("known, span: no cloud, or a span that is empty")
 
