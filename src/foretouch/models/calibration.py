@@ -16,7 +16,7 @@ from typing import Final, Self
 import numpy as np
 
 from foretouch.errors import ModelError
-from foretouch.models.files import TensorRecord, read_part
+from foretouch.models.files import Rules, TensorRecord, read_part
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.types import AnyArray, Float64, Touch
@@ -50,7 +50,7 @@ class CalibrationGroup(TensorRecord):
     spread: Float64
     half_width: Float64
 
-    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
+    def _rules(self) -> Rules:
         most, least = max(1e12, float(self.channels.most.max()) ** 2), _MIN_VALUE * self.channels.resolution.min()
         variance = ("D", least**2 / _MIN_VALUE, most)
         return {
@@ -60,9 +60,6 @@ class CalibrationGroup(TensorRecord):
             "spread": variance,
             "half_width": ("D", least, most),
         }
-
-    def _sizes(self) -> dict[str, int]:
-        return {"D": self.channels.size}
 
     def _check(self) -> None:
         super()._check()

@@ -12,7 +12,6 @@ Gross errors (a house instead of a can, metres mistaken for millimetres, a grasp
 fallback, because its kernel fades to the mean by itself.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -28,7 +27,6 @@ from foretouch.types.channels import Channels
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""
 
-_SIZES: Final = 8
 _NEAREST: Final = 3
 _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
 _MINIMUM_POINTS: Final = 8
@@ -81,6 +79,8 @@ class Fallback(TensorRecord):
     span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
     mean: Float64  # (D,) float64 of the training labels [counts]
 
+    RULES = {"centre": "8", "scale": ("8", 1e-12, 1e12), "known": "S8", "span": "2", "mean": "D"}  # noqa: RUF012
+
     @classmethod
     def fit(cls, channels: Channels, sizes: Float64, labels: Float64) -> Self:
         """From the (S, 8) sizes of the training clouds, S of at least 5, and their (S, D) labels [counts]."""
@@ -110,19 +110,6 @@ class Fallback(TensorRecord):
         weight = scores[:, None]
         inside = np.broadcast_to(scores >= IN_DISTRIBUTION, len(counts))
         return weight * counts + (1.0 - weight) * self.mean, inside
-
-    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
-        most = 1e6  # of sizes, which are metres or a logarithm
-        return {
-            "centre": ("8", -most, most),
-            "scale": ("8", 1e-12, most),
-            "known": ("S8", -1e12, 1e12),
-            "span": ("2", 0.0, 1e12),
-            "mean": ("D", -1e12, 1e12),
-        }
-
-    def _sizes(self) -> dict[str, int]:
-        return {"8": _SIZES, "2": 2, "D": self.channels.size}
 
     def _check(self) -> None:
         super()._check()

@@ -38,7 +38,7 @@ _ALARM: Final = (10.0, 7.7)
 """Limits of the innovation test without a fit: of the mean square as on the public recordings, whose noise has heavier
 tails than a Gaussian (2.0), and of the squared mean at their correlation of .84 within a finger (.84 · 9.14)."""
 
-_RULES: Final[dict[str, tuple[str, float, float]]] = {  # letters of the shape, and bounds, which are inclusive
+_RULES: Final[Mapping[str, tuple[str, float, float]]] = {  # letters of the shape, and bounds, which are inclusive
     "basis": ("DD", -1e10, 1e10),
     **dict.fromkeys(("slow", "fast"), ("D", 0.0, 1e6)),
     **dict.fromkeys(("slow_time_s", "fast_time_s"), ("D", 1.0, 1e10)),
@@ -82,6 +82,8 @@ class TrackerParameters(TensorRecord):
     slope_sd: Float64  # (D,) standard deviation of the slopes between sensors
     where_scale: Float64  # (P,) unit of each feature of a grasp; absent in files of models without
     where_ratio: Float64  # (M,) by modality: variance of what they predict over that of the rest of the noise
+
+    RULES = _RULES
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
@@ -161,13 +163,6 @@ class TrackerParameters(TensorRecord):
         other = self.channels.finger_of_value[:, None] != self.finger_of()
         largest = np.abs(self.basis).max(axis=0)
         return bool((np.abs(self.basis) * other <= 1e-9 * largest).all())
-
-    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
-        return _RULES
-
-    def _sizes(self) -> dict[str, int]:
-        channels = self.channels
-        return {"D": channels.size, "M": len(channels.modalities), "F": len(channels.fingers), "2": 2}
 
     def _check(self) -> None:
         super()._check()

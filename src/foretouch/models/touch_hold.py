@@ -6,7 +6,6 @@ of a finger nor how hard it presses decides, and no tare is needed. It is a mean
 `python -m benchmarks.other_recordings`; what it was fitted to and where it fails is in its card.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -60,12 +59,15 @@ class TouchHold(TensorRecord):
         share: Float64 = ((found < self.low) | (found > self.high)).mean(axis=1)
         return share
 
-    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
-        shapes = {"low": "D", "high": "D", "hidden": "KDH", "hidden_bias": "KH", "out": "KH", "out_bias": "K"}
-        return {name: (letters, -1e6, 1e6) for name, letters in (shapes | {"calibration": "2"}).items()}
-
-    def _sizes(self) -> dict[str, int]:
-        return {"2": 2}
+    RULES = {  # noqa: RUF012
+        "low": "D",
+        "high": "D",
+        "hidden": "KDH",
+        "hidden_bias": "KH",
+        "out": "KH",
+        "out_bias": "K",
+        "calibration": "2",
+    }
 
 
 def load_touch_hold(card_path: Path | None = None) -> tuple[TouchHold, dict[str, Any]]:

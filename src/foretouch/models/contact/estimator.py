@@ -64,6 +64,8 @@ class NoveltyDetector(TensorRecord):
     low: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
     high: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
 
+    RULES = {"centre": "C", "turn": "CC", "known": "SC", "span": "2", "low": "5", "high": "5"}  # noqa: RUF012
+
     @classmethod
     def fit(cls, rows: Float64, objects: Sequence[str]) -> Self:
         """From (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects.
@@ -101,22 +103,10 @@ class NoveltyDetector(TensorRecord):
         inside = ((limited >= self.low) & (limited <= self.high)).all(axis=1)
         return np.where(inside, np.clip((end - distance) / (end - start), 0.0, 1.0), 0.0)
 
-    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
-        sizes, limits = ("C", -1e12, 1e12), ("L", -1e12, 1e12)
-        return {
-            "centre": sizes,
-            "turn": ("CC", -1e12, 1e12),
-            "known": ("SC", -1e12, 1e12),
-            "span": ("2", 0.0, 1e12),
-            "low": limits,
-            "high": limits,
-        }
-
-    def _sizes(self) -> dict[str, int]:
-        return {"C": len(_SIZES), "L": len(_LIMITED), "2": 2}
-
     def _check(self) -> None:
         super()._check()
+        if len(self.centre) != len(_SIZES):
+            raise ModelError(f"centre: shape {self.centre.shape} is not ({len(_SIZES)},)")
         if not len(self.known) or not self.span[0] < self.span[1]:
             raise ModelError("known, span: no cloud, or a span that is empty")
 

@@ -9,7 +9,7 @@ Gaussian process with k(x, y) = exp(-γ/F · Σ|x_f - y_f|) over standardised co
 2.25], whose samples are as rough as tactile readings.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Self
@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
 from foretouch.kernels import Kernel
-from foretouch.models.files import TensorRecord
+from foretouch.models.files import Rules, TensorRecord
 from foretouch.types import Float32, Float64, Floating, Int32
 
 _DTYPES: Final = {
@@ -104,7 +104,7 @@ class Forest(TensorRecord):
     def _compiled(self) -> "CompiledForests":
         return CompiledForests([self])
 
-    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
+    def _rules(self) -> Rules:
         nodes = self.feature.size - 1
         return {
             "feature": ("N", -1, 32767),
@@ -114,9 +114,6 @@ class Forest(TensorRecord):
             "leaf": ("N", 0, len(self.value) - 1 if self.value.ndim else -1),
             "roots": ("T", 0, nodes),
         }
-
-    def _sizes(self) -> dict[str, int]:
-        return {"2": 2}
 
     def _check(self) -> None:
         assert self._checked  # noqa: S101  or an error was raised
@@ -196,6 +193,14 @@ class KernelRegression(TensorRecord):
     weight: Float32  # (S, M) float32
     decay: Float64  # () float64, γ
 
+    RULES = {  # noqa: RUF012
+        "centre": "F",
+        "scale": ("F", 1e-12, 1e12),
+        "known": "SF",
+        "weight": "SM",
+        "decay": ("", 1e-12, 1e12),
+    }
+
     def predict(self, rows: Float64) -> Float64:
         """(K, M) float64 for (K, F) rows; 0, the mean, far from all training rows."""
         scaled = (rows - self.centre) / self.scale
@@ -215,17 +220,6 @@ class KernelRegression(TensorRecord):
         """Checked, known rows and weights as the compiled functions read them."""
         self._check()
         return _in_groups(self.known, _KNOWN_AT_ONCE), _in_groups(self.weight.T, _OUTPUTS_AT_ONCE)
-
-    def _rules(self) -> Mapping[str, tuple[str, float, float]]:
-        most = 1e12
-        columns, least = ("F", -most, most), 1e-12
-        return {
-            "centre": columns,
-            "scale": ("F", least, most),
-            "known": ("SF", -most, most),
-            "weight": ("SM", -most, most),
-            "decay": ("", least, most),
-        }
 
 
 def laplacian(rows: Float64, known: Float64, decay: float) -> Float64:
