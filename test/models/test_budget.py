@@ -68,15 +68,6 @@ def measured(monkeypatch):
     monkeypatch.setattr(budgets, "_measure", measure)
 
 
-def test_a_measured_profile_counts_no_wait_for_a_core(monkeypatch) -> None:
-    monkeypatch.setattr(
-        budgets, "time_calls", lambda *_, **__: {("model", 1): np.array([[0.004, 0.003], [0.002, 0.003], [0.5, 0.003]])}
-    )
-    times, state = budgets._measure([Level("model", None, None)])
-    assert times["model"][1] == pytest.approx(0.003)
-    assert state in ("idle", "loaded")
-
-
 @pytest.mark.usefixtures("measured")
 def test_predict_keeps_to_a_budget_and_names_the_level(capsys, tmp_path) -> None:
     cloud, grasps = profile_scene(1)

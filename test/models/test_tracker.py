@@ -116,16 +116,11 @@ def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(rng) -> 
         assert_allclose(after.variance[others], before.variance[others], rtol=0.1)
 
     every_case(zip(BIOTAC.fingers, (np.r_[0, 2:26], np.r_[1, 26:50]), strict=True), check)
-
-
-def test_a_tare_of_an_exchanged_finger_restarts_it_at_once() -> None:
-    tracker = SensorTracker(drifting())
-    for k in range(5):
-        assert tracker.add_tare(START + k * DAY, np.zeros(SIZE)) == ()
-    offset = np.zeros(SIZE)
-    offset[np.r_[1, 26:50]] = 400.0
-    assert tracker.add_tare(START + 6 * DAY, offset) == ("MF",)
-    assert_allclose(tracker.level(START + 6 * DAY).offset[26:], 400.0, rtol=0.1)
+    tracker = SensorTracker(drifting())  # a tare restarts an exchanged finger at once
+    assert tracker.add_tare(START, np.zeros(SIZE)) == ()
+    offset = np.where(np.isin(np.arange(SIZE), np.r_[1, 26:50]), 400.0, 0.0)
+    assert tracker.add_tare(START + DAY, offset) == ("MF",)
+    assert_allclose(tracker.level(START + DAY).offset[26:], 400.0, rtol=0.1)
 
 
 def test_intervals_return_to_their_coverage_after_a_change(rng) -> None:
@@ -332,25 +327,17 @@ def test_a_jump_of_the_temperature_and_a_missing_finger_are_left_out(rng) -> Non
     jumped = tdc + np.where(np.arange(len(tdc)) < 20, 0.0, 700.0)[:, None]  # such as after a power cycle
     tracker, offsets = played(thermal(), residuals, jumped)
     assert tracker.tdc_jumps == 2
+    last, night = START + (len(tdc) - 1) * S, 12 * 3600 * S
+    for change, jumps in ((-750.0, 0), (850.0, 2)):  # after a night, a hand may be 10 K colder, 750 counts
+        found, _ = played(thermal(), residuals, tdc)
+        found.add_touch(last + night, REST + residuals[-1], REST, tdc=tdc[-1] + change)
+        assert found.tdc_jumps == jumps
     smooth = tdc - np.where(np.arange(len(tdc)) < 20, 0.0, 1.0)[:, None] * (tdc[20] - tdc[19])
     assert_allclose(offsets, played(thermal(), residuals, smooth)[1], atol=1e-6)
     lone = np.column_stack([tdc[:, 0], np.full(len(tdc), np.nan)])
     offsets, both = (np.array(played(thermal(), residuals, rows)[1]) for rows in (lone, tdc))
     assert_array_equal(offsets[:, 2:26], both[:, 2:26])
     assert_array_equal(offsets[:, 26:], np.array(played(drifting(), residuals, None)[1])[:, 26:])
-
-
-def test_after_a_night_only_what_no_cold_hand_explains_is_a_jump(rng) -> None:
-    """The largest recorded change is 385 counts in a day; a hand that was switched off may be 10 K colder, 750 counts."""
-    residuals, tdc = readings_with_tdc(rng)
-    tracker, _ = played(thermal(), residuals, tdc)
-    last, night = START + (len(tdc) - 1) * S, 12 * 3600 * S
-    for change, jumps in ((385.0, 0), (-750.0, 0), (850.0, 2), (-900.0, 2)):
-        found = tracker.copy()
-        found.add_touch(last + night, REST + residuals[-1], REST, tdc=tdc[-1] + change)
-        assert found.tdc_jumps == jumps
-        moved = tracker.level(last + night, tdc=tdc[-1] + change).offset - tracker.level(last + night).offset
-        assert (np.abs(moved[2:]) < 1e-6 if jumps else np.abs(moved[2:]) > 50.0).all()
 
 
 def test_taxels_that_were_not_read_leave_the_others_as_if_they_did_not_exist() -> None:
