@@ -65,6 +65,8 @@ class SampleState:
     series: Float64  # (T, 2, V), with what the sensor adds
     touch: Touch  # readings in contact
     tare: Touch | None  # readings before contact; None where no tare is recorded
+    elapsed_s: float  # of a live hand, the time since it was switched on [s]
+    idle_rows: int  # of a live hand, how many messages are read while nothing is touched
 
 
 @dataclass(frozen=True)
@@ -175,10 +177,11 @@ class Engine:
             plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(item.name for item, _ in ran)))
         return plans
 
-    def run(self, key: SampleKey) -> SampleState:
-        """Make one sample; a `SimulationError` names the `reason` for which an effect refuses it."""
+    def run(self, key: SampleKey, **given: Any) -> SampleState:
+        """Make one sample, from the keys that are given; a `SimulationError` names the `reason` of a refusal."""
         index = object_index(self.scene, key.slot)
         item, state = self.scene.objects[index], SampleState()
+        vars(state).update(given)
         for effect in self.chains[index]:
             start = time.thread_time()
             try:

@@ -9,7 +9,7 @@ from sim_builders import CAN, EVERY_FINGER_EFFECT, SPONGE, run, scene
 
 from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.types import Grasp
-from foretouch_lab.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch_lab.simulation.execution import GraspTimingConfig, GraspTrajectory, SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig
 
 TIMING = GraspTimingConfig(rest_s=0.4, approach_s=0.3, close_s=0.2, hold_s=0.5)
@@ -34,7 +34,6 @@ def test_phases_come_when_they_are_due_and_pressure_rises_and_falls_with_them() 
     assert (pdc[found.onset] > pdc[0]).all()
     assert (np.diff(pdc[: found.contact + 1], axis=0) >= 0).all()
     np.testing.assert_array_equal(found.counts[-1], found.counts[0])
-    assert found.forces[0] == pytest.approx(found.forces[1], rel=1e-3)
 
 
 def test_the_hold_reads_what_the_data_set_says_of_this_grasp() -> None:
@@ -88,8 +87,7 @@ def test_resting_fingers_are_as_noisy_as_real_ones() -> None:
     assert noise.sd == pytest.approx(4.4, abs=0.5)
     assert noise.repeated == pytest.approx(0.35, abs=0.05)
     assert noise.lag1 == pytest.approx(0.38, abs=0.08)
-    resting = RestingFingers(hand)
-    read = np.array([resting.read(0.0) for _ in range(250)])
+    read = np.array([hand.read(0.0) for _ in range(250)])
     assert (read[:200] != read[50:]).mean() > 0.5  # each new
 
 

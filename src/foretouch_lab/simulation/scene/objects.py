@@ -151,17 +151,12 @@ class FamilyConfig(RangedSettings):
                 raise ConfigError(f"{name}: there is none")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Families(Settings):
-    """The key `families` of a scene file."""
-
-    families: tuple[FamilyConfig, ...] = ()
-
-
 def draw_families(families: Any, source: str) -> list[ObjectConfig]:
     """All objects of the families of a scene file, in order; the first k of a family do not depend on its count."""
-    drawn = _Families.from_mapping({"families": families}, source)
-    return [_member(family, k) for family in drawn.families for k in range(family.count)]
+    if not isinstance(families, list) or not all(isinstance(one, dict) for one in families):
+        raise ConfigError(f"{source}: families: is not a list of groups")
+    drawn = [FamilyConfig.from_mapping(one, f"{source}: families[{k}]") for k, one in enumerate(families)]
+    return [_member(family, k) for family in drawn for k in range(family.count)]
 
 
 def _member(family: FamilyConfig, number: int) -> ObjectConfig:

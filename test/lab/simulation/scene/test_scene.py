@@ -93,9 +93,9 @@ def test_contradictions_are_named() -> None:
         ({"campaign": {"exchanges": [{"session": 3}]}}, r"exchanges\[0\].session: 3, but the last session is 0"),
         ({"campaign": {"days": [0, 1], "exchanges": [{}, {}]}}, r"exchanges\[1\]: the thumb is exchanged twice at s"),
         ({"campaign": {"drift": [{"counts": 1}]}}, r"campaign.drift\[0\].counts: unknown setting"),
-        ({"families": [{"size_m": [0.1, 0.05]}]}, r"s.yaml: families\[0\].size_m: \[0.1, 0.05\] is not \[low, high\]"),
+        ({"families": [{"size_m": [0.1, 0.05]}]}, r"s.yaml: families\[0\]: size_m: \[0.1, 0.05\] is not \[low, high\]"),
         ({"families": [{"shapes": []}]}, r"shapes: there is none"),
-        ({"families": [{"number": 3}]}, r"families\[0\].number: unknown setting; known: name, count"),
+        ({"families": [{"number": 3}]}, r"families\[0\]: number: unknown setting; known: name, count"),
     ]
 
     def check(mapping: dict[str, Any], message: str) -> None:
