@@ -81,12 +81,6 @@ def test_objects_take_turns_by_visits_and_keep_their_surface() -> None:
     assert (np.sort(turns, axis=1) == [0, 1, 2]).all()
     assert len({tuple(turn) for turn in turns.tolist()}) > 1  # in another order
     assert [object_index(scene(CAN, BOX), slot) for slot in range(4)] == [0, 1, 0, 1]
-    # Nothing else is drawn here, so the same object in another slot shows the same relief.
-    still = {"pose": {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]}, "surface": {}}
-    config = scene(CAN | still, BOX | still, campaign={"days": [0, 1, 2, 3], "objects": 2, "grasps": 1}, **HELD)
-    slots = [slot for slot in range(8) if object_index(config, slot) == 1]
-    assert {slot % 2 for slot in slots} == {0, 1}
-    assert len({run(config, "surface", slot=slot).relief.tobytes() for slot in slots}) == 1
 
 
 def test_samples_carry_stamp_object_and_place_in_the_campaign() -> None:
@@ -238,15 +232,7 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     parameters = fit_tracker(first, group, group)
     assert ((parameters.slope[2:] > 0.3) & (parameters.slope[2:] < 1.0)).all()
     warm = recorded(1, warm_up, first.expected[0])
-    half = np.arange(len(warm.tdc))[:, None] >= len(warm.tdc) // 2
-    shown = {
-        "none": None,
-        "whole": warm.tdc,
-        "zeros": np.zeros_like(warm.tdc),
-        "stuck": np.tile(warm.tdc[:1], (len(warm.tdc), 1)),
-        "thumb only": warm.tdc * [1.0, np.nan],
-        "power cycle": warm.tdc + 900.0 * half,
-    }
+    shown = {"none": None, "whole": warm.tdc, "zeros": np.zeros_like(warm.tdc), "thumb only": warm.tdc * [1.0, np.nan]}
     played = {name: replay(SensorTracker(parameters), replace(warm, tdc=tdc)).counts for name, tdc in shown.items()}
     first_touches = np.flatnonzero(warm.begins())[5:]
 
@@ -259,10 +245,8 @@ def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
     draws = gain[rng.integers(0, len(gain), (1000, len(gain)))].mean(axis=1)
     assert (np.quantile(draws, 0.025, axis=0) > 0.0).all()
     np.testing.assert_array_equal(played["zeros"], played["none"])
-    np.testing.assert_allclose(played["stuck"], played["none"], atol=0.5)
     np.testing.assert_allclose(played["thumb only"][:, [0, *range(2, 26)]], played["whole"][:, [0, *range(2, 26)]])
     np.testing.assert_allclose(played["thumb only"][:, 26:], played["none"][:, 26:], atol=0.5)
-    assert (errors("power cycle").mean(axis=0) < errors("none").mean(axis=0)).all()
     cold = recorded(1, {}, first.expected[0])
     without = replace(parameters, slope=np.zeros(50), slope_sd=np.zeros(50))
     found, same = (replay(SensorTracker(one), cold) for one in (parameters, without))
