@@ -49,6 +49,8 @@ ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
 
 BODY_KELVIN: Final = 3.0  # rise of the liquid's temperature since power-on, in the end
 WARMING_S: Final = 600.0  # time constant of the warming
+SESSION_S: Final = (0.0, 1800.0)  # from power-on to a grasp, low and high
+TARE_AGE_S: Final = (2.0, 30.0)  # from a tare to its touch
 
 TDC_PER_KELVIN: Final = 75.0  # [counts/K]; slope of the converter's curve between 2350 and 2700, where recordings are
 TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; an order of magnitude: recorded TAC varies by tens of counts

@@ -28,15 +28,17 @@ from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.campaign import (
     CHANGE_S,
     DAY_S,
+    FINGER_KELVIN,
     GRASP_S,
+    OBJECT_KELVIN,
     POWER_ON_S,
+    SESSION_KELVIN,
     SLOPE_MF,
     SLOPE_SPREAD,
     SLOPE_TH,
     CampaignConfig,
     DriftTermConfig,
     ExchangeConfig,
-    ThermistorConfig,
 )
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.taxels import TaxelArray, TaxelConfig
@@ -129,12 +131,12 @@ class Campaign:
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
 
-    def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[Float64, float]:
+    def kelvin(self, session: int, visit: int) -> tuple[Float64, float]:
         """(2,) temperature of both fingers at power-on, and that of the object of a visit minus theirs [K]."""
         shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
         rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
-        start = config.session_kelvin * shared + config.finger_kelvin * np.array(own)
-        return start, draw(rng, config.object_kelvin)
+        start = SESSION_KELVIN * shared + FINGER_KELVIN * np.array(own)
+        return start, draw(rng, OBJECT_KELVIN)
 
     def slopes(self, session: int) -> Float64:
         """(2, 24) float64: counts of the electrodes that are mounted in a session per count of TDC."""

@@ -16,6 +16,7 @@ from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
+from foretouch_lab.simulation import world
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.execution import SimulatedHand
@@ -167,9 +168,9 @@ def test_warm_up_decays_after_each_power_on() -> None:
     assert run(config, slot=20).campaign_time.powered_s == POWER_ON_S  # cold again
 
 
-def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object() -> None:
-    thermistor = {"object_kelvin": [-2, -2]}
-    warm_up = {"body_kelvin": 0.8, "tdc": thermistor}
+def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object(monkeypatch) -> None:
+    monkeypatch.setattr(world, "OBJECT_KELVIN", (-2.0, -2.0))
+    warm_up = {"body_kelvin": 0.8, "tdc": {}}
     settings: dict[str, Any] = {"days": [0, 1], "objects": 1, "grasps": 2, "tares": "object"}
     config, plain = (scene(CAN, campaign=settings | one, **HELD) for one in ({"warm_up": warm_up}, {}))
     found = World.of(config).campaign
@@ -198,8 +199,9 @@ def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object() -> None:
     assert np.ptp(starts, axis=0).min() > 5.0  # each session begins at another temperature
 
 
-def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature() -> None:
-    settings = {"days": [0, 1], "objects": 1, "grasps": 2, "warm_up": {"tdc": {"object_kelvin": [-2, -2]}}}
+def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature(monkeypatch) -> None:
+    monkeypatch.setattr(world, "OBJECT_KELVIN", (-2.0, -2.0))
+    settings = {"days": [0, 1], "objects": 1, "grasps": 2, "warm_up": {"tdc": {}}}
     config, plain = (scene(CAN, campaign=one, **HELD) for one in (settings, {**settings, "warm_up": {}}))
     hand = SimulatedHand(config)
     assert (hand.rest(3).shape, SimulatedHand(plain).rest(3).shape) == ((3, 2, 29), (3, 2, 25))
@@ -213,10 +215,11 @@ def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature() -> None:
     assert (tdc[grasp.release] < tdc[0]).all()
 
 
-def test_temperature_improves_electrodes_before_the_first_touch(rng) -> None:
+def test_temperature_improves_electrodes_before_the_first_touch(rng, monkeypatch) -> None:
     """On a campaign that the tracker was not fitted to; without a temperature, nothing changes to the bit."""
     days = {"days": list(range(40)), "objects": 1, "grasps": 2, "tares": "none"}
-    warm_up = {"warm_up": {"tdc": {"session_kelvin": 2.0}}}
+    monkeypatch.setattr(world, "SESSION_KELVIN", 2.0)
+    warm_up: dict[str, Any] = {"warm_up": {"tdc": {}}}
 
     def recorded(seed: int, settings: dict[str, Any], mean: np.ndarray | None = None) -> TimedReadings:
         items = [CAN | {"name": f"can{k}", "size_m": [0.06 + 0.002 * k] * 2 + [0.1]} for k in range(8)]

@@ -9,6 +9,7 @@ from sim_builders import CAN, EVERY_FINGER_EFFECT, SPONGE, run, scene
 
 from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.types import Grasp
+from foretouch_lab.simulation import execution
 from foretouch_lab.simulation.execution import GraspTimingConfig, GraspTrajectory, SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig
 
@@ -52,9 +53,7 @@ def test_the_hold_reads_what_the_data_set_says_of_this_grasp() -> None:
 def test_a_hand_with_taxels_reads_what_the_data_set_says_and_a_press_moves_only_the_normal_force_of_one_finger() -> (
     None
 ):
-    config = scene(
-        CAN, fingers={"sensor": "xela_uskin_4x4", "drift": {"session_s": [0.0, 0.0], "tare_age_s": [0.0, 0.0]}}
-    )
+    config = scene(CAN, fingers={"sensor": "xela_uskin_4x4", "drift": {}})
     quiet = scene(CAN, fingers={"sensor": "xela_uskin_4x4"})
     sample, found = run(quiet), executed(quiet)
     columns = sample.touch.channels.finger_columns.values()
@@ -91,8 +90,9 @@ def test_resting_fingers_are_as_noisy_as_real_ones() -> None:
     assert (read[:200] != read[50:]).mean() > 0.5  # each new
 
 
-def test_drift_goes_on_with_the_time_since_switch_on_and_does_not_jump_at_contact() -> None:
-    hand = SimulatedHand(scene(fingers={"drift": {"session_s": [0.0, 0.0]}}), TIMING)
+def test_drift_goes_on_with_the_time_since_switch_on_and_does_not_jump_at_contact(monkeypatch) -> None:
+    monkeypatch.setattr(execution, "SESSION_S", (0.0, 0.0))
+    hand = SimulatedHand(scene(fingers={"drift": {}}), TIMING)
     cold, warm = (hand.rest(1, elapsed_s=t)[0].astype(int) for t in (0.0, 600.0))
     rise = 3.0 * (1.0 - np.exp(-1.0))  # K after one time constant
     assert np.ptp(warm[:, 0] - cold[:, 0] - round(8.0 * rise)) <= 1

@@ -14,6 +14,7 @@ from foretouch.errors import ConfigError
 from foretouch.tactile.description import load_sensor, packaged_sensor, sensor_of
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.pad import PadConfig
+from foretouch_lab.simulation.effects import reading
 from foretouch_lab.simulation.engine import SampleState
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.taxels import TaxelArray, TaxelConfig
@@ -185,7 +186,7 @@ def test_crosstalk_goes_to_the_neighbours_and_to_the_other_axes() -> None:
     assert_allclose(found[1], 0.0, atol=1e-9)
 
 
-def test_each_effect_changes_what_it_is_for() -> None:
+def test_each_effect_changes_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = run(scene(CAN, fingers=USKIN, **WRITTEN)).series
     gain = 32767.5 / 1.8
 
@@ -196,7 +197,9 @@ def test_each_effect_changes_what_it_is_for() -> None:
     session = moved(sessions={})
     assert_allclose(session[0], session[1], atol=1e-9)
     assert np.std(session[0]) == pytest.approx(0.02, rel=0.3)
-    drift = moved(drift={"session_s": [0, 0], "tare_age_s": [1e6, 1e6]})  # warm by 3 K since the tare
+    monkeypatch.setattr(reading, "SESSION_S", (0.0, 0.0))
+    monkeypatch.setattr(reading, "TARE_AGE_S", (1e6, 1e6))
+    drift = moved(drift={})  # warm by 3 K since the tare
     assert np.abs(drift[0]).max() == 0.0
     assert np.std(drift[1]) == pytest.approx(3.0 * 0.005, rel=0.3)
     untouched = run(scene(CAN, fingers=USKIN, grasps={"thumb": {"force_n": [0.0, 0.0]}}))

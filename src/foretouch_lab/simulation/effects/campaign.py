@@ -48,7 +48,7 @@ def _warm_up(job: Job, state: SampleState) -> None:
     if config.tdc is None:
         state.level += temperature_drift(rise_k)[:, None]
         return
-    start_k, object_k = campaign.kelvin(config.tdc, now.session, job.key.slot // campaign.config.grasps)
+    start_k, object_k = campaign.kelvin(now.session, job.key.slot // campaign.config.grasps)
     rate_hz = _CONTACT_HZ if timeline is None else timeline.rate_hz
     cooled = creep(state.load, rate_hz, share=1.0, time_s=CONTACT_S)
     change = TDC_PER_KELVIN * ((rise_k + object_k * cooled)[:, None] + start_k)  # (T, 2)

@@ -18,6 +18,8 @@ from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.fingertip import (
     NOISE_ELECTRODE,
     NOISE_PDC,
+    SESSION_S,
+    TARE_AGE_S,
     WANDER_COUNTS,
     WANDER_S,
     creep,
@@ -29,7 +31,7 @@ from foretouch_lab.simulation.fingertip import (
     temperature_drift,
     warming,
 )
-from foretouch_lab.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
+from foretouch_lab.simulation.scene.fingers import DeadConfig, TimelineConfig
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.world import SampleKey, World
 
@@ -141,9 +143,8 @@ def _creep(job: Job, state: SampleState) -> None:
 
 def _drift(job: Job, state: SampleState) -> None:
     """Rows before contact are as old as the tare; the liquid has warmed on since."""
-    config: DriftConfig = job.settings
     rng = job.rng()
-    now, age = draw(rng, config.session_s), draw(rng, config.tare_age_s)
+    now, age = draw(rng, SESSION_S), draw(rng, TARE_AGE_S)
     first = int(np.argmax(state.load > 0.0))
     since = now + age + state.times - state.times[first]
     since[:first] -= age

@@ -38,16 +38,6 @@ class TimelineConfig(Settings, read_only=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriftConfig(RangedSettings):
-    """Counts drift with the liquid's temperature, so a tare grows old."""
-
-    session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-on, low and high", bounds=(0.0, 1e9))
-    tare_age_s: tuple[float, ...] = setting(
-        (2.0, 30.0), "Age of the tare at the touch, low and high", bounds=(0.0, 1e9)
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
 class DeadConfig(Settings):
     """Electrodes that have failed and read 0; the numbers are those of the layout, 1 to 24."""
 
@@ -72,6 +62,7 @@ class FingersConfig(Settings):
     Attributes:
         creep: The skin relaxes under load within seconds.
         slip: The object slides over the skin during the hold.
+        drift: Counts drift with the liquid's temperature, so a tare grows old.
         noise: Electrodes and PDC, or taxels, have white noise; electrodes wander besides.
         crosstalk: Neighbours, and the other axes, of a taxel read a part of its force; how much is an assumption.
         sessions: Rest levels differ from object to object, each of which was recorded on another day.
@@ -92,7 +83,7 @@ class FingersConfig(Settings):
     timeline: TimelineConfig | None = None
     creep: Switch | None = None
     slip: Switch | None = None
-    drift: DriftConfig | None = None
+    drift: Switch | None = None
     sessions: Switch | None = None
     noise: Switch | None = None
     scan: Switch | None = None

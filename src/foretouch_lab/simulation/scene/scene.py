@@ -33,7 +33,16 @@ from foretouch_lab.simulation.depth_scene import (
     TABLE_M,
     CameraView,
 )
-from foretouch_lab.simulation.scene.campaign import CONTACT_S, SLOPE_MF, SLOPE_SPREAD, SLOPE_TH, CampaignConfig
+from foretouch_lab.simulation.scene.campaign import (
+    CONTACT_S,
+    FINGER_KELVIN,
+    OBJECT_KELVIN,
+    SESSION_KELVIN,
+    SLOPE_MF,
+    SLOPE_SPREAD,
+    SLOPE_TH,
+    CampaignConfig,
+)
 from foretouch_lab.simulation.scene.fingers import TARGET_SHARE, FingersConfig, GraspsConfig
 from foretouch_lab.simulation.scene.objects import POISSON, RELIEF_M, ClutterConfig, ObjectConfig, draw_families
 from foretouch_lab.simulation.scene.ranges import Switch
@@ -252,10 +261,15 @@ _CONSTANTS: Final = _grouped({
     "fingers.dead.stuck_at": "low",
     "fingers.crosstalk": taxels.CROSSTALK,
     "fingers.taxels.full_scale_n": taxels.FULL_SCALE_N,
+    "fingers.drift.session_s": fingertip.SESSION_S,
+    "fingers.drift.tare_age_s": fingertip.TARE_AGE_S,
     "fingers.drift.temperature.body_kelvin": fingertip.BODY_KELVIN,
     "fingers.drift.temperature.warming_s": fingertip.WARMING_S,
     "fingers.drift.temperature.electrode_counts_per_kelvin": fingertip.ELECTRODE_PER_KELVIN,
     "fingers.drift.temperature.pdc_counts_per_kelvin": fingertip.PDC_PER_KELVIN,
+    "campaign.warm_up.tdc.session_kelvin": SESSION_KELVIN,
+    "campaign.warm_up.tdc.finger_kelvin": FINGER_KELVIN,
+    "campaign.warm_up.tdc.object_kelvin": OBJECT_KELVIN,
     "campaign.warm_up.tdc.contact_s": CONTACT_S,
     "campaign.warm_up.tdc.slope_th": SLOPE_TH,
     "campaign.warm_up.tdc.slope_mf": SLOPE_MF,

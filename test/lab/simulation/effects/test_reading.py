@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from sim_builders import CAN, run, scene
 
+from foretouch_lab.simulation.effects import reading
 from foretouch_lab.simulation.fingertip import NOISE_ELECTRODE, WANDER_COUNTS, temperature_drift, warming
 
 HELD = {"grasps": {"insertion_m": 0.01}}
@@ -39,13 +40,14 @@ def test_a_session_moves_tare_and_touch_of_one_object_alike() -> None:
     assert np.abs(shifts[1] - shifts[0]).max() > 1.0
 
 
-def test_noise_moves_tare_and_touch_apart_and_drift_the_touch_beyond_an_older_tare() -> None:
+def test_noise_moves_tare_and_touch_apart_and_drift_the_touch_beyond_an_older_tare(monkeypatch) -> None:
     plain, noisy = run(scene(**HELD)), run(scene(fingers={"noise": {}}, **HELD))
     moved = (noisy.series - plain.series)[..., 1:]
     assert np.std(moved) == pytest.approx(np.hypot(NOISE_ELECTRODE, WANDER_COUNTS), rel=0.25)
     assert abs(np.corrcoef(moved[0].ravel(), moved[1].ravel())[0, 1]) < 0.5
-    drift = {"session_s": [100, 100], "tare_age_s": [60, 60]}
-    config = scene(fingers={"drift": drift}, **HELD)
+    monkeypatch.setattr(reading, "SESSION_S", (100.0, 100.0))
+    monkeypatch.setattr(reading, "TARE_AGE_S", (60.0, 60.0))
+    config = scene(fingers={"drift": {}}, **HELD)
     warm = run(config)
     expected = temperature_drift(warming(np.array([100.0, 160.0])))
     for finger in range(2):
