@@ -17,9 +17,10 @@ from foretouch.errors import SimulationError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Grasp
+from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.effects import grasp, reading, view
 from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
-from foretouch_lab.simulation.fingertip import SESSION_S, quantise, read_press
+from foretouch_lab.simulation.fingertip import quantise, read_press
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.fingers import TimelineConfig
 from foretouch_lab.simulation.scene.ranges import draw
@@ -39,7 +40,7 @@ def _calendar(job: Job, state: SampleState) -> None:
 
 def _drift(job: Job, state: SampleState) -> None:
     """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
-    before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), SESSION_S)
+    before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), fingertip.SESSION_S)
     state.series += reading.drift_of(job.world, before + state.elapsed_s + state.times)
 
 

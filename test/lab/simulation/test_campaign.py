@@ -16,11 +16,11 @@ from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
-from foretouch_lab.simulation import world
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.execution import SimulatedHand
 from foretouch_lab.simulation.fingertip import TDC_REST, temperature_drift, warming
+from foretouch_lab.simulation.scene import campaign as calendar
 from foretouch_lab.simulation.scene import load_scene
 from foretouch_lab.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S
 from foretouch_lab.simulation.simulate import explain_scene
@@ -169,7 +169,7 @@ def test_warm_up_decays_after_each_power_on() -> None:
 
 
 def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object(monkeypatch) -> None:
-    monkeypatch.setattr(world, "OBJECT_KELVIN", (-2.0, -2.0))
+    monkeypatch.setattr(calendar, "OBJECT_KELVIN", (-2.0, -2.0))
     warm_up = {"body_kelvin": 0.8, "tdc": {}}
     settings: dict[str, Any] = {"days": [0, 1], "objects": 1, "grasps": 2, "tares": "object"}
     config, plain = (scene(CAN, campaign=settings | one, **HELD) for one in ({"warm_up": warm_up}, {}))
@@ -200,7 +200,7 @@ def test_electrodes_follow_tdc_and_tdc_follows_warm_up_and_object(monkeypatch) -
 
 
 def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature(monkeypatch) -> None:
-    monkeypatch.setattr(world, "OBJECT_KELVIN", (-2.0, -2.0))
+    monkeypatch.setattr(calendar, "OBJECT_KELVIN", (-2.0, -2.0))
     settings = {"days": [0, 1], "objects": 1, "grasps": 2, "warm_up": {"tdc": {}}}
     config, plain = (scene(CAN, campaign=one, **HELD) for one in (settings, {**settings, "warm_up": {}}))
     hand = SimulatedHand(config)
@@ -218,7 +218,7 @@ def test_a_live_hand_sends_tdc_and_tac_of_a_scene_with_a_temperature(monkeypatch
 def test_temperature_improves_electrodes_before_the_first_touch(rng, monkeypatch) -> None:
     """On a campaign that the tracker was not fitted to; without a temperature, nothing changes to the bit."""
     days = {"days": list(range(40)), "objects": 1, "grasps": 2, "tares": "none"}
-    monkeypatch.setattr(world, "SESSION_KELVIN", 2.0)
+    monkeypatch.setattr(calendar, "SESSION_KELVIN", 2.0)
     warm_up: dict[str, Any] = {"warm_up": {"tdc": {}}}
 
     def recorded(seed: int, settings: dict[str, Any], mean: np.ndarray | None = None) -> TimedReadings:

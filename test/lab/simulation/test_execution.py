@@ -9,7 +9,7 @@ from sim_builders import CAN, EVERY_FINGER_EFFECT, SPONGE, run, scene
 
 from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.types import Grasp
-from foretouch_lab.simulation import execution
+from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.execution import GraspTimingConfig, GraspTrajectory, SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig
 
@@ -91,7 +91,7 @@ def test_resting_fingers_are_as_noisy_as_real_ones() -> None:
 
 
 def test_drift_goes_on_with_the_time_since_switch_on_and_does_not_jump_at_contact(monkeypatch) -> None:
-    monkeypatch.setattr(execution, "SESSION_S", (0.0, 0.0))
+    monkeypatch.setattr(fingertip, "SESSION_S", (0.0, 0.0))
     hand = SimulatedHand(scene(fingers={"drift": {}}), TIMING)
     cold, warm = (hand.rest(1, elapsed_s=t)[0].astype(int) for t in (0.0, 600.0))
     rise = 3.0 * (1.0 - np.exp(-1.0))  # K after one time constant

@@ -13,8 +13,8 @@ from foretouch.config import load_yaml
 from foretouch.errors import ConfigError
 from foretouch.tactile.description import load_sensor, packaged_sensor, sensor_of
 from foretouch.types import Float64
+from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.contact.pad import PadConfig
-from foretouch_lab.simulation.effects import reading
 from foretouch_lab.simulation.engine import SampleState
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.taxels import TaxelArray, TaxelConfig
@@ -197,8 +197,8 @@ def test_each_effect_changes_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> 
     session = moved(sessions={})
     assert_allclose(session[0], session[1], atol=1e-9)
     assert np.std(session[0]) == pytest.approx(0.02, rel=0.3)
-    monkeypatch.setattr(reading, "SESSION_S", (0.0, 0.0))
-    monkeypatch.setattr(reading, "TARE_AGE_S", (1e6, 1e6))
+    monkeypatch.setattr(fingertip, "SESSION_S", (0.0, 0.0))
+    monkeypatch.setattr(fingertip, "TARE_AGE_S", (1e6, 1e6))
     drift = moved(drift={})  # warm by 3 K since the tare
     assert np.abs(drift[0]).max() == 0.0
     assert np.std(drift[1]) == pytest.approx(3.0 * 0.005, rel=0.3)

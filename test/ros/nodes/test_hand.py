@@ -14,7 +14,7 @@ from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp
-from foretouch_lab.simulation import world
+from foretouch_lab.simulation.scene import campaign as calendar
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
@@ -119,8 +119,8 @@ def test_a_grasp_beside_the_object_fails_and_one_in_another_frame_is_refused(gra
 
 def test_a_hand_that_is_restarted_continues_the_campaign(graph, start, monkeypatch):
     """The sensors were switched on 100 s ago, which are 30000 s of the campaign: 10 K warmer, at 75 counts of TDC a kelvin."""
-    monkeypatch.setattr(world, "SESSION_KELVIN", 0.0)
-    monkeypatch.setattr(world, "FINGER_KELVIN", 0.0)
+    monkeypatch.setattr(calendar, "SESSION_KELVIN", 0.0)
+    monkeypatch.setattr(calendar, "FINGER_KELVIN", 0.0)
     warm_up = {"body_kelvin": 10.0, "warming_s": 1000.0, "tdc": {}}
     config = scene(campaign={"live_speed": 300.0, "warm_up": warm_up})
     _, tactile, *_ = start(config, scene__origin_ns=time.time_ns() - 100 * SECOND)

@@ -3,16 +3,8 @@
 
 import numpy as np
 
+from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
-from foretouch_lab.simulation.fingertip import (
-    TAC_PER_KELVIN_S,
-    TAC_REST,
-    TDC_PER_KELVIN,
-    TDC_REST,
-    creep,
-    temperature_drift,
-    warming,
-)
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.campaign import CONTACT_S, WarmUpConfig
 from foretouch_lab.simulation.scene.objects import ObjectConfig
@@ -44,17 +36,17 @@ def _warm_up(job: Job, state: SampleState) -> None:
     """The liquid warms on; with TDC, fingers also approach the temperature of an object as long as they touch it."""
     config: WarmUpConfig = job.settings
     campaign, now, timeline = _campaign(job), state.campaign_time, job.scene.fingers.timeline
-    rise_k = warming(now.powered_s + now.speed * state.times, config.body_kelvin, config.warming_s)
+    rise_k = fingertip.warming(now.powered_s + now.speed * state.times, config.body_kelvin, config.warming_s)
     if config.tdc is None:
-        state.level += temperature_drift(rise_k)[:, None]
+        state.level += fingertip.temperature_drift(rise_k)[:, None]
         return
     start_k, object_k = campaign.kelvin(now.session, job.key.slot // campaign.config.grasps)
     rate_hz = _CONTACT_HZ if timeline is None else timeline.rate_hz
-    cooled = creep(state.load, rate_hz, share=1.0, time_s=CONTACT_S)
-    change = TDC_PER_KELVIN * ((rise_k + object_k * cooled)[:, None] + start_k)  # (T, 2)
-    flow = TAC_PER_KELVIN_S * object_k * (state.load - cooled) / CONTACT_S
-    tac = np.broadcast_to((TAC_REST + flow)[:, None], change.shape)
-    state.others[..., 2:] = np.stack([tac, change + TDC_REST], axis=2)
+    cooled = fingertip.creep(state.load, rate_hz, share=1.0, time_s=CONTACT_S)
+    change = fingertip.TDC_PER_KELVIN * ((rise_k + object_k * cooled)[:, None] + start_k)  # (T, 2)
+    flow = fingertip.TAC_PER_KELVIN_S * object_k * (state.load - cooled) / CONTACT_S
+    tac = np.broadcast_to((fingertip.TAC_REST + flow)[:, None], change.shape)
+    state.others[..., 2:] = np.stack([tac, change + fingertip.TDC_REST], axis=2)
     state.level[..., 1:] += change[..., None] * campaign.slopes(now.session)
 
 

@@ -9,28 +9,13 @@ from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac_all import OTHERS
 from foretouch.types import Float64, Int64, Touch
 from foretouch.types.channels import Channels
+from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.contact.grip import solve_contact
 from foretouch_lab.simulation.contact.pad import ContactFrame
 from foretouch_lab.simulation.contact.problem import Command, ContactSolution, skin_slopes, tractions
 from foretouch_lab.simulation.effects import campaign
 from foretouch_lab.simulation.effects.grasp import command_of, contact_problem, pad_of, surface_behind
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
-from foretouch_lab.simulation.fingertip import (
-    NOISE_ELECTRODE,
-    NOISE_PDC,
-    SESSION_S,
-    TARE_AGE_S,
-    WANDER_COUNTS,
-    WANDER_S,
-    creep,
-    ou_noise,
-    quantise,
-    read_contact,
-    scan,
-    slip_path,
-    temperature_drift,
-    warming,
-)
 from foretouch_lab.simulation.scene.fingers import DeadConfig, TimelineConfig
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.world import SampleKey, World
@@ -62,7 +47,7 @@ def _reading(
     """(V,) values of the ideal fingertip k in contact with a surface that lies so far behind its tangent plane."""
     array, window = job.world.array, state.pads[k]
     if array is None:
-        return read_contact(pad_of(job), state.sensors[k], window, contact)
+        return fingertip.read_contact(pad_of(job), state.sensors[k], window, contact)
     if contact.force_n == 0.0:
         return np.asarray(array.rest[k])
     problem, friction = contact_problem(job, window, behind), job.item.friction
@@ -117,7 +102,7 @@ def _slip(job: Job, state: SampleState) -> None:
     the path.
     """
     in_hold = state.load == 1.0
-    path = slip_path(int(np.count_nonzero(in_hold)), _rate_hz(job), job.rng())
+    path = fingertip.slip_path(int(np.count_nonzero(in_hold)), _rate_hz(job), job.rng())
     if path[-1] == 0.0:
         return
     moved = np.stack([_reading_after_slip(job, state, k, float(path[-1])) for k in range(2)])
@@ -138,13 +123,13 @@ def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> 
 
 
 def _creep(job: Job, state: SampleState) -> None:
-    state.series = creep(state.series, _rate_hz(job))
+    state.series = fingertip.creep(state.series, _rate_hz(job))
 
 
 def _drift(job: Job, state: SampleState) -> None:
     """Rows before contact are as old as the tare; the liquid has warmed on since."""
     rng = job.rng()
-    now, age = draw(rng, SESSION_S), draw(rng, TARE_AGE_S)
+    now, age = draw(rng, fingertip.SESSION_S), draw(rng, fingertip.TARE_AGE_S)
     first = int(np.argmax(state.load > 0.0))
     since = now + age + state.times - state.times[first]
     since[:first] -= age
@@ -154,8 +139,8 @@ def _drift(job: Job, state: SampleState) -> None:
 def drift_of(world: World, since_s: Float64) -> Float64:
     """(T, 2, V) by how much readings have drifted at times (T,) since the sensors are on [s]."""
     if world.array is not None:
-        return np.asarray(warming(since_s)[:, None, None] * world.array.kelvin)
-    return np.asarray(temperature_drift(warming(since_s))[:, None])
+        return np.asarray(fingertip.warming(since_s)[:, None, None] * world.array.kelvin)
+    return np.asarray(fingertip.temperature_drift(fingertip.warming(since_s))[:, None])
 
 
 def _crosstalk(job: Job, state: SampleState) -> None:
@@ -180,16 +165,16 @@ def _noise(job: Job, state: SampleState) -> None:
     if job.world.array:
         state.series += job.world.array.noise(rows, rng)
         return
-    slow = ou_noise(rows, 2 * ELECTRODES, WANDER_COUNTS, WANDER_S, _rate_hz(job), rng)
-    state.series[..., 1:] += NOISE_ELECTRODE * rng.standard_normal((rows, 2, ELECTRODES))
+    slow = fingertip.ou_noise(rows, 2 * ELECTRODES, fingertip.WANDER_COUNTS, fingertip.WANDER_S, _rate_hz(job), rng)
+    state.series[..., 1:] += fingertip.NOISE_ELECTRODE * rng.standard_normal((rows, 2, ELECTRODES))
     state.series[..., 1:] += slow.reshape(rows, 2, ELECTRODES)
-    state.series[..., 0] += NOISE_PDC * rng.standard_normal((rows, 2))
+    state.series[..., 0] += fingertip.NOISE_PDC * rng.standard_normal((rows, 2))
 
 
 def _scan(job: Job, state: SampleState) -> None:
     rng = job.rng()
     for finger in range(2):
-        state.series[:, finger, 1:] = scan(state.series[:, finger, 1:], rng)
+        state.series[:, finger, 1:] = fingertip.scan(state.series[:, finger, 1:], rng)
 
 
 def _dead(job: Job, state: SampleState) -> None:
@@ -201,7 +186,7 @@ def _dead(job: Job, state: SampleState) -> None:
 def _counts(job: Job, state: SampleState) -> None:
     """Round and clip; the touch is the last message of the hold, the tare the median of those before contact."""
     world = job.world
-    rows = world.array.quantise(state.series) if world.array else quantise(state.series)
+    rows = world.array.quantise(state.series) if world.array else fingertip.quantise(state.series)
     first = int(np.argmax(state.load > 0.0))
     state.touch = _touch(world.channels(), rows[state.hold_row])
     state.tare = _touch(world.channels(), np.median(rows[:first], axis=0))

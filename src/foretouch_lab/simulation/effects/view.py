@@ -8,20 +8,7 @@ import numpy as np
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import SimulationError
 from foretouch.types import Cloud, Float64
-from foretouch_lab.simulation.depth_scene import (
-    D415_BASELINE_M,
-    FIRST_OBJECT,
-    FLYING_SHARE,
-    GRAZING_DEG,
-    HOLE_SHARE,
-    TABLE,
-    CameraView,
-    Window,
-    add_flying_pixels,
-    add_stereo_noise,
-    stereo_shadow,
-    table_depth,
-)
+from foretouch_lab.simulation import depth_scene
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.scene.objects import ClutterConfig, ObjectConfig
 from foretouch_lab.simulation.scene.ranges import draw
@@ -134,11 +121,11 @@ def _whole_window(job: Job, state: SampleState) -> None:
 def _render(job: Job, state: SampleState) -> None:
     world, window = job.world, state.window
     rays = world.rays[window]
-    depth = table_depth(world.view, rays)
-    labels = np.where(np.isfinite(depth), TABLE, 0).astype(np.int32)
+    depth = depth_scene.table_depth(world.view, rays)
+    labels = np.where(np.isfinite(depth), depth_scene.TABLE, 0).astype(np.int32)
     flat_rays, flat_depth, flat_labels = rays.reshape(-1, 3), depth.reshape(-1), labels.reshape(-1)
     hits: list[Hits | None] = []
-    for label, body in enumerate(state.bodies, FIRST_OBJECT):
+    for label, body in enumerate(state.bodies, depth_scene.FIRST_OBJECT):
         if not _overlap(world.view, body.corners(), window):
             hits.append(None)
             continue
@@ -155,7 +142,7 @@ def normals_of(state: SampleState) -> Float64:
     """(h, w, 3), outward unit normals in the world; zero where no body is."""
     normals = np.zeros((*state.labels.shape, 3))
     flat, labels = normals.reshape(-1, 3), state.labels.reshape(-1)
-    for label, (body, hit) in enumerate(zip(state.bodies, state.hits, strict=True), FIRST_OBJECT):
+    for label, (body, hit) in enumerate(zip(state.bodies, state.hits, strict=True), depth_scene.FIRST_OBJECT):
         if hit is not None:
             seen = labels == label
             flat[seen] = body.world_normals(hit.normal[seen])
@@ -164,18 +151,20 @@ def normals_of(state: SampleState) -> Float64:
 
 def _flying_pixels(job: Job, state: SampleState) -> None:
     rng = job.rng()
-    flown = add_flying_pixels(state.depth, rng)
-    state.depth = np.where(rng.random(flown.shape) < FLYING_SHARE, flown, state.depth)
+    flown = depth_scene.add_flying_pixels(state.depth, rng)
+    state.depth = np.where(rng.random(flown.shape) < depth_scene.FLYING_SHARE, flown, state.depth)
 
 
 def _noise(job: Job, state: SampleState) -> None:
     config: DepthNoiseConfig = job.settings
-    at_1_m = config.sub_pixel / (job.world.view.matrix[0, 0] * D415_BASELINE_M)  # sigma_z = s z² / (f B)
-    state.depth = add_stereo_noise(state.depth, at_1_m, job.rng())
+    at_1_m = config.sub_pixel / (job.world.view.matrix[0, 0] * depth_scene.D415_BASELINE_M)  # sigma_z = s z² / (f B)
+    state.depth = depth_scene.add_stereo_noise(state.depth, at_1_m, job.rng())
 
 
 def _shadow(job: Job, state: SampleState) -> None:
-    state.depth = np.where(stereo_shadow(state.exact_depth, job.world.view.matrix[0, 0]), np.inf, state.depth)
+    state.depth = np.where(
+        depth_scene.stereo_shadow(state.exact_depth, job.world.view.matrix[0, 0]), np.inf, state.depth
+    )
 
 
 def _holes(job: Job, state: SampleState) -> None:
@@ -183,10 +172,10 @@ def _holes(job: Job, state: SampleState) -> None:
 
     # A spot is where the mean of white noise over its window is in the upper tail, which has the share asked for.
     spots = uniform_filter(job.rng().random(state.depth.shape), _SPOT_PX, mode="wrap")
-    hole = spots > np.quantile(spots, 1.0 - HOLE_SHARE)
+    hole = spots > np.quantile(spots, 1.0 - depth_scene.HOLE_SHARE)
     rays = job.world.rays[state.window]
     facing = -np.einsum("ijk,ijk->ij", rays, normals_of(state)) / np.linalg.norm(rays, axis=2)
-    hole |= (state.labels >= FIRST_OBJECT) & (facing < np.cos(np.radians(GRAZING_DEG)))
+    hole |= (state.labels >= depth_scene.FIRST_OBJECT) & (facing < np.cos(np.radians(depth_scene.GRAZING_DEG)))
     state.depth = np.where(hole, np.inf, state.depth)
 
 
@@ -198,7 +187,7 @@ def _cloud(job: Job, state: SampleState) -> None:
     """By the labels of the ray caster."""
     view = job.world.view
     rows, columns = state.window
-    v, u = np.nonzero((state.labels == FIRST_OBJECT) & np.isfinite(state.depth))
+    v, u = np.nonzero((state.labels == depth_scene.FIRST_OBJECT) & np.isfinite(state.depth))
     if len(u) < _FEWEST_POINTS:
         raise SimulationError(
             f"{job.item.name}: {len(u)} points in view, fewer than {_FEWEST_POINTS}", "too_few_points"
@@ -233,7 +222,7 @@ def light(normal: Float64) -> Float64:
     return np.asarray(0.35 + 0.65 * np.abs(normal[..., 2]))
 
 
-def _overlap(view: CameraView, corners: Float64, window: Window) -> bool:
+def _overlap(view: depth_scene.CameraView, corners: Float64, window: depth_scene.Window) -> bool:
     return all(a.start < b.stop and b.start < a.stop for a, b in zip(window, view.window(corners), strict=True))
 
 

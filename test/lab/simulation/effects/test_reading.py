@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from sim_builders import CAN, run, scene
 
-from foretouch_lab.simulation.effects import reading
+from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.fingertip import NOISE_ELECTRODE, WANDER_COUNTS, temperature_drift, warming
 
 HELD = {"grasps": {"insertion_m": 0.01}}
@@ -45,8 +45,8 @@ def test_noise_moves_tare_and_touch_apart_and_drift_the_touch_beyond_an_older_ta
     moved = (noisy.series - plain.series)[..., 1:]
     assert np.std(moved) == pytest.approx(np.hypot(NOISE_ELECTRODE, WANDER_COUNTS), rel=0.25)
     assert abs(np.corrcoef(moved[0].ravel(), moved[1].ravel())[0, 1]) < 0.5
-    monkeypatch.setattr(reading, "SESSION_S", (100.0, 100.0))
-    monkeypatch.setattr(reading, "TARE_AGE_S", (60.0, 60.0))
+    monkeypatch.setattr(fingertip, "SESSION_S", (100.0, 100.0))
+    monkeypatch.setattr(fingertip, "TARE_AGE_S", (60.0, 60.0))
     config = scene(fingers={"drift": {}}, **HELD)
     warm = run(config)
     expected = temperature_drift(warming(np.array([100.0, 160.0])))
