@@ -53,7 +53,8 @@ class Camera(CameraView):
 
     def see(self, solid: Solid, *, at: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Cloud:
         """(H, W, 3) image of the solid alone, moved and turned about the vertical; NaN where it is not seen."""
-        body = replace(solid.body, rotation=about_vertical(yaw)).moved(np.array([*at, 0.0]))
+        position = solid.body.position + np.array([*at, 0.0])
+        body = replace(solid.body, rotation=about_vertical(yaw), position=position)
         rays = self.directions()
         depth = body.cast(self.eye, rays)
         depth[~np.isfinite(depth)] = np.nan
