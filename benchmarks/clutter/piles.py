@@ -230,8 +230,8 @@ def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: 
     def place(_job: Any, state: Any) -> None:
         state.bodies = bodies
 
-    effects = (Effect("pile", place, "objects", writes=("bodies",)), *FRAME_EFFECTS)
-    engine = Engine(settings, effects, ("depth", "labels"))
+    effects = (Effect("pile", place, "objects"), *FRAME_EFFECTS)
+    engine = Engine(settings, effects)
     state = engine.run(key)
     depth = np.where(np.isfinite(state.depth), state.depth, np.nan)
     xyz = (engine.world.rays * depth[..., None]) @ engine.world.view.R_world_camera
