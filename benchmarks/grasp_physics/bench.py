@@ -15,8 +15,10 @@ import yaml
 
 from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics.camera import VIEWS, see
+from benchmarks.grasp_physics.figure import Case, draw
 from benchmarks.grasp_physics.objects import Item, read_items
-from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
+from benchmarks.grasp_physics.simulation import HELD, OPENING_M, Verdict, held
+from benchmarks.grasp_physics.surface import best_grasp
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
@@ -24,8 +26,9 @@ from foretouch.types import Float64
 
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
+BEST: Final = "best on the true surface"
 OURS: Final = get_args(GraspMethod)
-METHODS: Final = (*OURS, RULE)
+METHODS: Final = (*OURS, RULE, BEST)
 DEFAULT: Final = PipelineConfig().grasp.method
 REFERENCE: Final = "original"  # whose time the others are compared with
 NO_OBJECT: Final = "no object found"
@@ -49,6 +52,10 @@ class Task:
     conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
     settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
 
+    def pipeline(self, method: str) -> Pipeline:
+        """That plans by a method."""
+        return Pipeline(PipelineConfig().updated({"grasp.method": method, **self.settings} if method in OURS else {}))
+
     def close(self, pose: Float64, contacts: Float64 | None, one: tuple[float, float], reason: str) -> Row:
         """What became of a grasp with contacts (2, 3) in the world: "held", the kind of failure, or why there was no grasp."""
         verdict = Verdict(False, False, reason)
@@ -68,14 +75,18 @@ def _of_pose(task: Task, number: int) -> Iterator[Row]:
         seen = see(task.item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
         for method in task.methods:
-            changes = {"grasp.method": method, **task.settings} if method in OURS else {}
-            pipeline = Pipeline(PipelineConfig().updated(changes))
+            facts = {"object": task.item.name, "pose": number, "view": view, "method": method}
+            if method == BEST:
+                for tip, friction in task.conditions:
+                    grasp = best_grasp(task.item, seen.pose, tip * 1e-3, friction)
+                    yield facts | {"ms": math.nan} | task.close(seen.pose, grasp, (tip, friction), NO_GRASP)
+                continue
+            pipeline = task.pipeline(method)
             start = time.thread_time()
             contacts = propose(method, pipeline, targets[0]) if targets else None
             ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
             world = None if contacts is None else seen.camera.to_world(contacts)
-            facts = {"object": task.item.name, "pose": number, "view": view, "method": method, "ms": ms}
-            yield from (facts | task.close(seen.pose, world, one, reason) for one in task.conditions)
+            yield from (facts | {"ms": ms} | task.close(seen.pose, world, one, reason) for one in task.conditions)
 
 
 def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
@@ -135,13 +146,15 @@ def share(rows: Sequence[Row], what: str) -> str:
 
 
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Held and strict by view, and time beside that of the reference."""
+    """Held and strict by view, of the best on the true surface, and time beside that of the reference."""
     found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
     for (method,) in values(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
         for (view,) in values(rows, "view"):
-            mine = select(rows, method=method, view=view)
+            mine, best = (select(rows, method=name, view=view) for name in (method, BEST))
             line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
+            if any(row["held"] for row in best):
+                line[f"{view}: of the best"] = f"{mean(mine, 'held') / mean(best, 'held'):.2f}"
         times = [row["ms"] for row in select(rows, method=method)]
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
@@ -175,6 +188,22 @@ def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
     }
 
 
+def pictured(rows: Sequence[Row], tasks: Sequence[Task]) -> Iterator[Case]:
+    """A grasp that holds and one of each kind of failure, planned again; of the default method and seen obliquely where there is one."""
+    tip, friction = values(rows, "tip_mm", "friction")[0]
+    planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] != BEST]
+    reasons = {row["reason"] for row in planned} - {NO_GRASP, NO_OBJECT}
+    for reason in sorted(reasons, key=lambda text: (text != HELD, HELD not in text, text)):
+        order = lambda row: (row["method"] != DEFAULT, row["method"] == RULE, row["view"] != VIEWS[0])  # noqa: E731
+        name, number, view, method, *_ = min(select(planned, reason=reason), key=order).values()
+        (task,) = (task for task in tasks if task.item.name == name)
+        seen = see(task.item, number, view)
+        target = Pipeline().segment(seen.cloud).targets[0]
+        contacts, points = propose(method, task.pipeline(method), target), target.cloud.xyz.astype(np.float64)
+        title = f"{reason.replace(f'{HELD}, ', f'{HELD}, but ')}\n{name},\n{method}, {view}"
+        yield Case(title, task.item.at(seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
+
+
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table in Markdown."""
     return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
@@ -191,7 +220,7 @@ def main() -> None:
     parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
     parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
-    parser.add_argument("--renew", action="store_true", help="write the committed tables")
+    parser.add_argument("--renew", action="store_true", help="write the committed tables and the picture")
     options = parser.parse_args()
     ensure_libusb()
     conditions = [(TIPS_MM[0], friction) for friction in FRICTIONS] + [(tip, FRICTIONS[0]) for tip in TIPS_MM[1:]]
@@ -212,6 +241,7 @@ def main() -> None:
         text = [f"{len(todo)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
         text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
+        draw(list(pictured(rows, todo)), HERE / "grasps.png")
 
 
 if __name__ == "__main__":
