@@ -114,8 +114,7 @@ def test_an_image_of_the_box_leads_to_a_grasp_that_holds() -> None:
 
 
 def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object(tmp_path) -> None:
-    task = bench.Task(SOLIDS["sphere"], poses=1, conditions=((8.0, 0.8), (8.0, 0.01)))
-    every = bench.rows_of(task)
+    every = list(bench.rows_of(SOLIDS["sphere"], 1, conditions=((8.0, 0.8), (8.0, 0.01))))
     rows = bench.select(every, view="above")
     assert [(row["method"], row["friction"]) for row in rows] == [
         (name, friction) for name in bench.METHODS for friction in (0.8, 0.01)
@@ -124,7 +123,7 @@ def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object(tm
     assert len(bench.tables(rows)) == 4
     by_method = {line["first grasp"]: line for line in bench.by_method(bench.select(rows, friction=0.8))}
     assert [by_method[name]["above: of the best"] for name in (bench.RULE, bench.BEST)] == ["1.00", "1.00"]
-    cases = list(bench.pictured(every, [task]))
+    cases = list(bench.pictured(every, [SOLIDS["sphere"]]))
     assert len(cases) == len({row["reason"] for row in bench.select(every, friction=0.8)})
     bench.draw(cases, tmp_path / "grasps.png")
     assert (tmp_path / "grasps.png").stat().st_size > 10_000

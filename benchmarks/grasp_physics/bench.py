@@ -6,7 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -42,51 +42,47 @@ _DRAWS = 10_000
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Task:
-    """What one process does: all images of one object."""
+def rows_of(
+    item: Item,
+    poses: int = 8,
+    methods: Sequence[str] = METHODS,
+    conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),),
+    settings: Mapping[str, Any] | None = None,
+) -> Iterator[Row]:
+    """What became of the grasps on one object: "held", the kind of failure, or why there was none, and the time of the plan.
 
-    item: Item
-    poses: int = 8
-    methods: Sequence[str] = METHODS
-    conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
-    settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
-
-    def pipeline(self, method: str) -> Pipeline:
-        """That plans by a method."""
-        return Pipeline(PipelineConfig().updated({"grasp.method": method, **self.settings} if method in OURS else {}))
-
-    def close(self, pose: Float64, contacts: Float64 | None, one: tuple[float, float], reason: str) -> Row:
-        """What became of a grasp with contacts (2, 3) in the world: "held", the kind of failure, or why there was no grasp."""
-        verdict = Verdict(False, False, reason)
-        if contacts is not None:
-            verdict = held(self.item, pose, *contacts, one[0] * 1e-3, one[1])
-        return {"tip_mm": one[0], "friction": one[1]} | verdict._asdict()
-
-
-def rows_of(task: Task) -> list[Row]:
-    """All rows of one object."""
-    return [row for number in range(task.poses) for row in _of_pose(task, number)]
-
-
-def _of_pose(task: Task, number: int) -> Iterator[Row]:
-    """The rows of one pose."""
-    for view in VIEWS:
-        seen = see(task.item, number, view)
+    Args:
+        item: The object.
+        poses: How many of it.
+        methods: That plan.
+        conditions: Radius of the tips [mm] and friction, one or more of them.
+        settings: Of the pipeline, by dotted keys.
+    """
+    for number, view in product(range(poses), VIEWS):
+        seen = see(item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
-        for method in task.methods:
-            facts = {"object": task.item.name, "pose": number, "view": view, "method": method}
-            if method == BEST:
-                for tip, friction in task.conditions:
-                    grasp = best_grasp(task.item, seen.pose, tip * 1e-3, friction)
-                    yield facts | {"ms": math.nan} | task.close(seen.pose, grasp, (tip, friction), NO_GRASP)
-                continue
-            pipeline = task.pipeline(method)
-            start = time.thread_time()
-            contacts = propose(method, pipeline, targets[0]) if targets else None
-            ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
-            world = None if contacts is None else seen.camera.to_world(contacts)
-            yield from (facts | {"ms": ms} | task.close(seen.pose, world, one, reason) for one in task.conditions)
+        for method in methods:
+            ms, grasp, reason = math.nan, None, NO_GRASP
+            if method != BEST and not targets:
+                reason = NO_OBJECT
+            elif method != BEST:
+                pipeline, start = pipeline_of(method, settings), time.thread_time()
+                contacts = propose(method, pipeline, targets[0])
+                ms = 1e3 * (time.thread_time() - start)
+                grasp = None if contacts is None else seen.camera.to_world(contacts)
+            facts = {"object": item.name, "pose": number, "view": view, "method": method, "ms": ms}
+            for tip, friction in conditions:
+                if method == BEST:
+                    grasp = best_grasp(item, seen.pose, tip * 1e-3, friction)
+                verdict = Verdict(False, False, reason)
+                if grasp is not None:
+                    verdict = held(item, seen.pose, *grasp, tip * 1e-3, friction)
+                yield facts | {"tip_mm": tip, "friction": friction} | verdict._asdict()
+
+
+def pipeline_of(method: str, settings: Mapping[str, Any] | None) -> Pipeline:
+    """That plans by a method."""
+    return Pipeline(PipelineConfig().updated({"grasp.method": method, **(settings or {})} if method in OURS else {}))
 
 
 def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
@@ -188,7 +184,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
     }
 
 
-def pictured(rows: Sequence[Row], tasks: Sequence[Task]) -> Iterator[Case]:
+def pictured(rows: Sequence[Row], items: Sequence[Item], settings: Mapping[str, Any] | None = None) -> Iterator[Case]:
     """A grasp that holds and one of each kind of failure, planned again; of the default method and seen obliquely where there is one."""
     tip, friction = values(rows, "tip_mm", "friction")[0]
     planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] != BEST]
@@ -196,12 +192,12 @@ def pictured(rows: Sequence[Row], tasks: Sequence[Task]) -> Iterator[Case]:
     for reason in sorted(reasons, key=lambda text: (text != HELD, HELD not in text, text)):
         order = lambda row: (row["method"] != DEFAULT, row["method"] == RULE, row["view"] != VIEWS[0])  # noqa: E731
         name, number, view, method, *_ = min(select(planned, reason=reason), key=order).values()
-        (task,) = (task for task in tasks if task.item.name == name)
-        seen = see(task.item, number, view)
+        (item,) = (item for item in items if item.name == name)
+        seen = see(item, number, view)
         target = Pipeline().segment(seen.cloud).targets[0]
-        contacts, points = propose(method, task.pipeline(method), target), target.cloud.xyz.astype(np.float64)
+        contacts, points = propose(method, pipeline_of(method, settings), target), target.cloud.xyz.astype(np.float64)
         title = f"{reason.replace(f'{HELD}, ', f'{HELD}, but ')}\n{name},\n{method}, {view}"
-        yield Case(title, task.item.at(seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
+        yield Case(title, item.at(seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
 
 
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -227,10 +223,10 @@ def main() -> None:
     chosen = options.poses, options.methods, conditions if options.all else conditions[:1]
     settings = {name: yaml.safe_load(value) for name, _, value in (text.partition("=") for text in options.set)}
     items = read_items(options.objects or Path(options.data or "") / "ycb")
-    todo = [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
-    if not todo:
+    items = [item for item in items if not options.only or item.name in options.only]
+    if not items:
         parser.error(f"--only: {', '.join(options.only)}: there is no such object")
-    rows = [row for task in todo for row in rows_of(task)]
+    rows = [row for item in items for row in rows_of(item, *chosen, settings)]
     if options.rows:
         write_csv(options.rows, rows)
     found = tables(rows)
@@ -238,10 +234,10 @@ def main() -> None:
         print(f"\n{title}")
         print_rows(lines)
     if options.renew:
-        text = [f"{len(todo)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
+        text = [f"{len(items)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
         text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
-        draw(list(pictured(rows, todo)), HERE / "grasps.png")
+        draw(list(pictured(rows, items, settings)), HERE / "grasps.png")
 
 
 if __name__ == "__main__":
