@@ -172,10 +172,8 @@ def _row(rng: Rng, kind: str) -> list[Placed]:
     flat = (shapes.box, shapes.packet, shapes.can)
     makers = {"bowls": (shapes.vessel,), "balls": (shapes.ball,)}.get(kind, flat)
     models = [_one(rng, makers, "o0")]
-    models += [
-        _one(rng, makers if rng.random() < 0.6 else (*flat, shapes.vessel), f"o{k}")
-        for k in range(1, rng.integers(2, 4))
-    ]
+    mixed = (*flat, shapes.vessel)
+    models += [_one(rng, makers if rng.random() < 0.6 else mixed, f"o{k}") for k in range(1, rng.integers(2, 4))]
     turn, places = about_z(rng.uniform(0.0, 2.0 * np.pi)), [np.zeros(2)]
     for one, other in pairwise(models):
         aside = rng.uniform(-0.4, 0.4) * min(one.size[1], other.size[1])
@@ -189,10 +187,8 @@ def _row(rng: Rng, kind: str) -> list[Placed]:
             far = float(np.sqrt(far * far - aside * aside))
         places.append(places[-1] + (far + rng.uniform(0.0, 0.001), aside))
     middle = np.mean(places, axis=0)
-    return [
-        Placed(model, turn @ np.array([*(place - middle), model.size[2] / 2.0]), turn)
-        for model, place in zip(models, places, strict=True)
-    ]
+    feet = [np.array([*(place - middle), one.size[2] / 2.0]) for one, place in zip(models, places, strict=True)]
+    return [Placed(model, turn @ foot, turn) for model, foot in zip(models, feet, strict=True)]
 
 
 def behind(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
