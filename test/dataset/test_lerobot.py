@@ -136,23 +136,6 @@ def test_what_cannot_be_exported_or_read_is_refused_and_leaves_nothing(exported:
     assert recognise(exported)
 
 
-def test_grasps_without_a_series_are_episodes_of_one_frame(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
-        for number in range(2):
-            writer.append(replace(record(number, points=5), series=None))  # fewer points than an export keeps
-    assert export_samples(tmp_path / "ds", tmp_path / "out", "lerobot").written == 2
-    frames = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
-    assert [(one["frame_index"], one["episode_index"], one["timestamp"]) for one in frames] == [
-        (0, 0, 0.0),
-        (0, 1, 0.0),
-    ]
-    touch = record(1, points=5).sample.touch
-    assert touch is not None
-    assert frames[1]["observation.tactile.thumb"] == [touch["PDC_TH"][0], *touch["E_TH"], 2100.5]
-    cloud = np.reshape(frames[0]["observation.pointcloud"], (1024, 3))
-    assert len(np.unique(cloud, axis=0)) == 5
-
-
 def test_each_channel_states_where_its_taxels_are_and_what_they_mean(exported: Path, tmp_path: Path) -> None:
     features = json.loads((exported / "meta/info.json").read_text())["features"]
     info = features["observation.tactile.thumb.electrode"]["info"]
@@ -245,22 +228,14 @@ def test_clouds_that_are_images_are_depth_maps_in_millimetres_with_their_intrins
 
 def test_rerun_shows_every_episode(exported: Path, tmp_path: Path) -> None:
     rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'foretouch[view]'")
-    out = tmp_path / "imported.rrd"
-    recording = rerun.RecordingStream("import")
+    out, recording = tmp_path / "imported.rrd", rerun.RecordingStream("import")
     recording.save(out)
     recording.log_file_from_path(exported)
     recording.flush()
     recording.disconnect()
-    printed = run_rerun(tmp_path, "rrd", "print", out)
-    for name in (
-        "observation.tactile.thumb",
-        "observation.tactile.middle_finger",
-        "observation.pointcloud",
-        "action",
-        "task",
-    ):
-        lines = [line for line in printed.splitlines() if "with 6 rows" in line and f" - /{name} - " in line]
-        assert len(lines) == 4, name
+    printed = run_rerun(tmp_path, "rrd", "print", out).splitlines()
+    for name in ("observation.tactile.thumb", "observation.pointcloud", "action", "task"):
+        assert len([line for line in printed if "with 6 rows" in line and f" - /{name} - " in line]) == 4, name
 
 
 _READ = """

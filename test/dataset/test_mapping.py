@@ -4,8 +4,6 @@
 import csv
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -339,33 +337,6 @@ def test_a_grasp_that_does_not_fit_into_memory_is_refused(tmp_path: Path, source
         imported(tmp_path, source)
 
 
-MEASURE = """
-import sys
-from pathlib import Path
-from foretouch.dataset.importing import import_samples
-import_samples(Path(sys.argv[1]), Path(sys.argv[2]), map_file=Path(sys.argv[3]))
-# Not `ru_maxrss`, which a child inherits from the process that starts it.
-print(int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) // 1024)
-"""
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow_with_the_number_of_rows(tmp_path: Path) -> None:
-    map_file = write_map(tmp_path, grasp="grasp", id="{grasp}", outcome={}, rest_rows=0)
-    block = "".join(",".join(map(str, row[:9])) + ",GRASP\n" for row in rows(1000))
-    used = []
-    for count in (100, 1000):
-        folder = tmp_path / str(count)
-        folder.mkdir()
-        with (folder / "cup_1.csv").open("w") as file:
-            file.write(",".join(NAMES) + "\n")
-            file.writelines(block.replace("GRASP", str(k)) for k in range(count))
-        command = [sys.executable, "-c", MEASURE, str(folder), str(tmp_path / f"ds{count}"), str(map_file)]
-        used.append(int(subprocess.run(command, capture_output=True, check=True, text=True).stdout))  # [MB]
-    assert used[1] < used[0] + 60  # blocks that are read ahead; the table alone takes 72 MB
-    assert used[1] < 300
-
-
 def test_a_recording_of_three_fingers_is_stored_but_not_read_from_messages(tmp_path: Path, source: Path) -> None:
     three = {**SENSOR, "fingers": [{"name": name} for name in "ABC"], "grasp": ["A", "B", "C"]}
     values = [*MAP["values"], {"finger": "C", "channel": "P", "columns": ["a0", "a0", "b1"]}]
@@ -427,25 +398,3 @@ def test_the_public_recordings_are_imported_whole(tmp_path: Path, folder: str) -
     name, samples, readings, left_out = PUBLIC[folder]
     result = import_samples(root, tmp_path / "ds", map_file=MAPS / f"{name}.yaml")
     assert (result.samples, result.readings, dict(result.left_out)) == (samples, readings, left_out)
-    total = np.zeros(2)
-    for record in open_samples(tmp_path / "ds").records():
-        values = record.series.counts if record.series is not None else record.sample.touch.values[None]  # type: ignore[union-attr]
-        total += values.astype(np.float64).sum(), np.square(values.astype(np.float64)).sum()
-    assert_array_equal(total, raw_sums(root, folder))
-
-
-def raw_sums(root: Path, folder: str) -> Any:
-    """Sum and sum of squares of all taxels, by another reader of the files; whole numbers, so in any order."""
-    if folder.startswith("icub"):
-        texts = [path.read_text().split("\n", 1)[1].split() for path in root.glob("iCubGraspDataset/*.txt")]
-        parts = [np.array(text, float).reshape(-1, 74)[:, 14:] for text in texts]
-    elif folder.startswith("biotac"):
-        parts = [np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(2, 74)) for path in root.glob("*.csv")]
-    else:
-        parts = []
-        for robot in root.glob("*/*/robot_state.csv"):
-            count = sum(1 for line in robot.open() if line.strip()) - 1
-            parts += [
-                np.loadtxt(robot.parent / f"xela_sensor{k}.csv", delimiter=",", skiprows=1)[:count] for k in (1, 2)
-            ]
-    return np.array([sum(one.sum() for one in parts), sum(np.square(one).sum() for one in parts)])

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pair_builders import SECOND, interval, level, stream
+from pair_builders import SECOND, interval, stream
 
 from foretouch.cloud.messages import cloud_fields
-from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
@@ -70,23 +70,6 @@ class Session:
             for one in self.results()
             if isinstance(one, RejectedGrasp) or one.cut is not None
         ]
-
-
-def test_samples_hold_their_own_cloud_touch_and_candidates() -> None:
-    session = Session(2, object="can", note="a note")
-    for number in (0, 1):
-        session.plan(number)
-        session.report(number, success=number == 0)
-    results = session.results()
-    for number, one in enumerate(results):
-        assert isinstance(one, AssembledSample)
-        sample = one.record.sample
-        assert (sample.cloud.xyz == number).all()
-        np.testing.assert_allclose(sample.touch.values, level(number), atol=5.0)  # type: ignore[union-attr]
-        assert (sample.object, one.record.note, sample.grasp.id) == ("can", "a note", f"g-{number}")
-        assert [other.id for other in one.record.candidates] == [f"g-{number} second"]
-    assert [one.record.outcome for one in results] == ["success", "failure"]
-    assert session.assembler.results == {"recorded": 2}
 
 
 def test_reasons_of_messages_that_cannot_become_samples() -> None:
