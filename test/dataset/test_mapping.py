@@ -154,38 +154,35 @@ def test_other_formats_give_the_same_samples(tmp_path: Path, source: Path, write
     assert found.outcome == "success"
 
 
-def test_arrays_of_two_dimensions_are_numbered_columns(tmp_path: Path, source: Path) -> None:
-    values = np.array([row[1:7] for row in rows()])
-    np.savez(source / "cup_1.npz", a=values[:, :3], b=values[:, 3:], t=10 * np.arange(100))
-    columns = [
-        {"finger": "A", "channel": "P", "columns": ["a[{0..2}]"]},
-        {"finger": "B", "channel": "P", "columns": ["b[{0..2}]"]},
-    ]
-    (found,) = imported(tmp_path, source, table={"file": "{object}_{id}.npz"}, values=columns, others=[], outcome={})
-    assert found.series is not None
-    assert_array_equal(found.series.counts, values)
-    columns[1]["columns"] = ["b[{1..3}]"]
-    with pytest.raises(FileError, match=r"cup_1.npz: column b\[3\]: is of an array of shape \(100, 3\)"):
-        imported(tmp_path, source, table={"file": "{object}_{id}.npz"}, values=columns, others=[], outcome={})
-
-
-def test_lists_in_a_column_of_parquet_are_numbered_columns_and_must_be_of_one_length(tmp_path: Path) -> None:
+def test_arrays_and_lists_in_a_column_are_numbered_columns(tmp_path: Path, source: Path) -> None:
     """As LeRobot stores the taxels of a finger: taxels x axes in each row."""
-    found = rows()
-    table = {name: [line[k] for line in found] for k, name in enumerate(NAMES)}
-    table["pad"] = [[[value] for value in line[1:4]] for line in found]
-    source = tmp_path / "source"
-    source.mkdir()
-    values = [{"finger": "A", "channel": "P", "columns": ["pad[{0..2}]"]}, MAP["values"][1]]
-    changes: dict[str, Any] = {"table": {"file": "{object}_{id}.parquet"}, "values": values}
-    pq.write_table(pa.table(table), source / "cup_a.parquet")
-    (record,) = imported(tmp_path, source, **changes)
-    assert record.series is not None
-    assert_array_equal(record.series.counts[:, :3], np.array([line[1:4] for line in found], np.float32))
-    table["pad"] = [*table["pad"][:-2], [[1]] * 4, [[1]] * 2]
-    pq.write_table(pa.table(table), source / "cup_a.parquet")
-    with pytest.raises(FileError, match=r"cup_a\.parquet.*column pad.*lists of several lengths"):
-        import_samples(source, tmp_path / "ds2", map_file=write_map(tmp_path, **changes))
+    values = np.array([row[1:7] for row in rows()])
+    columns = [{"finger": one, "channel": "P", "columns": [f"{one}[{{0..2}}]"]} for one in "AB"]
+    changes: dict[str, Any] = {"values": columns, "others": [], "outcome": {}}
+
+    def check(suffix: str, rule: str) -> None:
+        given = {**changes, "table": {"file": f"{{object}}_{{id}}{suffix}"}}
+        (tmp_path / suffix[1:]).mkdir()
+        (found,) = imported(tmp_path / suffix[1:], source, **given)
+        assert found.series is not None
+        assert_array_equal(found.series.counts, values)
+        if suffix == ".parquet":
+            table["B"] = pa.array([*table["B"].to_pylist()[:-2], [[1]] * 4, [[1]] * 2])
+            pq.write_table(pa.table(table), source / "cup_1.parquet")
+        else:
+            columns[1]["columns"] = ["B[{1..3}]"]
+        with pytest.raises(FileError, match=rule):
+            imported(tmp_path / suffix[1:], source, **given)
+
+    table = {
+        name: pa.array([[[one] for one in row] for row in part.tolist()])
+        for name, part in zip("AB", np.hsplit(values, 2), strict=True)
+    }
+    table["t"] = pa.array(range(0, 1000, 10))
+    pq.write_table(pa.table(table), source / "cup_1.parquet")
+    np.savez(source / "cup_1.npz", A=values[:, :3], B=values[:, 3:], t=10 * np.arange(100))
+    check(".parquet", r"cup_1\.parquet.*column B.*lists of several lengths")
+    check(".npz", r"cup_1.npz: column B\[3\]: is of an array of shape \(100, 3\)")
 
 
 def test_files_beside_are_joined_by_row_and_missing_rows_are_counted(tmp_path: Path, source: Path) -> None:

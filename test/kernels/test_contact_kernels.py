@@ -6,9 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from contact_model_builders import HAND, cylinder, lines_sheets_and_repeated_points, small_estimator
+from contact_model_builders import HAND, cylinder
 from every_case import every_case, every_refusal
-from hypothesis import given, settings
 from kernels.references import models as reference
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
@@ -17,7 +16,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
-from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
+from foretouch.models.contact.regressors import CompiledForests, Forest
 from foretouch.models.network.preparation import PreparedCloud, _nearest
 from foretouch.types import Grasp, stacked
 
@@ -69,18 +68,6 @@ def test_contacts_on_a_surface_differ_by_rounding_and_those_on_a_plane_are_left_
     assert_array_equal(scene._contacts(g1, hand), scene._summed(g1, hand))
 
 
-@settings(max_examples=60, deadline=None)
-@given(case=lines_sheets_and_repeated_points(PLACE))
-def test_where_rounding_decides_numpy_describes_the_contact(case) -> None:
-    """Compiled or not, a row is that of `_summed` within rounding."""
-    points, g1, g2 = case
-    scene = HandFrameFeatures(points)
-    contacts, fingers = np.stack([g1, g2]), np.stack([HAND, HAND])
-    rows, plain = scene._contacts(contacts, fingers), scene._summed(contacts, fingers)
-    assert_allclose(rows[:, :5], plain[:, :5], rtol=1e-9, atol=1e-9)
-    assert_allclose(rows[:, 5:], plain[:, 5:], rtol=0.0, atol=1e-6)
-
-
 @cache
 def forest(trees: int, outputs: int) -> Forest:
     rng = np.random.default_rng(trees)
@@ -121,23 +108,6 @@ def test_a_forest_gives_the_same_bits_alone_and_with_others_and_reads_nothing_be
     every_refusal(ModelError, [(name, name, value) for name, value in cases], predict)
     with pytest.raises(ModelError, match=r"rows: shape \(3, 2\) has no column 5"):
         forest(60, 1).predict(np.zeros((3, 2)))
-
-
-def test_the_kernel_regression_differs_by_rounding(rng) -> None:
-    def check(known: int, outputs: int) -> None:
-        weight = rng.normal(size=(known, outputs)).astype(np.float32)
-        spread, rows_known = rng.uniform(0.5, 2.0, 7), rng.normal(size=(known, 7)).astype(np.float32)
-        model = KernelRegression(rng.normal(size=7), spread, rows_known, weight, np.array(0.8))
-        rows = rng.normal(size=(70, 7))
-        rows[0], rows[1] = 1e300, np.inf
-        found = model.predict(rows)
-        assert_allclose(found, reference.kernel_regression(model, rows), rtol=0.0, atol=1e-13 * known)
-        assert_array_equal(found, np.concatenate([model.predict(row[None]) for row in rows]))
-        assert model.predict(rows[:0]).shape == (0, outputs)
-
-    every_case([(1, 1), (31, 50), (32, 56), (65, 57), (400, 50)], check)
-    model = small_estimator().kernel
-    assert np.isnan(model.predict(np.full((2, model.known.shape[1]), np.nan))).all()
 
 
 def test_distances_from_the_nearest_point(rng) -> None:

@@ -65,20 +65,6 @@ def test_three_processes_make_one_chain_and_end_cleanly_on_ctrl_c(lone_graph, sc
 
 
 @pytest.mark.slow
-def test_namespace_and_topics_can_be_remapped(lone_graph, scene_cloud):
-    graph = lone_graph
-    remapped = ("-r", "__ns:=/left", "-r", "points:=/camera/points")
-    process = graph.start("segmentation", *remapped)
-    heard, publisher = graph.listen(PointCloud2, "/left/object_cloud"), graph.talk(PointCloud2, "/camera/points")
-    graph.matched("/camera/points", "/left/object_cloud")
-    publisher.publish(cloud_to_msg(scene_cloud()))
-    graph.until(lambda: heard)
-    assert heard[0].width > 0
-    process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=20)
-
-
-@pytest.mark.slow
 def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
     for name, parameter, message in (
         ("segmentation", "--nonsense", "foretouch: ROS arguments: unknown: ['--nonsense']"),

@@ -153,17 +153,3 @@ def test_readings_whose_stamps_jitter_are_waited_for() -> None:
         windows.append(one.cut.window)
     np.testing.assert_array_equal(windows[0].stamps_ns, windows[1].stamps_ns)
     np.testing.assert_array_equal(windows[0].counts, windows[1].counts)
-
-
-def test_a_stamp_in_the_far_future_hides_no_contact() -> None:
-    """The contact detector behind `assume_grasps` sees accepted readings alone."""
-    session = Session(0, assume_grasps=True, watch_sensors=True)
-    session.plan(0)
-    for k, reading in enumerate(stream(1)):
-        if k == 20:
-            late = replace(reading, stamp_ns=reading.stamp_ns + 3600 * SECOND)
-            assert session.assembler.add_tactile(late, received_ns=reading.received_ns, now_s=0.0) == ()
-        (accepted,) = session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
-        assert accepted.stamp_ns == reading.stamp_ns
-    session.assembler.poll(0.0, ending=True)
-    assert session.assembler.results == {"recorded": 1}

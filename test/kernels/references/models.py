@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernels of `forest.c`, `contact.c` and `nearest.c` compute, in NumPy and SciPy."""
+"""What the kernels of `forest.c`, `contact.c` and of the nearest point compute, in NumPy and SciPy."""
 
 from typing import Any
 
@@ -18,11 +18,6 @@ def forest(trees, rows) -> Array:
         node = trees.children[node, (column > trees.threshold[node]).astype(int)]
     values = [trees.value[one].astype(np.float64).mean(axis=0) for one in trees.leaf[node]]
     return np.array(values).reshape(len(rows), -1)
-
-
-def kernel_regression(model, rows) -> Array:
-    distance = cdist((rows - model.centre) / model.scale, model.known.astype(np.float64), "cityblock")
-    return np.exp(-distance * float(model.decay) / rows.shape[1]) @ model.weight.astype(np.float64)
 
 
 def nearest(points, targets) -> Array:

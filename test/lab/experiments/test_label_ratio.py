@@ -5,26 +5,15 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import torch
 
 from foretouch.errors import ConfigError
-from foretouch.models.network.config import ModelConfig
 from foretouch_lab.experiments import find_experiment, run_sweep
 from foretouch_lab.experiments.framework.manifest import RESULTS_FILE
 from foretouch_lab.experiments.label_ratio import LabelRatioSettings
-from foretouch_lab.experiments.label_ratio.training import (
-    MODELS,
-    PointnetTrainer,
-    PresampledSet,
-    configured,
-    load_labelled,
-)
+from foretouch_lab.experiments.label_ratio.training import MODELS, configured, load_labelled
 from foretouch_lab.experiments.shared.simulated_data import simulate_store
 from foretouch_lab.learning.data import Dataset
-from foretouch_lab.learning.network.networks import GeneratorConfig
-from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 
 ROOT = Path(__file__).parents[3]
 SCENE = ROOT / "config" / "scenes" / "deformables_wide.yaml"
@@ -114,51 +103,3 @@ def test_a_run_may_be_extended_by_ratios_modalities_and_trials(store: Path, tmp_
     again = run_sweep(experiment, both, cut, source=store, resume=True)
     assert (again.reused, again.cells) == (6, 10)
     assert (out / RESULTS_FILE).read_bytes() == (cut / RESULTS_FILE).read_bytes()
-
-
-POINTS = 16
-MODEL = ModelConfig(n_points=POINTS, tnet=False, trunk_widths=(16, 32), head_widths=(16,), outputs=("PDC_TH",))
-BASE = SrganConfig(
-    batch_size=8, target_scaling="standardised", generator=GeneratorConfig(noise_length=1, widths=(4,), stride=4)
-)
-
-
-@pytest.fixture
-def presampled() -> PresampledSet:
-    rng = np.random.default_rng(0)
-    clouds = rng.uniform(-1.0, 1.0, (24, POINTS, 3)).astype(np.float32)
-    return PresampledSet(
-        clouds=tuple(clouds),
-        cached_points=clouds,
-        grasps=rng.normal(size=(24, 15)).astype(np.float32),
-        labels=rng.normal(2000.0, 100.0, (24, 50)),
-        lengths=np.zeros((24, 0)),
-        config=MODEL,
-        ids=tuple(f"box/{k}" for k in range(24)),
-    )
-
-
-def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: PresampledSet) -> None:
-    """One batch of all points of all labelled samples, so that neither order nor choice makes a difference."""
-    for recipe in ("frozen 0.001", "batch 0.001"):
-        config = configured(BASE, "pointnet", recipe, 8, updates=5, seed=1)
-        assert config.loss.weight_unlabeled == config.loss.weight_fake == 0.0
-        nets = []
-        for kind in (PointnetTrainer, SrganTrainer):
-            trainer = kind(presampled, np.arange(8), np.arange(8, 24), config)
-            while trainer.epoch < trainer.epochs:
-                trainer.run_epoch()
-            assert trainer.epoch == 5
-            nets.append(trainer.net)
-        # Not the weights: a bias before batch norm has no effect, and so no gradient but rounding, which Adam scales up.
-        clouds, grasps = torch.from_numpy(presampled.cached_points), torch.from_numpy(presampled.grasps).float()
-        torch.testing.assert_close(*(net.train()(clouds, grasps) for net in nets), rtol=1e-3, atol=1e-5)
-        nets = [  # and the SR-GAN of a trial begins with the same network
-            kind(presampled, np.arange(8), np.arange(8, 24), configured(BASE, model, trial, 8, updates=1, seed=4)).net
-            for kind, model, trial in (
-                (PointnetTrainer, "pointnet", recipe),
-                (SrganTrainer, "srgan", f"batch_means, {recipe}"),
-            )
-        ]
-        for one, other in zip(nets[0].state_dict().values(), nets[1].state_dict().values(), strict=True):
-            assert torch.equal(one, other)

@@ -36,19 +36,6 @@ def blocked(depth):
     return worker, begun, go
 
 
-def test_items_are_worked_on_in_order_in_another_thread_and_a_full_queue_drops_its_oldest():
-    worker, begun, go = blocked(2)
-    worker.put(0)
-    assert begun.wait(5.0)
-    for item in (1, 2, 3, 4):
-        worker.put(item)
-    assert worker.dropped == [(1, "superseded"), (2, "superseded")]
-    go.set()
-    until(lambda: len(worker.done) == 3)
-    worker.stop()
-    assert worker.done == [(item, "w") for item in (0, 3, 4)]
-
-
 def test_stopping_drops_what_waits_and_comes_later_of_one_worker_alone():
     Recorded().stop()  # never started
     worker, begun, go = blocked(5)
@@ -72,34 +59,3 @@ def test_stopping_drops_what_waits_and_comes_later_of_one_worker_alone():
     other.put(1)
     until(lambda: other.items == [1])
     other.stop()
-
-
-def chained(*steps):
-    """Workers of the same thread, of which each puts its items into the next."""
-    thread, workers = WorkerThread("shared"), []
-    for number, step in enumerate(steps):
-
-        def then(item, number=number, step=step):
-            step(item)
-            if number + 1 < len(workers):
-                workers[number + 1].put(item)
-
-        workers.append(Recorded(str(number), then=then, thread=thread))
-    for worker in workers:
-        worker.start()
-    return workers
-
-
-def test_no_item_is_begun_while_another_waits_for_its_next_step():
-    order = []
-    one, last = workers = chained(lambda item: order.append(("first", item)), lambda item: order.append(("last", item)))
-    with one._thread._changed:  # so that all wait
-        for item in (1, 2, 3):
-            one._queue.put(item)
-            one._thread._calls.append(one)
-    one.put(4)
-    until(lambda: len(order) == 8)
-    for worker in workers:
-        worker.stop()
-    assert order == [(step, item) for item in (1, 2, 3, 4) for step in ("first", "last")]
-    assert last.items == [1, 2, 3, 4]
