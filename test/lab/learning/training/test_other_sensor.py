@@ -2,10 +2,12 @@
 """Models of other sensors than the BioTac SP: what they learn, what their card states, and what is refused."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from other_sensor import USKIN, changed_sensor, train_on, write_readings
+from other_sensor import USKIN, changed_sensor, readings, train_on, write_readings
 from run_builders import quiet, run_config
 
 from foretouch.errors import ConfigError, TactileError
@@ -14,6 +16,7 @@ from foretouch.tactile import touch_faults
 from foretouch_lab.learning.data import channels_of, load_dataset
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model
 from foretouch_lab.learning.prequential import replay_model
+from foretouch_lab.learning.training.calibration import rest_level
 from foretouch_lab.learning.training.run import train_run
 
 
@@ -57,6 +60,18 @@ def test_networks_and_ranges_of_the_papers_refuse_another_sensor_by_name(uskin, 
     with pytest.raises(ConfigError, match=r"contact.ranges: are of biotac_sp, and store is of xela_uskin_4x4"):
         train_run(ranges, load_dataset(uskin[0]), tmp_path / "run", quiet)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_rest_level_that_was_not_read_is_on_the_side_that_contact_leaves(samples, tmp_path) -> None:
+    shares = {"rise": 0.01, "fall": 0.95, "both": 0.5}
+    values = [{"name": one, "field": one, "contact": one, "rest": "tare", "dtype": "int16"} for one in shares]
+    channels = changed_sensor(tmp_path, values=values).channels
+    bare = [replace(one, tare=None) for one in readings(list(samples), channels)]
+    (rest, recorded), labels = rest_level(bare), np.array([one.touch.values for one in bare])
+    assert not recorded
+    for name, share in shares.items():
+        columns = channels.columns([f"{name}_{finger}" for finger in channels.fingers])
+        assert_array_equal(rest[columns], np.quantile(labels[:, columns], share, axis=0), err_msg=name)
 
 
 def test_forces_in_newtons_whose_taxels_mostly_read_zero_are_learned_and_have_narrow_intervals(tmp_path) -> None:
