@@ -12,7 +12,7 @@ from benchmarks.clutter.metrics import score
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
 from foretouch_lab.simulation.depth_scene import CameraView, DepthScene
-from foretouch_lab.simulation.solids import Box, Sphere
+from foretouch_lab.simulation.solids import Primitive
 
 
 def test_scores_of_an_example_worked_by_hand() -> None:
@@ -101,8 +101,8 @@ def test_the_same_seed_gives_the_same_piles_and_a_file_keeps_them(tmp_path: Path
 def test_lccp_keeps_a_box_whole_and_parts_a_ball_from_it() -> None:
     if (program := lccp.program()) is None:
         pytest.skip("PCL or a compiler is absent")
-    box = Box(position=np.array([0.0, 0.0, 0.05]), size=np.array([0.12, 0.12, 0.1]))
-    ball = Sphere(position=np.array([0.1, 0.0, 0.05]), radius=0.05)
+    box = Primitive("box", np.array([0.12, 0.12, 0.1]), np.array([0.0, 0.0, 0.05]))
+    ball = Primitive("ball", np.full(3, 0.1), np.array([0.1, 0.0, 0.05]))
     view = CameraView.towards_table(640, 480, 0.9, np.radians(40.0))
     images = [DepthScene(view, solids).render() for solids in ((box,), (box, ball))]
     clusters = [(image.labels > 1).astype(np.int32) for image in images]
