@@ -7,7 +7,7 @@ from rosbags.typesys import Stores, get_typestore
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording
 from foretouch.dataset.bag_writer import BagWriter, write_bag
-from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
+from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.recording.sample_codec import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.types import Cloud
@@ -38,7 +38,7 @@ def test_a_recording_is_played_byte_for_byte(tmp_path):
     ]  # fmt: skip
     with Recording(tmp_path / "bag") as recording:
         assert [s.data for s in played] == [m.data for m in recording.messages() if m.topic != "/unwanted"]
-    assert [t.name for t in other_topics(source)] == ["/said", "/unwanted"]
+    assert [t.name for t in source.others] == ["/said", "/unwanted"]
 
 
 def test_a_message_that_is_no_cdr_is_refused_and_one_with_wrong_sizes_is_played(tmp_path):
