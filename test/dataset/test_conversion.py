@@ -75,7 +75,7 @@ def test_nothing_is_built_from_an_unfinished_or_damaged_recording(dataset: Path,
         build_store([dataset], tmp_path / "store")
     first.write_bytes(good)
     second.write_bytes(second.read_bytes()[:-100])
-    assert describe(dataset).unfinished == ["session-0002.mcap"]
+    assert describe(dataset)["unfinished"] == ["session-0002.mcap"]
     with pytest.raises(FileError, match=r"session-0002\.mcap: is not finished: run `foretouch dataset repair`"):
         build_store([dataset], tmp_path / "store")
     assert [p.name for p in tmp_path.iterdir()] == ["ds"]
@@ -117,15 +117,21 @@ def test_info_counts_and_discarded_samples_are_left_out(dataset: Path, tmp_path:
     with RecordingWriter(dataset, IDENTITY, QUICK) as writer:
         writer.append(replace(record(1), flags=(DISCARDED,)))
     info = describe(dataset)
-    assert (info.kind, info.samples, info.labelled, info.tared, info.discarded) == ("recording", 5, 4, 4, 1)
-    assert info.objects == {"ball": 4, "sponge": 1}
-    assert info.outcomes == {"success": 4, "unknown": 1}
-    assert info.flags == {"arrival_stamped": 3, DISCARDED: 1}
-    assert info.pairing_ms == [4, 0, 0, 0, 0, 0]
-    assert info.points == (30, 30, 30)
+    assert (info["kind"], info["samples"], info["labelled"], info["tared"], info["discarded"]) == (
+        "recording",
+        5,
+        4,
+        4,
+        1,
+    )
+    assert info["objects"] == {"ball": 4, "sponge": 1}
+    assert info["outcomes"] == {"success": 4, "unknown": 1}
+    assert info["flags"] == {"arrival_stamped": 3, DISCARDED: 1}
+    assert info["pairing_ms"] == [4, 0, 0, 0, 0, 0]
+    assert info["points"] == (30, 30, 30)
     vectors = [r.sample.touch.values for r in records(dataset) if r.sample.touch is not None]
-    assert info.ranges["E_MF"] == (min(v[26:].min() for v in vectors), max(v[26:].max() for v in vectors))
-    assert (info.first_ns, info.last_ns) == (1_700_000_001 * NS, 1_700_000_022 * NS)
+    assert info["ranges"]["E_MF"] == (min(v[26:].min() for v in vectors), max(v[26:].max() for v in vectors))
+    assert (info["first_ns"], info["last_ns"]) == (1_700_000_001 * NS, 1_700_000_022 * NS)
     result = build_store([dataset], tmp_path / "store")
     assert [f.id for f in result.samples] == ["ball/000001", "ball/000002", "ball/000003", "sponge/000004"]
     assert result.left_out == {DISCARDED: 1}

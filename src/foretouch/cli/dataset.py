@@ -12,7 +12,7 @@ from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
-from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
+from foretouch.dataset.info import PAIRING_EDGES_MS, describe
 from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
@@ -125,36 +125,36 @@ def run(arguments: argparse.Namespace) -> int:
 def _info(arguments: argparse.Namespace) -> int:
     found = describe(arguments.path)
     if arguments.json:
-        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": PAIRING_EDGES_MS})
+        print_json({"path": arguments.path, **found, "pairing_edges_ms": PAIRING_EDGES_MS})
     else:
         print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
     return 0
 
 
-def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
-    yield "kind", found.kind
+def _info_rows(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    yield "kind", found["kind"]
     yield (
         "samples",
-        f"{found.samples} ({found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded)",
+        f"{found['samples']} ({found['labelled']} labelled, {found['tared']} with tare, {found['discarded']} discarded)",
     )
-    yield "objects", _counts(found.objects)
-    yield "outcomes", _counts(found.outcomes)
-    yield "flags", _counts(found.flags)
-    if found.samples:
-        period = f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
-        yield "time", period if found.last_ns else "simulated, without a clock"
-        yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
-    yield "sensor", found.sensor
-    yield "dead taxels", "; ".join(f"{name} {', '.join(map(str, dead))}" for name, dead in found.dead.items())
-    yield from ((name, f"{low:g} to {high:g} {found.units[name]}") for name, (low, high) in found.ranges.items())
-    yield "hand", _properties(found.hand)
-    yield "camera", _properties(found.camera)
-    if found.unfinished:
-        yield "not finished", f"{', '.join(found.unfinished)}: repair with `foretouch dataset repair`"
-    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found.pairing_ms, strict=False)
+    yield "objects", _counts(found["objects"])
+    yield "outcomes", _counts(found["outcomes"])
+    yield "flags", _counts(found["flags"])
+    if found["samples"]:
+        period = f"{_utc(found['first_ns'])} to {_utc(found['last_ns'])}"
+        yield "time", period if found["last_ns"] else "simulated, without a clock"
+        yield "points a cloud", f"{found['points'][0]} to {found['points'][2]} (median {found['points'][1]})"
+    yield "sensor", found["sensor"]
+    yield "dead taxels", "; ".join(f"{name} {', '.join(map(str, dead))}" for name, dead in found["dead"].items())
+    yield from ((name, f"{low:g} to {high:g} {found['units'][name]}") for name, (low, high) in found["ranges"].items())
+    yield "hand", _properties(found["hand"])
+    yield "camera", _properties(found["camera"])
+    if found["unfinished"]:
+        yield "not finished", f"{', '.join(found['unfinished'])}: repair with `foretouch dataset repair`"
+    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found["pairing_ms"], strict=False)
     yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
-    yield from ((topic, _message_counts(counts)) for topic, counts in found.accounts.items())
-    yield from (("edit", text) for text in found.edits)
+    yield from ((topic, _message_counts(counts)) for topic, counts in found["accounts"].items())
+    yield from (("edit", text) for text in found["edits"])
 
 
 def _message_counts(counts: Mapping[str, Any]) -> str:
