@@ -125,51 +125,28 @@ def run(arguments: argparse.Namespace) -> int:
 def _info(arguments: argparse.Namespace) -> int:
     found = describe(arguments.path)
     if arguments.json:
-        print_json({"path": arguments.path, **found, "pairing_edges_ms": PAIRING_EDGES_MS})
-    else:
-        print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
-    return 0
-
-
-def _info_rows(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "kind", found["kind"]
-    yield (
-        "samples",
-        f"{found['samples']} ({found['labelled']} labelled, {found['tared']} with tare, {found['discarded']} discarded)",
-    )
-    yield "objects", _counts(found["objects"])
-    yield "outcomes", _counts(found["outcomes"])
-    yield "flags", _counts(found["flags"])
-    if found["samples"]:
-        period = f"{_utc(found['first_ns'])} to {_utc(found['last_ns'])}"
-        yield "time", period if found["last_ns"] else "simulated, without a clock"
-        yield "points a cloud", f"{found['points'][0]} to {found['points'][2]} (median {found['points'][1]})"
-    yield "sensor", found["sensor"]
-    yield "dead taxels", "; ".join(f"{name} {', '.join(map(str, dead))}" for name, dead in found["dead"].items())
-    yield from ((name, f"{low:g} to {high:g} {found['units'][name]}") for name, (low, high) in found["ranges"].items())
-    yield "hand", _properties(found["hand"])
-    yield "camera", _properties(found["camera"])
-    if found["unfinished"]:
-        yield "not finished", f"{', '.join(found['unfinished'])}: repair with `foretouch dataset repair`"
+        return print_result("", {"path": arguments.path, **found, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
+    counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**found)
+    period = f"{_utc(found['first_ns'])} to {_utc(found['last_ns'])}"
+    least, median, most = found["points"]
     bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found["pairing_ms"], strict=False)
-    yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
-    yield from ((topic, _message_counts(counts)) for topic, counts in found["accounts"].items())
-    yield from (("edit", text) for text in found["edits"])
-
-
-def _message_counts(counts: Mapping[str, Any]) -> str:
-    """The counts of one topic; messages lost before arrival are not among the received ones."""
-    dropped = sum(counts["dropped"].values())
-    reasons = f" ({_counts(counts['dropped'])})" if dropped else ""
-    return f"{counts['received']} = {counts['written']} written + {dropped} dropped{reasons}; {counts['lost']} lost"
-
-
-def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
-
-
-def _properties(properties: Mapping[str, str]) -> str:
-    return ", ".join(f"{name}: {value}" for name, value in properties.items())
+    rows = {
+        "kind": found["kind"],
+        "samples": counts,
+        **{name: found[name] for name in ("objects", "outcomes", "flags")},
+        "time": period if found["last_ns"] else "simulated, without a clock",
+        "points a cloud": f"{least} to {most} (median {median})" if found["samples"] else "",
+        "sensor": found["sensor"],
+        "dead taxels": found["dead"],
+        **{name: f"{low:g} to {high:g} {found['units'][name]}" for name, (low, high) in found["ranges"].items()},
+        "hand": found["hand"],
+        "camera": found["camera"],
+        "not finished": ", ".join(found["unfinished"]),
+        "pairing error": ", ".join(f"{low:g}-{high:g} ms: {count}" for low, high, count in bins if count),
+        **found["accounts"],
+        "edits": found["edits"],
+    }
+    return print_result(arguments.path, rows, as_json=False)
 
 
 def _utc(stamp_ns: int) -> str:
@@ -325,12 +302,14 @@ def print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int
     if as_json:
         print_json(record)
     else:
-        rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
+        names = {name: name.replace("_", " ") if name.isidentifier() and name.islower() else name for name in record}
+        rows = [[names[name], _text(value)] for name, value in record.items() if value not in ({}, [], "")]
         print_table(title, ["", "value"], rows)
     return 0
 
 
 def _text(value: Any) -> str:
     if isinstance(value, Mapping):
-        return "; ".join(f"{name}: {_text(item)}" for name, item in value.items())
+        nested = any(isinstance(item, list | Mapping) for item in value.values())
+        return ("; " if nested else ", ").join(f"{name} {_text(item)}" for name, item in value.items() if item != {})
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
