@@ -43,7 +43,7 @@ def exported(tmp_path: Path) -> Path:
         unseen = Cloud(np.full((3, 3), np.nan, np.float32))
         writer.append(replace(hollow, sample=replace(hollow.sample, cloud=unseen)))
     result = export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
-    assert (result.written, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1, "no points": 1})
+    assert (result.samples, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1, "no points": 1})
     return tmp_path / "out"
 
 
@@ -140,7 +140,7 @@ def test_grasps_without_a_series_are_episodes_of_one_frame(tmp_path: Path) -> No
     with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
         for number in range(2):
             writer.append(replace(record(number, points=5), series=None))  # fewer points than an export keeps
-    assert export_samples(tmp_path / "ds", tmp_path / "out", "lerobot").written == 2
+    assert export_samples(tmp_path / "ds", tmp_path / "out", "lerobot").samples == 2
     frames = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
     assert [(one["frame_index"], one["episode_index"], one["timestamp"]) for one in frames] == [
         (0, 0, 0.0),

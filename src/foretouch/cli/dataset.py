@@ -176,8 +176,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
     empty = {"file": path, "samples": None, "messages": None, "bytes": None}
     try:
         if is_store(path) and not is_dataset(path):
-            store = Store(path)
-            store.verify()
+            store = Store(path)  # verifies the hashes of all files
             yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
             return
         for report in verify_dataset(path):
@@ -271,13 +270,7 @@ def _import(arguments: argparse.Namespace) -> int:
         result = import_samples(
             arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
         )
-    record = {
-        "out": str(arguments.out),
-        "samples": result.samples,
-        "labelled": result.labelled,
-        "readings": result.readings,
-        "left_out": {reason: count for reason, count in result.left_out.items() if count},
-    }
+    record = {"out": str(arguments.out), **vars(result), "left_out": +result.left_out}
     return print_result("imported", record, as_json=arguments.json)
 
 
@@ -287,13 +280,7 @@ def _export(arguments: argparse.Namespace) -> int:
     options = {"fps": arguments.fps} if arguments.fps else {}
     with progress_bar("exporting", hidden=arguments.json) as advance:
         result = export_samples(arguments.source, arguments.out, arguments.format, advance, **options)
-    record = {
-        "out": str(arguments.out),
-        "format": arguments.format,
-        "samples": result.written,
-        "left_out": dict(result.left_out),
-        "lost": {name: count for name, count in result.lost.items() if count},
-    }
+    record = {"out": str(arguments.out), "format": arguments.format, **vars(result), "lost": +result.lost}
     return print_result("exported", record, as_json=arguments.json)
 
 

@@ -41,7 +41,7 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
         file = out / f"{record.sample.id}.npz"
         file.parent.mkdir(exist_ok=True)
         np.savez(file, allow_pickle=False, **_arrays(record), **facts)
-        result.written += 1
+        result.samples += 1
 
 
 def _arrays(record: SampleRecord) -> dict[str, Any]:
