@@ -25,7 +25,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -312,7 +312,7 @@ class Definitions:
             if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
                 raise DatasetError(f"{type_name!r} is not a message type, such as std_msgs/msg/String")
             self.register(type_name, _find(type_name))
-        for needed in _types_in(self.store, type_name):
+        for needed in _types_in(self.store.fielddefs[type_name][1]):
             self._require(needed)
 
 
@@ -327,12 +327,10 @@ def _find(type_name: str) -> str:
     raise DatasetError(f"{type_name}: no definition is known, and {package} is not installed")
 
 
-def _types_in(store: Typestore, type_name: str) -> Iterator[str]:
-    from rosbags.interfaces import Nodetype
-
-    for _, field in store.fielddefs[type_name][1]:
-        kind, detail = cast("tuple[Any, Any]", field)
-        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            (kind, detail), _ = detail
-        if kind == Nodetype.NAME:
-            yield detail
+def _types_in(fields: Any) -> Iterator[str]:
+    """The names of message types in the fields of another, the only texts there with a slash."""
+    for part in fields:
+        if isinstance(part, tuple | list):
+            yield from _types_in(part)
+        elif isinstance(part, str) and "/" in part:
+            yield part
