@@ -114,4 +114,4 @@ def test_info_and_verify_tell_what_was_received_written_dropped_and_lost(call, t
     verified = call("dataset", "verify", tmp_path / "ds", "--json").records
     assert [one["lost"] for one in verified] == [{TACTILE: 2}, {}]
     assert [one["dropped"] for one in verified] == [{TACTILE: {"queue full": 3}}, {}]
-    assert "6 = 3 written + 3 dropped (queue full 3); 2 lost" in call("dataset", "info", tmp_path / "ds").out
+    assert "received 6; written 3; dropped queue full 3; lost 2" in call("dataset", "info", tmp_path / "ds").out

@@ -31,7 +31,7 @@ def _export(samples, out, result, progress) -> None:
     out.mkdir()
     for k, _ in enumerate(samples.records()):
         (out / f"{k:03d}.number").write_text(str(k))
-        result.written += 1
+        result.samples += 1
         progress()
 
 

@@ -22,7 +22,7 @@ from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.source import open_source
-from foretouch.dataset.store import Store
+from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError
 from foretouch_lab.dataset.store_writer import StoreWriter, build_store
 
@@ -45,7 +45,7 @@ def dataset(tmp_path: Path) -> Path:
 def test_a_store_holds_what_was_recorded(dataset: Path, tmp_path: Path) -> None:
     result = build_store([dataset], tmp_path / "store", attach=lambda samples: {"note.txt": f"{len(samples)}\n"})
     store = Store(tmp_path / "store")
-    store.verify()
+    assert content_sha256(store) == store.sha256
     assert store.sha256 == result.sha256
     for stored, made in zip(store, records(dataset), strict=True):
         assert stored.id == made.sample.id
@@ -68,7 +68,7 @@ def test_nothing_is_built_from_an_unfinished_or_damaged_recording(dataset: Path,
         build_store([dataset], tmp_path / "store")
     first.write_bytes(good)
     second.write_bytes(second.read_bytes()[:-100])
-    assert describe(dataset).unfinished == ["session-0002.mcap"]
+    assert describe(dataset)["unfinished"] == ["session-0002.mcap"]
     with pytest.raises(FileError, match=r"session-0002\.mcap: is not finished: run `foretouch dataset repair`"):
         build_store([dataset], tmp_path / "store")
     assert [p.name for p in tmp_path.iterdir()] == ["ds"]
@@ -110,15 +110,21 @@ def test_info_counts_and_discarded_samples_are_left_out(dataset: Path, tmp_path:
     with RecordingWriter(dataset, IDENTITY, QUICK) as writer:
         writer.append(replace(record(1), flags=(DISCARDED,)))
     info = describe(dataset)
-    assert (info.kind, info.samples, info.labelled, info.tared, info.discarded) == ("recording", 5, 4, 4, 1)
-    assert info.objects == {"ball": 4, "sponge": 1}
-    assert info.outcomes == {"success": 4, "unknown": 1}
-    assert info.flags == {"arrival_stamped": 3, DISCARDED: 1}
-    assert info.pairing_ms == [4, 0, 0, 0, 0, 0]
-    assert info.points == (30, 30, 30)
+    assert (info["kind"], info["samples"], info["labelled"], info["tared"], info["discarded"]) == (
+        "recording",
+        5,
+        4,
+        4,
+        1,
+    )
+    assert info["objects"] == {"ball": 4, "sponge": 1}
+    assert info["outcomes"] == {"success": 4, "unknown": 1}
+    assert info["flags"] == {"arrival_stamped": 3, DISCARDED: 1}
+    assert info["pairing_ms"] == [4, 0, 0, 0, 0, 0]
+    assert info["points"] == (30, 30, 30)
     vectors = [r.sample.touch.values for r in records(dataset) if r.sample.touch is not None]
-    assert info.ranges["E_MF"] == (min(v[26:].min() for v in vectors), max(v[26:].max() for v in vectors))
-    assert (info.first_ns, info.last_ns) == (1_700_000_001 * NS, 1_700_000_022 * NS)
+    assert info["ranges"]["E_MF"] == (min(v[26:].min() for v in vectors), max(v[26:].max() for v in vectors))
+    assert (info["first_ns"], info["last_ns"]) == (1_700_000_001 * NS, 1_700_000_022 * NS)
     result = build_store([dataset], tmp_path / "store")
     assert [f.id for f in result.samples] == ["ball/000001", "ball/000002", "ball/000003", "sponge/000004"]
     assert result.left_out == {DISCARDED: 1}
@@ -162,7 +168,7 @@ def test_archives_that_are_no_samples_are_refused_by_file_and_field(dataset: Pat
     every_case(
         [
             ("is not a dataset", {"g1": None}),
-            (r"000001\.npz: rotation: is missing; there are: id, object", {"rotation": None}),
+            (r"000001\.npz: rotation: is missing; there are: .*id, object", {"rotation": None}),
             ("id: 'cup/000001' is not 'ball', a slash and a name", {"id": "cup/000001"}),
             ("outcome: 'maybe' is not one of unknown, success, failure", {"outcome": "maybe"}),
             (r"touch: shape \(3,\) is not \(50,\)", {"touch": np.zeros(3)}),
@@ -219,7 +225,7 @@ def test_real_grasps_are_imported_quickly_and_exported_equal(real_data: Path, tm
     assert (result.samples, result.labelled) == (50, 50)
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
     exported_result = export_samples(tmp_path / "ds", tmp_path / "out", "vision2tactile")
-    assert (exported_result.written, sum(exported_result.lost.values())) == (50, 0)
+    assert (exported_result.samples, sum(exported_result.lost.values())) == (50, 0)
     for back, made in zip(read_folder(tmp_path / "out"), read_folder(source), strict=True):
         assert back.id == made.id
         assert_same_sample(back, made)

@@ -33,8 +33,8 @@ def test_edits_are_seen_by_whoever_reads_and_the_recordings_stay_as_they_are(dat
     assert merge(dataset, "cans", "cup") == 3
     assert ids(dataset) == ["cup/000001", "ball/000002", "ball/000003", "cup/000004", "cup/000005"]
     info = describe(dataset)
-    assert (info.objects, info.discarded) == ({"cup": 3, "ball": 2}, 2)
-    assert info.edits == ["1: relabel cup (1 samples)", "2: drop (2 samples)", "3: relabel cup (2 samples)"]
+    assert (info["objects"], info["discarded"]) == ({"cup": 3, "ball": 2}, 2)
+    assert info["edits"] == ["1: relabel cup (1 samples)", "2: drop (2 samples)", "3: relabel cup (2 samples)"]
     result = build_store([dataset], tmp_path / "store")
     assert [sample.id for sample in result.samples] == ["ball/000002", "cup/000004", "cup/000005"]
     assert import_samples(dataset, tmp_path / "copy").samples == 5
@@ -49,12 +49,12 @@ def test_undo_takes_back_one_edit_after_the_other(dataset: Path) -> None:
     edited = ids(dataset)
     drop(dataset, ["cup/000001"])
     assert undo(dataset) == 2
-    assert (ids(dataset), describe(dataset).discarded) == (edited, 0)
+    assert (ids(dataset), describe(dataset)["discarded"]) == (edited, 0)
     assert undo(dataset) == 1
     assert ids(dataset) == recorded
     with pytest.raises(DatasetError, match="holds no edit to undo"):
         undo(dataset)
-    assert describe(dataset).edits[0] == "1: relabel cup (2 samples) (undone)"
+    assert describe(dataset)["edits"][0] == "1: relabel cup (2 samples) (undone)"
 
 
 def test_names_that_leave_a_folder_are_absent_taken_or_being_written_are_refused(dataset: Path, tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_flipped_bits_of_the_log_are_found_and_an_edit_that_was_cut_off_does_not
             verify_dataset(dataset)
     for cut in range(good.index(b"\n") + 1, len(good)):
         log.write_bytes(good[:cut])
-        assert (ids(dataset), describe(dataset).discarded) == (edited, 0)
+        assert (ids(dataset), describe(dataset)["discarded"]) == (edited, 0)
     assert drop(dataset, ["cup/000001"]) == 2
     assert log.read_bytes() == good
 
@@ -117,8 +117,8 @@ def test_edits_of_a_session_set_outcomes_and_notes_and_an_object_that_is_undone_
     assert (one.outcome, one.note) == ("failure", "a note; slipped")
     assert (two.sample.id, two.sample.object, two.outcome) == ("bowl/000002", "bowl", "success")
     described = describe(dataset)
-    assert described.outcomes["failure"] == 1
-    assert described.edits == [
+    assert described["outcomes"]["failure"] == 1
+    assert described["edits"] == [
         "1: outcome failure (1 samples)",
         "2: note slipped (1 samples)",
         "3: note the light was moved",

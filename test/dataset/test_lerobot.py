@@ -42,7 +42,7 @@ def exported(tmp_path: Path) -> Path:
         unseen = Cloud(np.full((3, 3), np.nan, np.float32))
         writer.append(replace(hollow, sample=replace(hollow.sample, cloud=unseen)))
     result = export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
-    assert (result.written, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1, "no points": 1})
+    assert (result.samples, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1, "no points": 1})
     return tmp_path / "out"
 
 

@@ -16,7 +16,7 @@ from recording_builders import assert_same_sample, record
 
 from foretouch.dataset import store as store_module
 from foretouch.dataset.files import sealed
-from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
+from foretouch.dataset.store import MANIFEST, SEAL, Store, content_sha256, is_store
 from foretouch.errors import DatasetError, FileError
 from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
 from foretouch.types import Cloud, GraspSample
@@ -57,7 +57,7 @@ def test_what_was_written_is_read_bit_for_bit(tmp_path: Path) -> None:
         assert (store[k].id, store[k].cloud.frame_id) == (samples[k].id, samples[k].cloud.frame_id)
     assert [s.id for s in store] == [s.id for s in samples]
     assert [s.id for s in store[3:5]] == ["can/3", "can/4"]
-    store.verify()
+    assert content_sha256(store) == store.sha256
     assert store.manifest["about"] == {"scene": "x"}
 
 
@@ -67,7 +67,7 @@ def test_more_than_one_shard_none_and_a_hash_of_the_content(tmp_path: Path) -> N
     store = Store(tmp_path / "ds")
     assert [shard["samples"] for shard in store.manifest["shards"]] == [1024, 76]
     assert [store[k].id for k in (1023, 1024)] == ["can/1023", "can/1024"]
-    store.verify()
+    assert content_sha256(store) == store.sha256
     write(tmp_path / "empty", [])
     store = Store(tmp_path / "empty")
     assert (len(store), is_store(store.path), is_store(tmp_path)) == (0, True, False)
@@ -134,7 +134,7 @@ def test_files_that_disagree_with_the_manifest_are_never_used(tmp_path: Path) ->
         (MANIFEST, lambda data: data.replace(b'"x"', b'"y"'), "seal: damaged: the text does not match its checksum"),
     ]
     every_case(cases, check)
-    Store(tmp_path / "ds").verify()
+    Store(tmp_path / "ds")
 
 
 def _other_columns() -> bytes:

@@ -12,7 +12,7 @@ from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
 from foretouch.dataset.importing import BagTopics, import_samples
-from foretouch.dataset.info import PAIRING_EDGES_MS, SampleSetInfo, describe
+from foretouch.dataset.info import PAIRING_EDGES_MS, describe
 from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
@@ -125,51 +125,28 @@ def run(arguments: argparse.Namespace) -> int:
 def _info(arguments: argparse.Namespace) -> int:
     found = describe(arguments.path)
     if arguments.json:
-        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": PAIRING_EDGES_MS})
-    else:
-        print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
-    return 0
-
-
-def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
-    yield "kind", found.kind
-    yield (
-        "samples",
-        f"{found.samples} ({found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded)",
-    )
-    yield "objects", _counts(found.objects)
-    yield "outcomes", _counts(found.outcomes)
-    yield "flags", _counts(found.flags)
-    if found.samples:
-        period = f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
-        yield "time", period if found.last_ns else "simulated, without a clock"
-        yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
-    yield "sensor", found.sensor
-    yield "dead taxels", "; ".join(f"{name} {', '.join(map(str, dead))}" for name, dead in found.dead.items())
-    yield from ((name, f"{low:g} to {high:g} {found.units[name]}") for name, (low, high) in found.ranges.items())
-    yield "hand", _properties(found.hand)
-    yield "camera", _properties(found.camera)
-    if found.unfinished:
-        yield "not finished", f"{', '.join(found.unfinished)}: repair with `foretouch dataset repair`"
-    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found.pairing_ms, strict=False)
-    yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
-    yield from ((topic, _message_counts(counts)) for topic, counts in found.accounts.items())
-    yield from (("edit", text) for text in found.edits)
-
-
-def _message_counts(counts: Mapping[str, Any]) -> str:
-    """The counts of one topic; messages lost before arrival are not among the received ones."""
-    dropped = sum(counts["dropped"].values())
-    reasons = f" ({_counts(counts['dropped'])})" if dropped else ""
-    return f"{counts['received']} = {counts['written']} written + {dropped} dropped{reasons}; {counts['lost']} lost"
-
-
-def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
-
-
-def _properties(properties: Mapping[str, str]) -> str:
-    return ", ".join(f"{name}: {value}" for name, value in properties.items())
+        return print_result("", {"path": arguments.path, **found, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
+    counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**found)
+    period = f"{_utc(found['first_ns'])} to {_utc(found['last_ns'])}"
+    least, median, most = found["points"]
+    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found["pairing_ms"], strict=False)
+    rows = {
+        "kind": found["kind"],
+        "samples": counts,
+        **{name: found[name] for name in ("objects", "outcomes", "flags")},
+        "time": period if found["last_ns"] else "simulated, without a clock",
+        "points a cloud": f"{least} to {most} (median {median})" if found["samples"] else "",
+        "sensor": found["sensor"],
+        "dead taxels": found["dead"],
+        **{name: f"{low:g} to {high:g} {found['units'][name]}" for name, (low, high) in found["ranges"].items()},
+        "hand": found["hand"],
+        "camera": found["camera"],
+        "not finished": ", ".join(found["unfinished"]),
+        "pairing error": ", ".join(f"{low:g}-{high:g} ms: {count}" for low, high, count in bins if count),
+        **found["accounts"],
+        "edits": found["edits"],
+    }
+    return print_result(arguments.path, rows, as_json=False)
 
 
 def _utc(stamp_ns: int) -> str:
@@ -199,8 +176,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
     empty = {"file": path, "samples": None, "messages": None, "bytes": None}
     try:
         if is_store(path) and not is_dataset(path):
-            store = Store(path)
-            store.verify()
+            store = Store(path)  # verifies the hashes of all files
             yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
             return
         for report in verify_dataset(path):
@@ -294,13 +270,7 @@ def _import(arguments: argparse.Namespace) -> int:
         result = import_samples(
             arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
         )
-    record = {
-        "out": str(arguments.out),
-        "samples": result.samples,
-        "labelled": result.labelled,
-        "readings": result.readings,
-        "left_out": {reason: count for reason, count in result.left_out.items() if count},
-    }
+    record = {"out": str(arguments.out), **vars(result), "left_out": +result.left_out}
     return print_result("imported", record, as_json=arguments.json)
 
 
@@ -310,13 +280,7 @@ def _export(arguments: argparse.Namespace) -> int:
     options = {"fps": arguments.fps} if arguments.fps else {}
     with progress_bar("exporting", hidden=arguments.json) as advance:
         result = export_samples(arguments.source, arguments.out, arguments.format, advance, **options)
-    record = {
-        "out": str(arguments.out),
-        "format": arguments.format,
-        "samples": result.written,
-        "left_out": dict(result.left_out),
-        "lost": {name: count for name, count in result.lost.items() if count},
-    }
+    record = {"out": str(arguments.out), "format": arguments.format, **vars(result), "lost": +result.lost}
     return print_result("exported", record, as_json=arguments.json)
 
 
@@ -325,12 +289,14 @@ def print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int
     if as_json:
         print_json(record)
     else:
-        rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
+        names = {name: name.replace("_", " ") if name.isidentifier() and name.islower() else name for name in record}
+        rows = [[names[name], _text(value)] for name, value in record.items() if value not in ({}, [], "")]
         print_table(title, ["", "value"], rows)
     return 0
 
 
 def _text(value: Any) -> str:
     if isinstance(value, Mapping):
-        return "; ".join(f"{name}: {_text(item)}" for name, item in value.items())
+        nested = any(isinstance(item, list | Mapping) for item in value.values())
+        return ("; " if nested else ", ").join(f"{name} {_text(item)}" for name, item in value.items() if item != {})
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -100,4 +100,4 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
             data = encode_sample(record, samples.identity, samples.sensor)
             writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, data)
             writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
-            result.written += 1
+            result.samples += 1

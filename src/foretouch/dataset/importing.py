@@ -32,6 +32,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
 
+_PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
 
 
@@ -45,7 +46,6 @@ class BagTopics:
     tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
     object: str = "unknown"  # label of the object on the table
     tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by that of the topic
-    pairing: PairingConfig = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 
     def roles(self) -> dict[str, Role]:
         """Role by topic."""
@@ -131,7 +131,7 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
     roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(
-        AssemblerConfig(pairing=topics.pairing, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
+        AssemblerConfig(pairing=_PAIRING, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
     )
     now_s = 0.0
     for message in bag.messages(roles):
@@ -182,7 +182,7 @@ def _is_live(bag: Recording, topics: BagTopics) -> bool:
     In one that was converted, or recorded from a replay or in simulated time, the robot's messages too are stamped far
     from their time of reception.
     """
-    limit_ns = topics.pairing.clock_s * 1e9
+    limit_ns = _PAIRING.clock_s * 1e9
     return any(
         abs(message.bag_time_ns - stamp_ns(bag.content(message).header.stamp)) <= limit_ns
         for message in bag.messages([topics.executed])

@@ -66,8 +66,8 @@ def export(
                 result.left_out[reason] += 1
             else:
                 tables.add(record)
-                result.written += 1
-    if not result.written:
+                result.samples += 1
+    if not result.samples:
         raise FileError(samples.path, "holds no executed grasp with a touch to export")
     tables.finish(samples.identity.hand.get("model", ""))
 

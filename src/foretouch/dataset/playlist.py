@@ -8,7 +8,7 @@ same clouds as it was recorded.
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from foretouch.dataset.bag import Recording, Topic
+from foretouch.dataset.bag import Recording
 from foretouch.dataset.recording.sample_codec import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
@@ -43,14 +43,6 @@ def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
             yield Entry(item.name, CLOUDS, item.cloud.stamp_ns, serialize_cloud(item.cloud))
         except ForetouchError as err:
             yield Entry(item.name, CLOUDS, 0, b"", refusal=str(err))
-
-
-def other_topics(source: Source) -> tuple[Topic, ...]:
-    """The topics of a recording other than that of its clouds; none for other sources."""
-    if source.kind != "recording":
-        return ()
-    with Recording(source.path) as recording:
-        return tuple(topic for topic in recording.topics if topic.name != source.topic)
 
 
 def cloud_is_object(source: Source) -> bool:
@@ -104,14 +96,13 @@ class Pace:
 
 def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:
     with Recording(source.path) as recording:
-        clouds = recording.cloud_topic(source.topic)
         stamped = {topic.name: topic.stamped for topic in recording.topics}
-        for message in recording.messages({clouds, *topics}):
+        for message in recording.messages({source.topic, *topics}):
             data, refusal = message.data, ""
             try:
                 recording.content(message)
             except ForetouchError as err:
                 data, refusal = b"", str(err)
-            topic = CLOUDS if message.topic == clouds else message.topic
+            topic = CLOUDS if message.topic == source.topic else message.topic
             name = f"{source.path}: {message.topic}[{message.index}]"
             yield Entry(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)

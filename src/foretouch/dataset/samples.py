@@ -54,7 +54,7 @@ class SampleSet:
 class ExportResult:
     """Counts of an export."""
 
-    written: int = 0  # samples
+    samples: int = 0  # that were written
     left_out: Counter[str] = field(default_factory=Counter)  # samples that the format cannot hold, by reason
     lost: Counter[str] = field(default_factory=Counter)  # samples with a field that the format cannot hold, by field
 

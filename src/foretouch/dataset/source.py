@@ -6,14 +6,14 @@ its cloud is requested, so that one bad file costs one item.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
-from foretouch.dataset.bag import RECORDING_SUFFIXES, Message, Recording, is_recording
+from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.dataset.formats import readable_formats
 from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
 from foretouch.errors import FileError
@@ -52,47 +52,29 @@ class Source:
 
     path: Path  # as given
     kind: Literal["clouds", "samples", "recording"]  # what was found there
-    topic: str | None = None  # the topic of a recording, else None
+    count: int  # number of entries, or of messages that the recording declares
+    entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | GraspSample]]]]  # name of each, and what reads it
     frame_id: str = ""  # for clouds without a frame
-    entries: tuple[Path, ...] = ()  # the cloud files, in order; empty for a recording and for a dataset
-    count: int = 0  # number of entries, or of messages that the recording declares
+    topic: str = ""  # of the clouds of a recording
+    others: tuple[Topic, ...] = ()  # further topics of a recording
 
     def __len__(self) -> int:
         return self.count
 
     def __iter__(self) -> Iterator[SourceItem]:
-        if self.kind == "recording":
-            yield from self._recorded()
-        elif self.kind == "samples":
-            yield from self._samples()
-        else:
-            for number, entry in enumerate(self.entries, 1):
-                yield SourceItem(str(entry), partial(self._load_cloud, entry, number * STAMP_STEP_NS))
+        for number, (name, load) in enumerate(self.entries(), 1):
+            stamp_ns = None if self.kind == "recording" else number * STAMP_STEP_NS
+            yield SourceItem(name, partial(self._load, load, stamp_ns))
 
-    def _load_cloud(self, entry: Path, stamp_ns: int) -> Cloud:
-        return self._stamped(read_cloud(entry), stamp_ns)
+    def _load(self, load: Callable[[], Cloud | GraspSample], stamp_ns: int | None) -> Cloud | GraspSample:
+        found = load()
+        if isinstance(found, GraspSample):
+            return replace(found, cloud=self._stamped(found.cloud, stamp_ns))
+        return self._stamped(found, stamp_ns)
 
-    def _load_sample(self, samples: SampleSet, index: int, stamp_ns: int) -> GraspSample:
-        sample = samples.record(index).sample
-        return replace(sample, cloud=self._stamped(sample.cloud, stamp_ns))
-
-    def _stamped(self, cloud: Cloud, stamp_ns: int) -> Cloud:
+    def _stamped(self, cloud: Cloud, stamp_ns: int | None) -> Cloud:
+        stamp_ns = cloud.stamp_ns if stamp_ns is None else stamp_ns
         return replace(cloud, stamp_ns=stamp_ns, frame_id=cloud.frame_id or self.frame_id)
-
-    def _samples(self) -> Iterator[SourceItem]:
-        samples = open_samples(self.path)
-        names = [samples.name(k) for k in range(len(samples))]
-        for number, k in enumerate(sorted(range(len(names)), key=lambda k: _natural(names[k])), 1):
-            yield SourceItem(names[k], partial(self._load_sample, samples, k, number * STAMP_STEP_NS))
-
-    def _recorded(self) -> Iterator[SourceItem]:
-        with Recording(self.path) as recording:
-            for message in recording.messages([recording.cloud_topic(self.topic)]):
-                yield SourceItem(f"{self.path}[{message.index}]", partial(self._decode, recording, message))
-
-    def _decode(self, recording: Recording, message: Message) -> Cloud:
-        cloud = recording.decode_cloud(message)
-        return cloud if cloud.frame_id else replace(cloud, frame_id=self.frame_id)
 
 
 def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "") -> Source:
@@ -114,24 +96,37 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
     """
     path = require_existing(path)
     if topic is None and is_sample_set(path):
-        return Source(path, "samples", None, frame_id, (), len(open_samples(path)))
+        samples = open_samples(path)
+        numbers = sorted(range(len(samples)), key=lambda k: _natural(samples.name(k)))
+        named = [(samples.name(k), partial(_sample, samples, k)) for k in numbers]
+        return Source(path, "samples", len(named), lambda: named, frame_id)
     if is_recording(path):
         with Recording(path) as recording:
-            topic = recording.cloud_topic(topic)
-            count = next(t.count for t in recording.topics if t.name == topic)
-        return Source(path, "recording", topic, frame_id, (), count)
+            name = recording.cloud_topic(topic)
+            topics = {one.name: one for one in recording.topics}
+        count = topics.pop(name).count
+        return Source(path, "recording", count, partial(_recorded, path, name), frame_id, name, tuple(topics.values()))
     if topic is not None:
         raise FileError(path, f"is not a recording, so it has no topic {topic}")
-    if not path.is_dir():
-        if path.suffix.lower() not in CLOUD_SUFFIXES:
-            known = ", ".join(CLOUD_SUFFIXES + RECORDING_SUFFIXES)
-            raise FileError(path, f"suffix {path.suffix or 'absent'} is not one of {known}")
-        return Source(path, "clouds", None, frame_id, (path,), 1)
-    entries = tuple(sorted((p for p in path.iterdir() if p.suffix.lower() in CLOUD_SUFFIXES), key=_natural))
-    if not entries:
+    files = sorted(path.iterdir(), key=_natural) if path.is_dir() else [path]
+    clouds = [(str(file), partial(read_cloud, file)) for file in files if file.suffix.lower() in CLOUD_SUFFIXES]
+    if not clouds and path.is_dir():
         known = ", ".join(CLOUD_SUFFIXES)
         raise FileError(path, f"holds no clouds ({known}), no recording and no dataset ({readable_formats()})")
-    return Source(path, "clouds", None, frame_id, entries, len(entries))
+    if not clouds:
+        known = ", ".join(CLOUD_SUFFIXES + RECORDING_SUFFIXES)
+        raise FileError(path, f"suffix {path.suffix or 'absent'} is not one of {known}")
+    return Source(path, "clouds", len(clouds), lambda: clouds, frame_id)
+
+
+def _sample(samples: SampleSet, number: int) -> GraspSample:
+    return samples.record(number).sample
+
+
+def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:
+    with Recording(path) as recording:
+        for message in recording.messages([topic]):
+            yield f"{path}[{message.index}]", partial(recording.decode_cloud, message)
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:

@@ -112,7 +112,7 @@ class Store(Sequence[GraspSample]):
 
     @property
     def sha256(self) -> str:
-        """Content hash as the writer computed it; `verify` computes it again."""
+        """Content hash as the writer computed it."""
         return str(self.manifest["sha256"])
 
     def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
@@ -135,14 +135,6 @@ class Store(Sequence[GraspSample]):
             raise
         except (ForetouchError, ValueError) as err:
             raise FileError(self.path, " ".join(str(err).split()), field=f"sample {k}") from err
-
-    def verify(self) -> None:
-        """Read everything and compare it with the manifest; a `FileError` names what differs."""
-        _read_manifest(self.path)
-        self._verified_parts()
-        found = content_sha256(self)
-        if found != self.sha256:
-            raise FileError(self.path, f"content is {found}, not {self.sha256}", field="sha256")
 
     def _verified_parts(self) -> list[_Part]:
         for part in self.manifest["files"]:

@@ -166,7 +166,7 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
         write_cloud(folder / CLOUD_FILE, sample.cloud)
         (folder / GRASP_FILE).write_text(_as_text([*sample.grasp.g1, *sample.grasp.g2]), encoding="ascii")
         (folder / TOUCH_FILE).write_text("," + _as_text(_fingers(sample, sample.touch)), encoding="ascii")
-        result.written += 1
+        result.samples += 1
         result.lost["tare"] += sample.tare is not None
         result.lost["series"] += record.series is not None
         result.lost["extra"] += bool(sample.extra.keys() - exported)

@@ -92,7 +92,7 @@ class StoreWriter:
                 self._end_shard()
 
     def attach(self, name: str, text: str) -> None:
-        """Add a text file beside the shards, such as splits, which `Store.verify` checks too."""
+        """Add a text file beside the shards, such as splits, whose hashes `Store` checks too."""
         path = self._folder / name
         if path.name != name or path.exists() or name == MANIFEST:
             raise DatasetError(f"{self.path}: {name} is taken, or not the name of a file")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clouds in files: `.pcd`, `.ply`, `.npz` and `.npy`, by their ending.
 
-Nothing is read that could run code: NumPy files are opened without pickle, and by parts, since `numpy.load` takes the
-memory that a header asks for, and passes on whatever the parsers below it raise.
+Nothing is read that could run code: NumPy files are opened without pickle. Archives are unpacked here, since `numpy.load`
+does not limit what their members unpack to.
 """
 
 import io
@@ -18,14 +18,13 @@ from typing import Final
 import numpy as np
 
 from foretouch.cloud.io.point_files import SIZE_LIMIT, check_unpacked, read_pcd, read_ply, write_pcd, write_ply
-from foretouch.errors import CloudError, FileError, described
+from foretouch.errors import CloudError, FileError, described, shown
 from foretouch.files import read_bytes, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
 
 _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 _NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
-_MAX_AXES: Final = 8
 _DAMAGE: Final = (
     *(ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError, OverflowError, RuntimeError, OSError),
     *(MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
@@ -122,27 +121,18 @@ def _unpacked(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, siz
 
 
 def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
-    stream = io.BytesIO(content)
+    formats, stream = np.lib.format, io.BytesIO(content)
     try:
-        read_header = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-            (3, 0): np.lib.format.read_array_header_2_0,
-        }[np.lib.format.read_magic(stream)]
-        shape, by_columns, dtype = read_header(stream, _NPY_HEADER_LIMIT)
+        first = formats.read_magic(stream) == (1, 0)
+        read_header = formats.read_array_header_1_0 if first else formats.read_array_header_2_0
+        shape, _, dtype = read_header(stream, _NPY_HEADER_LIMIT)
+        if math.prod(shape) * dtype.itemsize > len(content):  # NumPy would take the memory first
+            raise ValueError(f"shape {shown(shape)} of {dtype} needs more bytes than there are")
+        stream.seek(0)
+        found: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
     except _DAMAGE as err:
-        rule = f"is damaged or no .npy array: {described(err)}"
-        raise FileError(path, rule, field=field) from err
-    if dtype.hasobject or dtype.itemsize == 0:
-        raise FileError(path, f"is damaged or contains objects: dtype {dtype}", field=field)
-    if len(shape) > _MAX_AXES or any(type(size) is not int or not 0 <= size < 2**31 for size in shape):
-        raise FileError(path, f"shape {shape} is not that of an array", field=field)
-    count, body = math.prod(shape), stream.read()
-    if count * dtype.itemsize > len(body):
-        rule = f"shape {shape} of {dtype} needs {count * dtype.itemsize} bytes, {len(body)} follow"
-        raise FileError(path, rule, field=field)
-    flat = np.frombuffer(body, dtype, count)
-    return (flat.reshape(shape[::-1]).T if by_columns else flat.reshape(shape)).copy("K")
+        raise FileError(path, f"is damaged or contains objects: {described(err)}", field=field) from err
+    return found
 
 
 def _coordinates(path: Path, xyz: AnyArray) -> Float32:

@@ -89,7 +89,7 @@ class SampleAssembler:
             successes_only=self.config.successes_only,
         )
         self._labelled_clouds: set[int] = set()
-        self._removed: list[tuple[BufferedCloud, PlannedGrasps]] = []
+        self._unlabelled: list[AssembledSample] = []
 
     # State.
 
@@ -168,7 +168,8 @@ class SampleAssembler:
         """The samples and rejected grasps that are complete by now; at the end, all."""
         if now_s - self._last_tactile_s > _TACTILE_TIMEOUT_S:
             self._health.silence()
-        results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled()]
+        results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled]
+        self._unlabelled.clear()
         for one in self.matcher.poll(now_s, ending=ending):
             result: AssembledSample | RejectedGrasp
             try:
@@ -180,33 +181,26 @@ class SampleAssembler:
             results.append(result)
         if ending:
             self._remove(self.clouds.clear())
-            results += self._unlabelled()
+            results += self._unlabelled
+            self._unlabelled.clear()
         return results
 
     def _remove(self, clouds: list[BufferedCloud]) -> None:
         """Clouds that left the buffer may become samples without a touch."""
+        every_s = self.config.unlabelled_s
         for cloud in clouds:
-            plan = self.matcher.forget_plan(cloud.stamp_ns)
+            plan, last = self.matcher.forget_plan(cloud.stamp_ns), self._last_unlabelled_ns
+            soon = last is not None and abs(cloud.stamp_ns - last) < (every_s or 0.0) * 1e9
             if cloud.stamp_ns in self._labelled_clouds:
                 self._labelled_clouds.remove(cloud.stamp_ns)
             elif plan is None:
                 self.clouds_without_grasps += 1
-            elif self.config.unlabelled_s is not None and not cloud.ambiguous:
-                self._removed.append((cloud, plan))
-
-    def _unlabelled(self) -> list[AssembledSample]:
-        samples = []
-        removed, self._removed = self._removed, []
-        for cloud, plan in removed:
-            last, every_s = self._last_unlabelled_ns, self.config.unlabelled_s or 0.0
-            if last is not None and abs(cloud.stamp_ns - last) < every_s * 1e9:
-                continue
-            try:
-                samples.append(AssembledSample(self._without_touch(cloud, plan)))
-                self._last_unlabelled_ns = cloud.stamp_ns
-            except PairingError as err:
-                self.rejected_clouds[f"unlabelled {err.reason}"] += 1
-        return samples
+            elif every_s is not None and not cloud.ambiguous and not soon:
+                try:
+                    self._unlabelled.append(AssembledSample(self._without_touch(cloud, plan)))
+                    self._last_unlabelled_ns = cloud.stamp_ns
+                except PairingError as err:
+                    self.rejected_clouds[f"unlabelled {err.reason}"] += 1
 
     # Records.
 

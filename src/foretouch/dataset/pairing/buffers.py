@@ -47,12 +47,6 @@ class TouchWindow:
     others: Float32  # (T, K) float32
     received_ns: Int64  # (T,) int64 [ns]
 
-    def between(self, low_ns: int, high_ns: int) -> "TouchWindow":
-        """The readings stamped in [low, high)."""
-        first, last = np.searchsorted(self.stamps_ns, (low_ns, high_ns))
-        rows = slice(int(first), int(last))
-        return TouchWindow(self.stamps_ns[rows], self.counts[rows], self.others[rows], self.received_ns[rows])
-
     def __len__(self) -> int:
         return len(self.stamps_ns)
 

@@ -112,7 +112,7 @@ def cut_touch(
     if not_before_ns is not None:
         tare_start = max(tare_start, not_before_ns + guard)
     window = buffer.between(tare_start, interval.release)
-    hold, rest = window.between(low, high), window.between(tare_start, tare_end)
+    hold, rest = buffer.between(low, high), buffer.between(tare_start, tare_end)
     if not len(hold):
         raise PairingError("no_tactile", "no reading within the contact")
     channels = buffer.channels

@@ -25,7 +25,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -71,18 +71,25 @@ class StoredSample(NamedTuple):
 
 
 def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | None = None) -> bytes:
-    """A record, whose id is set, as the CDR of a `SAMPLE_TYPE` with encapsulation header.
+    """A record as the CDR of a `SAMPLE_TYPE` with encapsulation header (see `sample_fields`)."""
+    message = sample_fields(record, identity, sensor or BIOTAC_SP)
+    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
+    return body + hashlib.sha256(body).digest()
+
+
+def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> SimpleNamespace:
+    """A record, whose id is set, as the fields of a `SAMPLE_TYPE`.
 
     Args:
         record: The sample.
         identity: Hand and camera.
-        sensor: Which was read; by default the BioTac SP.
+        sensor: Which was read.
 
     Raises:
         DatasetError: If the id or a stamp is invalid, or a number other than a grasp's score is not finite.
         TactileError: If the touch is of another sensor.
     """
-    sample, sensor = record.sample, sensor or BIOTAC_SP
+    sample = record.sample
     check_id(sample.id, sample.object)
     series = record.series
     for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
@@ -133,8 +140,7 @@ def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | Non
             else np.isfinite(values).all()
         ):
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
-    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
-    return body + hashlib.sha256(body).digest()
+    return message
 
 
 def serialize_cloud(cloud: Cloud) -> bytes:
@@ -164,7 +170,7 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None, *, con
             require_version(version, SCHEMA_VERSION)
         message: Any = _old_message(data) if version == 1 else sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
         check_id(message.id, message.object)
-        stored = _stored(message)
+        stored = stored_sample(message)
     except VersionError:
         raise
     except ForetouchError as err:
@@ -193,7 +199,8 @@ def _old_message(data: bytes | memoryview) -> Any:
     return sample_types().store.deserialize_cdr(data, _OLD_TYPE)
 
 
-def _stored(message: Any) -> StoredSample:
+def stored_sample(message: Any) -> StoredSample:
+    """The inverse of `sample_fields`; raises any error for values that break a rule."""
     sensor = parse_sensor(message.sensor) if hasattr(message, "sensor") else BIOTAC_SP  # of version 1
     sample = GraspSample(
         id=message.id,
@@ -305,7 +312,7 @@ class Definitions:
             if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
                 raise DatasetError(f"{type_name!r} is not a message type, such as std_msgs/msg/String")
             self.register(type_name, _find(type_name))
-        for needed in _types_in(self.store, type_name):
+        for needed in _types_in(self.store.fielddefs[type_name][1]):
             self._require(needed)
 
 
@@ -320,12 +327,10 @@ def _find(type_name: str) -> str:
     raise DatasetError(f"{type_name}: no definition is known, and {package} is not installed")
 
 
-def _types_in(store: Typestore, type_name: str) -> Iterator[str]:
-    from rosbags.interfaces import Nodetype
-
-    for _, field in store.fielddefs[type_name][1]:
-        kind, detail = cast("tuple[Any, Any]", field)
-        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            (kind, detail), _ = detail
-        if kind == Nodetype.NAME:
-            yield detail
+def _types_in(fields: Any) -> Iterator[str]:
+    """The names of message types in the fields of another, the only texts there with a slash."""
+    for part in fields:
+        if isinstance(part, tuple | list):
+            yield from _types_in(part)
+        elif isinstance(part, str) and "/" in part:
+            yield part

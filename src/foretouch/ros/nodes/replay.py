@@ -27,7 +27,7 @@ from sensor_msgs.msg import PointCloud2
 from foretouch.cloud.messages import read_header, with_stamp
 from foretouch.config import setting
 from foretouch.dataset.bag import Topic
-from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
+from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.source import Source, open_source
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
@@ -342,7 +342,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self._answered.notify_all()
 
     def _advertise_others(self, source: Source) -> None:
-        classes, self._left_out = playable(other_topics(source), self.get_namespace())
+        classes, self._left_out = playable(source.others, self.get_namespace())
         for topic, message in classes.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
             profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
