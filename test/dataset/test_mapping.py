@@ -4,6 +4,8 @@
 import csv
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -324,16 +326,44 @@ def test_a_map_that_does_not_fit_the_sensor_is_refused(tmp_path: Path, source: P
         ),
         ({"values": [{**first, "finger": "C"}, second]}, "values: 'P_C' is not one of P_A, P_B"),
         ({"stamps": {}}, "stamps: a series needs a column or a rate"),
+        ({"grasp": "grasp", "beside": [{"file": "x.csv"}]}, "beside: needs `grasp: file`"),
         ({"colums": 1}, "colums: unknown setting"),
     ):
         with pytest.raises(ConfigError, match=re.escape(rule)):
             imported(tmp_path, source, **changes)
 
 
-def test_a_table_that_does_not_fit_into_memory_is_refused(tmp_path: Path, source: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("foretouch.dataset.tables._MOST_CELLS", 500)
-    with pytest.raises(FileError, match=r"row \d+: more than 500 cells are used: split the file"):
+def test_a_grasp_that_does_not_fit_into_memory_is_refused(tmp_path: Path, source: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("foretouch.dataset.mapping._MOST_CELLS", 500)
+    with pytest.raises(FileError, match="row 1: more than 500 numbers in one grasp: set `grasp`"):
         imported(tmp_path, source)
+
+
+MEASURE = """
+import sys
+from pathlib import Path
+from foretouch.dataset.importing import import_samples
+import_samples(Path(sys.argv[1]), Path(sys.argv[2]), map_file=Path(sys.argv[3]))
+# Not `ru_maxrss`, which a child inherits from the process that starts it.
+print(int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) // 1024)
+"""
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_number_of_rows(tmp_path: Path) -> None:
+    map_file = write_map(tmp_path, grasp="grasp", id="{grasp}", outcome={}, rest_rows=0)
+    block = "".join(",".join(map(str, row[:9])) + ",GRASP\n" for row in rows(1000))
+    used = []
+    for count in (100, 1000):
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        with (folder / "cup_1.csv").open("w") as file:
+            file.write(",".join(NAMES) + "\n")
+            file.writelines(block.replace("GRASP", str(k)) for k in range(count))
+        command = [sys.executable, "-c", MEASURE, str(folder), str(tmp_path / f"ds{count}"), str(map_file)]
+        used.append(int(subprocess.run(command, capture_output=True, check=True, text=True).stdout))  # [MB]
+    assert used[1] < used[0] + 60  # blocks that are read ahead; the table alone takes 72 MB
+    assert used[1] < 300
 
 
 def test_a_recording_of_three_fingers_is_stored_but_not_read_from_messages(tmp_path: Path, source: Path) -> None:

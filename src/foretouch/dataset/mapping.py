@@ -20,13 +20,14 @@ import pyarrow as pa
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.dataset.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries, check_id
-from foretouch.dataset.tables import TableConfig, expanded, read_table
-from foretouch.errors import ConfigError, DatasetError, FileError, none_of, shown
+from foretouch.dataset.tables import TableConfig, expanded, read_blocks
+from foretouch.errors import ConfigError, DatasetError, FileError, none_of, quoted, shown
 from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
 from foretouch.tactile.description import STAMP_UNITS, load_sensor
 from foretouch.tactile.readings import rest_of
 from foretouch.types import SECOND_NS, AnyArray, Float64, GraspSample, Int64, Touch
 
+_MOST_CELLS: Final = 10_000_000  # of one grasp, which is held in memory
 _NAME: Final = re.compile(r"\{([^{}]+)\}")
 _Rows = dict[str, AnyArray]  # (n,) of each column by name, and the `_ROW` of each
 _ROW: Final = "#"
@@ -106,6 +107,8 @@ class MappedSource:
         whole = STAMP_UNITS[stamps.unit] < STAMP_UNITS["ms"]  # as float64, stamps of today have 0.2 us
         self._types = dict.fromkeys([*self._values, *self._others], pa.float64()) | dict.fromkeys(names, pa.string())
         self._types |= {stamps.column: pa.int64() if whole else pa.float64()} if stamps.column else {}
+        if config.beside and config.grasp != "file":
+            raise ConfigError(f"{self._where}: beside: needs `grasp: file`, not {quoted(config.grasp)}")
         if config.grasp != "row" and not (stamps.column or stamps.rate):
             raise ConfigError(f"{self._where}: stamps: a series needs a column or a rate")
 
@@ -147,36 +150,50 @@ class MappedSource:
                 yield self._record(path, words.groupdict() if words else {}, rows)
 
     def _grasps(self, path: Path, left_out: Counter[str]) -> Iterator[_Rows]:
-        rows = self._rows(path, left_out)
-        self._require_finite(path, rows)
-        count, key = len(rows[_ROW]), rows.get(self.config.grasp)
-        begins = [0] if key is None else [0, *(np.flatnonzero(key[1:] != key[:-1]) + 1).tolist()]
-        begins = list(range(count)) if self.config.grasp == "row" else begins
-        return (_part(rows, *ends) for ends in pairwise([*begins, count]))
+        held: _Rows = {}
+        for block in self._whole(path, left_out) if self.config.beside else self._blocks(path, self.config.table):
+            self._require_finite(path, block)
+            rows = {name: np.concatenate([held[name], part]) if held else part for name, part in block.items()}
+            count, key = len(rows[_ROW]), rows.get(self.config.grasp)
+            begins = [] if key is None else (np.flatnonzero(key[1:] != key[:-1]) + 1).tolist()
+            begins = list(range(count + 1)) if self.config.grasp == "row" else [0, *begins]
+            yield from (_part(rows, *ends) for ends in pairwise(begins))
+            held = _part(rows, begins[-1], count) if begins[-1] < count else {}
+            if held and len(held[_ROW]) * len(held) > _MOST_CELLS:
+                rule = f"more than {_MOST_CELLS} numbers in one grasp: set `grasp` to the column that counts grasps"
+                raise FileError(path, rule, field=f"row {held[_ROW][0]}")
+        if held:
+            yield held
 
-    def _rows(self, path: Path, left_out: Counter[str]) -> _Rows:
-        """All rows of a file, with those of the files beside, whose names have a prefix; one of a single row holds for all."""
-        rows: _Rows = {}
-        prefixes = tuple(f"{one.file}:" for one in self.config.beside)
+    def _blocks(self, path: Path, table: TableConfig, prefix: str = "") -> Iterator[_Rows]:
+        """Blocks of a file with its part of all columns; those of files beside have a prefix."""
+        others = tuple(f"{one.file}:" for one in self.config.beside)
+        own = [name for name in self._types if (name.startswith(prefix) if prefix else not name.startswith(others))]
+        first = 1
+        for block in read_blocks(path, table, {name.removeprefix(prefix): self._types[name] for name in own}):
+            rows = {prefix + name: column for name, column in block.items()}
+            count = len(rows[own[0]])
+            yield rows | ({} if prefix else {_ROW: np.arange(first, first + count)})
+            first += count
+
+    def _whole(self, path: Path, left_out: Counter[str]) -> list[_Rows]:
+        """All rows of a file, with those of the files beside; one of a single row holds for all."""
+        whole: _Rows = {}
         for table in (self.config.table, *self.config.beside):
-            prefix = f"{table.file}:" if rows else ""
-            file, count = path.parent / table.file if rows else path, len(rows.get(_ROW, ()))
-            own = [
-                name for name in self._types if (name.startswith(prefix) if prefix else not name.startswith(prefixes))
-            ]
-            found = read_table(file, table, {name.removeprefix(prefix): self._types[name] for name in own})
-            part, size = {prefix + name: one for name, one in found.items()}, len(next(iter(found.values())))
-            if not rows:
-                part[_ROW] = np.arange(1, size + 1)
-            elif size == 1:
+            prefix = f"{table.file}:" if whole else ""
+            file, count = path.parent / table.file if whole else path, len(whole.get(_ROW, ()))
+            blocks = list(self._blocks(file, table, prefix))
+            part = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+            size = len(next(iter(part.values())))
+            if whole and size == 1:
                 part = {name: np.repeat(one, count) for name, one in part.items()}
-            elif not 0 <= count - size <= self.config.spare_rows:
+            elif whole and not 0 <= count - size <= self.config.spare_rows:
                 raise FileError(file, f"holds {size} rows, and {path.name} {count}; `spare_rows` allows for fewer")
-            elif size < count:
+            elif whole and size < count:
                 left_out[f"rows that {table.file} lacks"] += count - size
-                rows = _part(rows, 0, size)
-            rows |= part
-        return rows
+                whole = _part(whole, 0, size)
+            whole |= part
+        return [whole]
 
     def _require_finite(self, path: Path, rows: _Rows) -> None:
         for name in (name for name, kind in self._types.items() if kind != pa.string()):

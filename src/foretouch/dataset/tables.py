@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables as columns: CSV, Parquet, NPZ and HDF5 (with the extra `hdf5`).
+"""Tables as columns: CSV, Parquet, NPZ and HDF5 (with the extra `hdf5`), read a block of rows at a time.
 
 Columns of a two-dimensional array of an NPZ or HDF5 file are `NAME[0]`, `NAME[1]` and so on. Rows are counted from 1, after the header.
 """
@@ -7,8 +7,8 @@ Columns of a two-dimensional array of an NPZ or HDF5 file are `NAME[0]`, `NAME[1
 import csv
 import io
 import re
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -20,7 +20,6 @@ import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from foretouch.cloud.io.files import read_arrays
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError, MissingDependencyError, none_of, quoted, shown
 from foretouch.files import open_regular, read_bytes
@@ -28,11 +27,10 @@ from foretouch.types import AnyArray
 
 _BLOCK: Final = 1 << 20  # bytes of a CSV file
 _ROWS: Final = 16_384  # of a block of other files
-_WHOLE: Final = 100_000_000  # bytes of a file whose lines are joined
-_MOST_CELLS: Final = 100_000_000  # of a table
+_WHOLE: Final = 100_000_000  # bytes of a file whose lines are joined, and of an array in an NPZ file
 _SEPARATORS: Final = {"tab": "\t", "space": " "}
 _Reader = Callable[[Path, list[str]], Iterator[dict[str, AnyArray]]]
-_FAULTS: Final = (pa.ArrowException, OSError, ValueError, KeyError, TypeError)
+_FAULTS: Final = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,28 +60,26 @@ def expanded(columns: tuple[str, ...]) -> list[str]:
     return found
 
 
-def read_table(path: Path, table: TableConfig, wanted: Mapping[str, pa.DataType]) -> dict[str, AnyArray]:
-    """Some columns by name, (n,) each of its type; numbers that are missing are NaN.
+def read_blocks(path: Path, table: TableConfig, wanted: Mapping[str, pa.DataType]) -> Iterator[dict[str, AnyArray]]:
+    """Blocks of some columns by name, (n,) each of its type; numbers that are missing are NaN.
 
     Raises:
-        FileError: If a column is missing or occurs twice, a cell is no number, a row is of another length, or the file is empty,
-            damaged, or has too many cells to be held in memory; names file, row and column.
+        FileError: If a column is missing or occurs twice, a cell is no number, a row is of another length, or the file is empty
+            or damaged; names file, row and column.
     """
-    suffix, count, blocks = path.suffix.lower(), 0, []
+    suffix, count = path.suffix.lower(), 0
     read = _parquet if suffix == ".parquet" else _arrays if suffix in (".npz", ".h5", ".hdf5") else None
     try:
         for found in _csv(path, table, wanted) if read is None else _numbered(path, read, wanted):
-            blocks.append([one.cast(kind).to_numpy(False) for one, kind in zip(found, wanted.values(), strict=True)])
-            count += len(blocks[-1][0])
-            if count * len(wanted) > _MOST_CELLS:
-                raise FileError(path, f"more than {_MOST_CELLS} cells are used: split the file", field=f"row {count}")
+            block = [one.cast(kind).to_numpy(False) for one, kind in zip(found, wanted.values(), strict=True)]
+            yield dict(zip(wanted, block, strict=True))
+            count += len(block[0])
     except FileError:
         raise
     except _FAULTS as err:
         raise _located(path, table, str(err)) from err
     if not count:
         raise FileError(path, "holds no rows")
-    return dict(zip(wanted, map(np.concatenate, zip(*blocks, strict=True)), strict=True))
 
 
 def _located(path: Path, table: TableConfig, text: str) -> FileError:
@@ -180,7 +176,7 @@ def _array_of(path: Path, name: str, column: Any, rows: int) -> AnyArray:
 
 def _arrays(path: Path, names: list[str]) -> Iterator[dict[str, AnyArray]]:
     """Of NPZ and HDF5 files."""
-    with _opened(path, names) as file:
+    with _opened(path) as file:
         _require(path, list(file), names)
         arrays = {name: file[name] for name in names}
         if alone := next((name for name, one in arrays.items() if not one.shape), None):
@@ -190,9 +186,12 @@ def _arrays(path: Path, names: list[str]) -> Iterator[dict[str, AnyArray]]:
             yield {name: one.astype(str) if one.dtype.kind in "OS" else one for name, one in block.items()}
 
 
-def _opened(path: Path, names: list[str]) -> Any:
+def _opened(path: Path) -> Any:
     if path.suffix.lower() == ".npz":
-        return nullcontext(read_arrays(path, names))
+        with zipfile.ZipFile(path) as archive:
+            if large := next((one for one in archive.infolist() if one.file_size > _WHOLE), None):
+                raise FileError(path, f"has more than {_WHOLE} bytes: use Parquet", field=large.filename)
+        return np.load(path, allow_pickle=False)
     try:
         import h5py  # type: ignore[import-untyped, import-not-found, unused-ignore]
     except ImportError as err:
