@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import new_figure, save
@@ -92,7 +92,7 @@ def save_touch_picture(
             title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
             panel.set_title(title, color=_FINGER_COLOURS[finger], fontsize=10)
     if scale.drawn is not None:
-        scale.add_to(below, None)
+        scale.add_to(below)
     return save(figure, Path(path), dpi=100)
 
 
@@ -121,11 +121,11 @@ def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor: Sensor = BIOTAC_SP) -> Path:
-    """Write one PNG with the contacts and the readings of samples, a row each, as `save_touch_picture` draws them."""
+    """Write one PNG with the readings of samples, and the contacts where there is a cloud, a row each, as `save_touch_picture` does."""
     rows = [
         DrawnGrasp(
             prediction=TouchPrediction(one.grasp, None),
-            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)),
+            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)) if one.cloud.size else None,
             rest=one.tare,
             read=one.touch,
             title=one.id,
@@ -188,16 +188,13 @@ class TaxelScale:
         axes.set(xticks=[], yticks=[])
         axes.margins(0.15)
 
-    def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
-        """Add the bar of colours below some axes, or alone to a figure without any."""
+    def add_to(self, figure: SubFigure) -> None:
+        """Add the bar of colours to a figure without axes."""
         what = self.view.label(from_rest=self._tared)
         rings = "; ringed: outside of its 90 % interval" * self._ringed
         dead = "; hollow: dead" * bool(self.view.sensor.dead)
         label = f"{what}\nseen from outside, unrolled; up: towards the tip{rings}{dead}"
-        own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
-        if axes is None:
-            own = {"cax": figure.subplots(), "orientation": "horizontal"}
-        figure.colorbar(self.drawn, label=label, **own)
+        figure.colorbar(self.drawn, label=label, cax=figure.subplots(), orientation="horizontal")
 
 
 def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> None:
