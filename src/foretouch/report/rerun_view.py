@@ -39,6 +39,7 @@ _CURVES: Final = {
     "read": ("read", (90, 140, 255), 3.0),
 }  # label, colour and width
 _MAX_POINTS: Final = 60_000  # of a cloud; more make a file large and the view no better
+_SHOWN: Final = ("/scene/cloud", "/scene/objects", "/scene/table", "/scene/candidates", "/taxels")  # in some steps
 _AXIS_M: Final = 0.06
 _TABLE_MARGIN_M: Final = 0.05  # around what was seen
 
@@ -109,7 +110,9 @@ class _Writer:
         self._to.log("/scene", rr.ViewCoordinates.RDF, static=True)
         for number, step in enumerate(steps):
             self._begin(number, step)
-            for path in ("/scene", "/taxels"):  # of the step before
+            fingers = list(map(_path, self._view.fingers))
+            moved = [f"{one}/taxels" for one in fingers] if step.grasp else ["/scene/hand", *fingers]
+            for path in (*_SHOWN, *moved):  # of the step before; a pose that is cleared and set at once is lost
                 self._to.log(path, rr.Clear(recursive=True))
             self._scene(step)
             if step.grasp is not None:
