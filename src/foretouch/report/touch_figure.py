@@ -38,7 +38,7 @@ class DrawnGrasp:
 
     prediction: TouchPrediction  # a refused one is drawn without its taxels
     target: FoundObject | None = None  # the object; None draws neither scene nor contacts
-    scene: Cloud | None = None  # the whole cloud; None if there is only the object
+    scene: Cloud | None = None  # the whole cloud, drawn if it is organised; None if there is only the object
     rest: Touch | None = None  # reading without contact; taxels are then coloured by their change from it
     read: Touch | None = None  # reading of the executed grasp
     title: str = ""
@@ -198,33 +198,30 @@ class TaxelScale:
 
 
 def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> None:
-    """Draw the scene from the camera, coloured by depth, with the outline of the target.
-
-    An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
-    """
-    if scene.organised and target.pixels is not None and target.image_shape is not None:
-        depth = scene.xyz[..., 2]
-        rows, columns = np.divmod(target.pixels, target.image_shape[1])
-        near, far = float(target.cloud.xyz[:, 2].min()), float(np.nanpercentile(depth, 99.9))
-        # Over less than 0.1 m, noise on a table would be all there is to see.
-        axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - 0.1), vmax=far)
-        inside = np.zeros(depth.shape)
-        inside[rows, columns] = 1.0
-        axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)
-        box = {"boxstyle": "round", "facecolor": "#202020", "edgecolor": _TARGET_COLOUR}
-        style: dict[str, Any] = {"textcoords": "offset points", "color": "white", "fontsize": 9, "ha": "center"}
-        axes.annotate(f"object {target.id}", (float(columns.mean()), float(rows.min())), (0, 8), bbox=box, **style)
-        axes.set(xlim=_around(columns, depth.shape[1]), ylim=_around(rows, depth.shape[0])[::-1], xticks=[], yticks=[])
-        axes.set_title(title, fontsize=10)
-    else:
-        points = _finite_subset(scene)
-        axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="cividis_r", linewidths=0)
-        _as_image(axes, title)
+    """Draw an organised scene as a depth image, with the outline of the target; of others there is no more than the object."""
+    if not scene.organised or target.pixels is None or target.image_shape is None:
+        axes.set_axis_off()
+        return
+    depth = scene.xyz[..., 2]
+    rows, columns = np.divmod(target.pixels, target.image_shape[1])
+    near, far = float(target.cloud.xyz[:, 2].min()), float(np.nanpercentile(depth, 99.9))
+    # Over less than 0.1 m, noise on a table would be all there is to see.
+    axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - 0.1), vmax=far)
+    inside = np.zeros(depth.shape)
+    inside[rows, columns] = 1.0
+    axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)
+    box = {"boxstyle": "round", "facecolor": "#202020", "edgecolor": _TARGET_COLOUR}
+    style: dict[str, Any] = {"textcoords": "offset points", "color": "white", "fontsize": 9, "ha": "center"}
+    axes.annotate(f"object {target.id}", (float(columns.mean()), float(rows.min())), (0, 8), bbox=box, **style)
+    axes.set(xlim=_around(columns, depth.shape[1]), ylim=_around(rows, depth.shape[0])[::-1], xticks=[], yticks=[])
+    axes.set_title(title, fontsize=10)
 
 
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
-    points = _finite_subset(target)
+    points = target.xyz.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)
     if not len(points):
         axes.set_axis_off()
         return
@@ -240,7 +237,13 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str])
         place, va = (0.97, "top") if k == upper else (0.03, "bottom")
         axes.text(0.5, place, name, va=va, color=colour, **style)  # within the axes, wherever the contact is
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
-    _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
+    axes.set_aspect("equal")
+    axes.invert_yaxis()
+    axes.set_xlabel("x [m]", fontsize=8)
+    axes.set_ylabel("y [m]", fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.locator_params(nbins=3)
+    axes.set_title(f"grasp, {1e3 * grasp.width_m:.0f} mm wide", fontsize=10)
 
 
 def _around(places: Any, size: int) -> tuple[float, float]:
@@ -248,20 +251,3 @@ def _around(places: Any, size: int) -> tuple[float, float]:
     low, high = float(places.min()), float(places.max())
     margin = 2.0 * (high - low)
     return max(low - margin, 0.0), min(high + margin, size - 1.0)
-
-
-def _finite_subset(cloud: Cloud) -> Float64:
-    points = cloud.xyz.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    step = max(1, len(points) // _MAX_POINTS)
-    return points[::step].astype(np.float64)
-
-
-def _as_image(axes: Axes, title: str) -> None:
-    axes.set_aspect("equal")
-    axes.invert_yaxis()
-    axes.set_xlabel("x [m]", fontsize=8)
-    axes.set_ylabel("y [m]", fontsize=8)
-    axes.tick_params(labelsize=8)
-    axes.locator_params(nbins=3)
-    axes.set_title(title, fontsize=10)
