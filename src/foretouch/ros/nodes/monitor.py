@@ -35,15 +35,6 @@ from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
 
-@dataclass(frozen=True)
-class NodeView:
-    """The last report of one node: level, one line, and its numbers by name."""
-
-    level: int
-    message: str
-    values: dict[str, str]
-
-
 @dataclass
 class View:
     """State of the graph at one moment."""
@@ -53,7 +44,9 @@ class View:
     reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
     last: TouchPredictionArray | None = None  # the last array
     executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
-    nodes: dict[str, NodeView] = field(default_factory=dict)  # last diagnostics by node name
+    nodes: dict[str, tuple[int, str, dict[str, str]]] = field(
+        default_factory=dict
+    )  # last level, line and numbers by node name
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,9 +200,7 @@ class MonitorNode(GuardedCallbacks, Node):
         with self._lock:
             for status in message.status:
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                self._view.nodes[status.name] = NodeView(
-                    level, status.message, {pair.key: pair.value for pair in status.values}
-                )
+                self._view.nodes[status.name] = level, status.message, {one.key: one.value for one in status.values}
 
     def _keep(self, kept: OrderedDict[int, PointCloud2], message: PointCloud2) -> None:
         with self._lock:
