@@ -15,12 +15,10 @@ import numpy as np
 from foretouch.errors import ConfigError, TactileError, shown
 from foretouch.tactile.description import STAMP_UNITS, FingerConfig, Sensor
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.layout import nearest_valid
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Bool, Float64, Index
+from foretouch.types import Bool, Float64
 
 _FLOAT32 = float(np.finfo(np.float32).max)
-_KEPT = 64  # sets of valid taxels whose neighbours are kept
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
@@ -63,7 +61,6 @@ class SensorReader:
         self._stamp = FieldPath(config.source.stamp)
         self._predicted_scalars = np.array([one.predicted for one in config.scalars], np.bool_)
         self._predicted_values = np.array([one.predicted for one in config.values], np.bool_)
-        self._nearest: dict[bytes, list[tuple[int, Index]]] = {}  # valid taxels of each invalid one, by those that are
 
     def read(self, message: Any) -> TactileReading:
         """Decode a message; values of a finger that was not read are NaN.
@@ -90,19 +87,10 @@ class SensorReader:
             if 2 * np.count_nonzero(usable) <= len(usable):
                 sent[row], touched[row] = np.nan, np.nan
             elif not usable.all():
-                for index, nearest in self._nearest_of(usable):
-                    sent[row, index] = sent[row, nearest].mean(axis=0, dtype=np.float64)
+                self.sensor.layout.fill(sent[row], usable)
         counts = np.concatenate([touched.T.ravel(), sent[..., self._predicted_values].transpose(2, 0, 1).ravel()])
         reasons = {reason: count for reason, count in invalid.items() if count}
         return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), reasons)
-
-    def _nearest_of(self, valid: Bool) -> list[tuple[int, Index]]:
-        key = valid.tobytes()
-        if key not in self._nearest:
-            if len(self._nearest) == _KEPT:
-                self._nearest.clear()
-            self._nearest[key] = nearest_valid(self.sensor.layout.positions, valid)
-        return self._nearest[key]
 
     def _read_finger(
         self, finger: FingerConfig, content: Any, values: Float64, scalars: Float64, valid: Bool, invalid: Counter[str]
