@@ -8,9 +8,9 @@ import threading
 import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -49,14 +49,8 @@ class View:
     )  # last level, line and numbers by node name
 
 
-@dataclass(frozen=True, eq=False)
-class Drawable:
-    """A prediction with its input."""
-
-    scene: Cloud | None  # the whole cloud, if it was received
-    target: FoundObject  # the object
-    prediction: TouchPrediction  # the prediction
-    readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
+Drawable: TypeAlias = tuple[Cloud | None, FoundObject, TouchPrediction, TouchCut | None]
+"""The whole cloud, if it was received; the object; its prediction; and the readings of the grasp, if it was executed."""
 
 
 def _is_unfamiliar(prediction: TouchPrediction) -> bool:
@@ -112,8 +106,8 @@ class MonitorNode(GuardedCallbacks, Node):
         """A copy of the state."""
         with self._lock:
             view = self._view
-            counts = Counter(view.answers), Counter(view.reasons)
-            return View(view.sensor, *counts, view.last, view.executed, dict(view.nodes))
+            counts = {"answers": Counter(view.answers), "reasons": Counter(view.reasons)}
+            return replace(view, **counts, nodes=dict(view.nodes))
 
     def close_view(self) -> View:
         """The state at the end: later answers are neither counted nor passed on."""
@@ -151,8 +145,8 @@ class MonitorNode(GuardedCallbacks, Node):
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
-        drawables = (Drawable(scene, one, prediction, readings) for one in found)
-        return next((one for one in drawables if one.target.id == prediction.grasp.object_id), None)
+        wanted = (one for one in found if one.id == prediction.grasp.object_id)
+        return next(((scene, one, prediction, readings) for one in wanted), None)
 
     def _receive_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
