@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedReader, FileIO
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
@@ -75,7 +75,7 @@ def open_regular(path: str | Path) -> BufferedReader:
     Raises:
         FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name.
     """
-    return os.fdopen(_descriptor(path, os.O_RDONLY), "rb", _AHEAD)
+    return BufferedReader(FileIO(_descriptor(path, os.O_RDONLY)), _AHEAD)
 
 
 def open_own(path: Path, flags: int) -> int:
@@ -244,9 +244,7 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
     """
     with open_regular(path) as file, _named(path):
         size = os.fstat(file.fileno()).st_size
-        content: bytes | None = b"" if limit is not None and size > limit else file.read()
-    if content is None:  # some of the kernel's wait
-        raise FileError(path, "has no content now")
+        content = b"" if limit is not None and size > limit else file.read() or b""  # None of the kernel's that wait
     if limit is not None and (size := max(size, len(content))) > limit:  # those of the kernel have no size before
         raise FileError(path, f"{size} bytes exceed {limit}", field="size")
     return content

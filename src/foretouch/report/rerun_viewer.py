@@ -42,8 +42,8 @@ def save_screenshot(recording: Path, path: Path) -> None:
             viewer.kill()
             viewer.wait()
         if not drawn.is_file():
-            output = printed.read_text(encoding="utf-8", errors="replace")
-            if any(text in output for text in _NO_GRAPHICS):
+            said = printed.read_text(encoding="utf-8", errors="replace")
+            if any(text in said for text in _NO_GRAPHICS):
                 raise MissingDependencyError(
                     "--screenshot: Rerun finds no graphics driver (Vulkan): apt install libvulkan1 mesa-vulkan-drivers"
                 )

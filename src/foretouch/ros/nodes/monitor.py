@@ -6,7 +6,7 @@ Its callbacks only store, under a lock; `view` gives a copy.
 
 import threading
 import time
-from collections import Counter, OrderedDict, deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -80,10 +80,10 @@ class MonitorNode(GuardedCallbacks, Node):
         self._view = View(sensor)
         self._on_touch, self._count = on_touch, count
         self._closed = False
-        self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._kept = 8 if hand is None else 32  # clouds: enough to find that of an answer, or of an executed grasp
-        self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
+        kept = 8 if hand is None else 32  # enough to find the cloud of an answer, or of an executed grasp
+        self._scenes: deque[PointCloud2] = deque(maxlen=kept)
+        self._objects: deque[PointCloud2] = deque(maxlen=kept)
+        self._drawable: deque[TouchPredictionArray] = deque(maxlen=kept)
         # The last by whether the model does not know the object, and whether it was touched before.
         self._executed: dict[tuple[bool, bool], Drawable] = {}
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(hand or TactileConfig()))
@@ -97,17 +97,15 @@ class MonitorNode(GuardedCallbacks, Node):
             self.create_subscription(ExecutedGrasp, EXECUTED_TOPIC, partial(self._assemble, "executed"), reliable)
             self.create_subscription(PointCloud2, CLOUD_TOPIC, self._receive_cloud, qos_profile_sensor_data, raw=True)
         if with_clouds:
-            for topic, kept in (("points", self._scenes), (CLOUD_TOPIC, self._objects)):
-                self.create_subscription(
-                    PointCloud2, topic, lambda message, kept=kept: self._keep(kept, message), qos_profile_sensor_data
-                )
+            for topic, clouds in (("points", self._scenes), (CLOUD_TOPIC, self._objects)):
+                self.create_subscription(PointCloud2, topic, partial(self._keep, clouds), qos_profile_sensor_data)
 
     def view(self) -> View:
         """A copy of the state."""
         with self._lock:
             view = self._view
-            counts = {"answers": Counter(view.answers), "reasons": Counter(view.reasons)}
-            return replace(view, **counts, nodes=dict(view.nodes))
+            answers, reasons = Counter(view.answers), Counter(view.reasons)
+            return replace(view, answers=answers, reasons=reasons, nodes=dict(view.nodes))
 
     def close_view(self) -> View:
         """The state at the end: later answers are neither counted nor passed on."""
@@ -137,7 +135,10 @@ class MonitorNode(GuardedCallbacks, Node):
         """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
-            scene_message, object_message = self._scenes.get(stamp), self._objects.get(stamp)
+            scene_message, object_message = (
+                next((one for one in reversed(clouds) if stamp_ns(one.header.stamp) == stamp), None)
+                for clouds in (self._scenes, self._objects)
+            )
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
@@ -196,8 +197,6 @@ class MonitorNode(GuardedCallbacks, Node):
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
                 self._view.nodes[status.name] = level, status.message, {one.key: one.value for one in status.values}
 
-    def _keep(self, kept: OrderedDict[int, PointCloud2], message: PointCloud2) -> None:
+    def _keep(self, clouds: deque[PointCloud2], message: PointCloud2) -> None:
         with self._lock:
-            kept[stamp_ns(message.header.stamp)] = message
-            while len(kept) > self._kept:
-                kept.popitem(last=False)
+            clouds.append(message)
