@@ -123,7 +123,7 @@ def test_a_session_is_whole_with_objects_the_last_grasp_dead_sensors_and_keys() 
         grasps={"cup": {"success": 40, "dropped": 2}, "can": {"success": 70, "failure": 16}, "sponge": {}},
     )
     session = SessionStatus(operator=state, last=(message(**BOUNDS), READINGS))
-    lines = RecordingKeys(lambda action, text: None).lines(Reply("success", True, 1.0))
+    lines = RecordingKeys(lambda action, text: None).lines(Reply("success", True))
     panel = record_panel(status, "foretouch record (Ctrl-C ends it)", session, lines)
     words = screen(panel, 80)
     assert {"117", "dropped:", "819", "paused,", "full", "frozen:", "no", "can/000128"} <= words
@@ -144,7 +144,7 @@ def test_keys_act_ask_and_quit_only_when_asked_twice() -> None:
         done.append((action, text))
 
     keys = RecordingKeys(act)
-    said = lambda: [str(line) for line in keys.lines(Reply("done", True, 1.0))]  # noqa: E731
+    said = lambda: [str(line) for line in keys.lines(Reply("done", True))]  # noqa: E731
     assert said()[1] == "[o]bject [s]uccess [f]ailure [d]rop [r]elabel [n]ote [p]ause [u]ndo [q]uit"
     keys.press("ocuX\x7fp\nsd")
     assert done == [("object", "cup"), ("success", "")]

@@ -100,7 +100,7 @@ class RecordingKeys:
         if self._typing is not None:
             action, text = self._typing
             return [Text(f"{KEYS[action[0]][1]}: {text}▏", "bold"), Text("Enter: done  Esc: cancel", "dim")]
-        text, done = ("no key was pressed yet", True) if latest is None else latest[:2]
+        text, done = ("no key was pressed yet", True) if latest is None else latest
         if self._asked:
             text, done = "press q again to end the recording, or any other key", True
         names = [*(action for action, _ in KEYS.values()), "quit"]

@@ -124,7 +124,7 @@ class ClutterConfig(RangedSettings):
 
     count: int = setting(4, "Number of other objects", bounds=(1, 20))
     distance_m: tuple[float, ...] = setting(
-        (0.1, 0.25), "Distance between the axes of object and clutter, low and high", maximum=10.0
+        (0.1, 0.25), "Distance between the axes of object and clutter, low and high", bounds=(None, 10.0)
     )
     touching: Switch | None = None
 
