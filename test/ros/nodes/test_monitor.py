@@ -73,4 +73,4 @@ def test_the_last_answers_on_known_and_on_unfamiliar_objects_can_be_drawn(graph,
         grasp = Grasp(id=str(k), object_id=targets[0].id)
         one = TouchPrediction(header=message.header, grasp=grasp, status=Status.OK, flags=flags)
         answers.publish(TouchPredictionArray(header=message.header, predictions=[one]))
-    graph.until(lambda: [one.prediction.grasp.id for one in node.last_drawables()] == ["3", "2"])
+    graph.until(lambda: [one.grasp.id for _, _, one, _ in node.last_drawables()] == ["3", "2"])
