@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from foretouch.errors import ConfigError, TactileError, shown
-from foretouch.tactile.description import STAMP_UNITS, FingerConfig, Sensor
+from foretouch.tactile.description import STAMP_UNITS, Sensor
 from foretouch.tactile.field_path import FieldPath
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
 from foretouch.types import Bool, Float64
@@ -54,10 +54,16 @@ class SensorReader:
     def __init__(self, sensor: Sensor, fingers: Sequence[str] = ()) -> None:
         config = sensor.config
         self.sensor = sensor
-        self._fingers = [(one, FieldPath(one.field)) for one in config.chosen_fingers(fingers)]
-        self._values = [(FieldPath(one.field), *np.clip(one.limits, -_FLOAT32, _FLOAT32)) for one in config.values]
-        self._scalars = [(FieldPath(one.field), *one.limits) for one in config.scalars]
-        self._marks = [one.name in config.source.invalid for one in config.scalars]
+        self._fingers = [
+            (one.name, FieldPath(one.field), np.isin(np.arange(sensor.size), one.dead))
+            for one in config.chosen_fingers(fingers)
+        ]
+        self._values, self._scalars = (
+            [FieldPath(one.field) for one in part] for part in (config.values, config.scalars)
+        )
+        self._range = np.clip([one.limits for one in config.values], -_FLOAT32, _FLOAT32).T
+        self._marks = np.array([one.name in config.source.invalid for one in config.scalars], np.bool_)
+        self._mark_range = np.array([one.limits for one in config.scalars]).reshape(-1, 2).T
         self._stamp = FieldPath(config.source.stamp)
         self._predicted_scalars = np.array([one.predicted for one in config.scalars], np.bool_)
         self._predicted_values = np.array([one.predicted for one in config.values], np.bool_)
@@ -72,11 +78,19 @@ class SensorReader:
         values = np.full((*size, len(self._values)), np.nan)
         scalars, valid = np.full((size[0], len(self._scalars)), np.nan), np.zeros(size, np.bool_)
         invalid: Counter[str] = Counter()
-        for number, (finger, path) in enumerate(self._fingers):
+        for number, (finger, path, dead) in enumerate(self._fingers):
             try:
-                self._read_finger(finger, path.get(message), values[number], scalars[number], valid[number], invalid)
+                content = path.get(message)
+                scalars[number] = [_numbers(one, content, 1)[0] for one in self._scalars]
+                if (self._marks & ~_within(scalars[number], self._mark_range)).any():
+                    invalid["not_read"] += size[1]
+                    continue
+                values[number] = np.transpose([_numbers(one, content, size[1]) for one in self._values])
             except TactileError as err:
-                raise TactileError(f"{self.sensor.config.name}: {finger.name}: {err}") from err
+                raise TactileError(f"{self.sensor.config.name}: {finger}: {err}") from err
+            inside = _within(values[number], self._range).all(axis=1)
+            valid[number] = inside & ~dead
+            invalid.update(dead=int(dead.sum()), out_of_range=int((~inside & ~dead).sum()))
         stamp = self._stamp_ns(message)
         with np.errstate(over="ignore"):  # what exceeds float32 is not valid
             sent, numbers = values.astype(np.float32), scalars.astype(np.float32)
@@ -92,25 +106,6 @@ class SensorReader:
         reasons = {reason: count for reason, count in invalid.items() if count}
         return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), reasons)
 
-    def _read_finger(
-        self, finger: FingerConfig, content: Any, values: Float64, scalars: Float64, valid: Bool, invalid: Counter[str]
-    ) -> None:
-        marked = False
-        for column, (path, low, high) in enumerate(self._scalars):
-            (value,) = _numbers(path, content, 1)
-            scalars[column] = value
-            marked |= self._marks[column] and not low <= value <= high  # NaN is not either
-        if marked:
-            invalid["not_read"] += len(valid)
-            return
-        inside = np.ones(len(valid), np.bool_)
-        for column, (path, low, high) in enumerate(self._values):
-            values[:, column] = _numbers(path, content, len(valid))
-            inside &= (low <= values[:, column]) & (values[:, column] <= high)
-        dead = np.isin(np.arange(len(valid)), finger.dead)
-        valid[:] = inside & ~dead
-        invalid.update(dead=int(dead.sum()), out_of_range=int((~inside & ~dead).sum()))
-
     def _stamp_ns(self, message: Any) -> int | None:
         if not self._stamp.text:
             return None
@@ -124,6 +119,10 @@ class SensorReader:
             raise TactileError(f"{self._stamp.text}: {shown(found)} is not a time")
         whole = int(found // 1)
         return whole * unit_ns + round(float(found - whole) * unit_ns)
+
+
+def _within(values: Float64, limits: Float64) -> Bool:
+    return np.asarray((values >= limits[0]) & (values <= limits[1]), np.bool_)  # NaN is not
 
 
 def _numbers(path: FieldPath, content: Any, count: int) -> Float64:
