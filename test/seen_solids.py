@@ -7,7 +7,7 @@ import numpy as np
 
 from foretouch.types import Cloud, Float64, Plane
 from foretouch_lab.simulation.depth_scene import CameraView
-from foretouch_lab.simulation.solids import Box, Cylinder, Primitive, Sphere
+from foretouch_lab.simulation.solids import Primitive
 from foretouch_lab.simulation.solids import about_z as about_vertical
 
 # Of a D415 at 640 x 480 [pixels]; no solid is symmetric about the pixel where its axis meets the image.
@@ -53,7 +53,8 @@ class Camera(CameraView):
 
     def see(self, solid: Solid, *, at: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Cloud:
         """(H, W, 3) image of the solid alone, moved and turned about the vertical; NaN where it is not seen."""
-        body = replace(solid.body, rotation=about_vertical(yaw)).moved(np.array([*at, 0.0]))
+        position = solid.body.position + np.array([*at, 0.0])
+        body = replace(solid.body, rotation=about_vertical(yaw), position=position)
         rays = self.directions()
         depth = body.cast(self.eye, rays)
         depth[~np.isfinite(depth)] = np.nan
@@ -66,14 +67,16 @@ def _standing(height_m: float) -> Float64:
 
 def box(x: float, y: float, z: float) -> Solid:
     """A box with these edges [m]."""
-    return Solid(Box(position=_standing(z), size=np.array([x, y, z])), z)
+    return Solid(Primitive("box", np.array([x, y, z]), _standing(z)), z)
 
 
 def can(radius_m: float, height_m: float) -> Solid:
     """An upright cylinder."""
-    return Solid(Cylinder(position=_standing(height_m), radius=radius_m, height=height_m), height_m)
+    return Solid(
+        Primitive("cylinder", np.array([2.0 * radius_m, 2.0 * radius_m, height_m]), _standing(height_m)), height_m
+    )
 
 
 def ball(radius_m: float) -> Solid:
     """A ball that touches the table."""
-    return Solid(Sphere(position=_standing(2.0 * radius_m), radius=radius_m), 2.0 * radius_m)
+    return Solid(Primitive("ball", np.full(3, 2.0 * radius_m), _standing(2.0 * radius_m)), 2.0 * radius_m)

@@ -10,7 +10,7 @@ from foretouch.types import GraspSample
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine, SampleState
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.simulate import SAMPLE_KEYS, Simulation
+from foretouch_lab.simulation.simulate import Simulation
 from foretouch_lab.simulation.world import SampleKey
 
 CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
@@ -18,7 +18,7 @@ SPONGE = {"name": "sponge", "shape": "sponge", "size_m": [0.07, 0.11, 0.05], "yo
 SHORT = {"course__rest_s": 0.2, "course__approach_s": 0.1, "course__close_s": 0.1, "course__hold_s": 0.2}
 """Parameters of the hand node, for grasps that take less than a second."""
 EVERY_CAMERA_FAULT = {"z_step_m": 0.001, "noise": {}, "stereo": {}, "flying_pixels": {}, "holes": {}}
-EVERY_FINGER_EFFECT = {name: {} for name in ("timeline", "creep", "slip", "vibration", "drift", "noise", "scan")} | {
+EVERY_FINGER_EFFECT = {name: {} for name in ("timeline", "creep", "slip", "drift", "noise", "scan")} | {
     "dead": {"thumb": [3]}
 }
 
@@ -28,9 +28,9 @@ def scene(*objects: dict[str, Any], **groups: Any) -> SceneConfig:
     return SceneConfig.from_mapping({"objects": list(objects) or [CAN], **groups})
 
 
-def run(config: SceneConfig, *outputs: str, slot: int = 0, seed: int | None = None) -> SampleState:
-    """One sample with all its effects, as far as the outputs need them."""
-    return _engine(config, outputs or ("touch",)).run(SampleKey(config.seed if seed is None else seed, slot))
+def run(config: SceneConfig, until: str = "", *, slot: int = 0, repeat: int = 0) -> SampleState:
+    """The first try at a sample; the effects after the one with the name `until` are left out."""
+    return _engine(config, until).run(SampleKey(config.seed, slot, 0, repeat))
 
 
 def made(config: SceneConfig, count: int) -> list[GraspSample]:
@@ -38,12 +38,10 @@ def made(config: SceneConfig, count: int) -> list[GraspSample]:
     return list(Simulation(config).samples(count))
 
 
-def made_again(config: SceneConfig, key: SampleKey) -> SampleState:
-    """One attempt at a sample, with all that was known along the way."""
-    return _engine(config, SAMPLE_KEYS).run(key)
-
-
-_engine = lru_cache(maxsize=8)(lambda config, outputs: Engine(config, EFFECTS, outputs))
+@lru_cache(maxsize=8)
+def _engine(config: SceneConfig, until: str) -> Engine:
+    last = next((k for k, effect in enumerate(EFFECTS) if effect.name == until), len(EFFECTS))
+    return Engine(config, EFFECTS[: last + 1])
 
 
 def unit(vector: Any) -> Any:

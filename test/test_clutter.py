@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from benchmarks.clutter import piles
+from benchmarks.clutter import lccp, piles
 from benchmarks.clutter.metrics import score
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
-from foretouch_lab.simulation.depth_scene import CameraView
+from foretouch_lab.simulation.depth_scene import CameraView, DepthScene
+from foretouch_lab.simulation.solids import Box, Sphere
 
 
 def test_scores_of_an_example_worked_by_hand() -> None:
@@ -93,3 +94,21 @@ def test_the_same_seed_gives_the_same_piles_and_a_file_keeps_them(tmp_path: Path
         np.testing.assert_array_equal(one.labels, other.labels)
         for label in range(1, one.labels.max() + 1):
             assert np.count_nonzero(np.isfinite(one.cloud.xyz[..., 2]) & (one.labels == label)) >= piles._FEWEST_PX
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_lccp_keeps_a_box_whole_and_parts_a_ball_from_it() -> None:
+    if (program := lccp.program()) is None:
+        pytest.skip("PCL or a compiler is absent")
+    box = Box(position=np.array([0.0, 0.0, 0.05]), size=np.array([0.12, 0.12, 0.1]))
+    ball = Sphere(position=np.array([0.1, 0.0, 0.05]), radius=0.05)
+    view = CameraView.towards_table(640, 480, 0.9, np.radians(40.0))
+    images = [DepthScene(view, solids).render() for solids in ((box,), (box, ball))]
+    clusters = [(image.labels > 1).astype(np.int32) for image in images]
+    found = lccp.split([image.cloud() for image in images], clusters, program, 2)
+    for count, image, (labels, ms) in zip((1, 2), images, found, strict=True):
+        result = score(labels, np.maximum(image.labels - 1, 0))
+        assert result.n_found == count
+        assert result.f > 0.95
+        assert ms > 0.0

@@ -13,6 +13,7 @@ from benchmarks.grasp_physics import bench
 from benchmarks.grasp_physics.camera import see
 from benchmarks.grasp_physics.objects import Item, placed, read_items
 from benchmarks.grasp_physics.simulation import BESIDE, HANGS, HELD, INSIDE, LIFT, OUT, SHAKE, held
+from benchmarks.grasp_physics.surface import best_grasp
 from foretouch.errors import FileError
 from foretouch.pipeline import Pipeline
 
@@ -92,6 +93,14 @@ def test_what_holds_may_be_too_wide_or_through_the_table() -> None:
     assert held(item, pose, *across("box"), opening_m=0.05).reason == "held, too wide"
 
 
+@pytest.mark.parametrize("name", SOLIDS)
+def test_the_best_grasp_on_the_true_surface_holds_and_fits_the_hand(name: str) -> None:
+    item, pose = stood(name)
+    assert held(item, pose, *best_grasp(item, pose, 0.008, 0.8)).strict
+    larger = Item(name, tuple(part.copy().apply_scale(2.0) for part in item.parts), item.mass_kg)
+    assert best_grasp(larger, placed(larger, np.eye(4), np.zeros(2)), 0.008, 0.8) is None
+
+
 def test_an_image_of_the_box_leads_to_a_grasp_that_holds() -> None:
     item = SOLIDS["box"]
     for view in ("oblique", "above"):
@@ -104,14 +113,20 @@ def test_an_image_of_the_box_leads_to_a_grasp_that_holds() -> None:
         assert held(item, seen.pose, *seen.camera.to_world(contacts)).strict
 
 
-def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object() -> None:
-    task = bench.Task(SOLIDS["sphere"], poses=1, conditions=((8.0, 0.8), (8.0, 0.01)))
-    rows = bench.select(bench.rows_of(task), view="above")
+def test_rows_of_an_object_are_those_of_all_methods_and_are_counted_by_object(tmp_path) -> None:
+    every = list(bench.rows_of(SOLIDS["sphere"], 1, conditions=((8.0, 0.8), (8.0, 0.01))))
+    rows = bench.select(every, view="above")
     assert [(row["method"], row["friction"]) for row in rows] == [
         (name, friction) for name in bench.METHODS for friction in (0.8, 0.01)
     ]
     assert [row["held"] for row in rows if row["method"] == bench.RULE] == [True, False]
     assert len(bench.tables(rows)) == 4
+    by_method = {line["first grasp"]: line for line in bench.by_method(bench.select(rows, friction=0.8))}
+    assert [by_method[name]["above: of the best"] for name in (bench.RULE, bench.BEST)] == ["1.00", "1.00"]
+    cases = list(bench.pictured(every, [SOLIDS["sphere"]]))
+    assert len(cases) == len({row["reason"] for row in bench.select(every, friction=0.8)})
+    bench.draw(cases, tmp_path / "grasps.png")
+    assert (tmp_path / "grasps.png").stat().st_size > 10_000
 
 
 def test_a_folder_of_objects_is_read_or_refused_by_name(tmp_path) -> None:

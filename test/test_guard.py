@@ -37,7 +37,7 @@ def test_a_ratio_of_cpu_times_that_stays_low_is_measured_again_and_lost(capsys: 
     assert capsys.readouterr().out.count("measured again") == bench.AGAIN
     assert bench.guard([runner], {})  # a new case is not lost
     answers = iter((2.0, 4.0))
-    runner.measure = lambda: bench.Measured(1.0, next(answers))  # low once only
+    runner.measure = lambda: bench.Measured(next(answers), 1.0)  # low once only
     assert bench.guard([runner], {"made": 4.0})
 
 

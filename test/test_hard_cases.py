@@ -120,7 +120,7 @@ def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
     [
         learning.calibration_cases,
         pytest.param(learning.run_cases, marks=pytest.mark.slow),
-        simulation.mesh_cases,
+        simulation.contact_cases,
         simulation.sample_cases,
         pytest.param(simulation.effect_cases, marks=pytest.mark.slow),
     ],

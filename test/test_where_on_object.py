@@ -43,7 +43,7 @@ def test_rows_and_tables_are_those_of_the_cells() -> None:
     ]
     data = Grasps(samples, "0" * 64)
     assert find_experiment("benchmarks.where_on_object") is EXPERIMENT
-    settings = EXPERIMENT.resolve("smoke", {"variants": ["level", "where"]})
+    settings = EXPERIMENT.resolve("smoke", {})
     cells = EXPERIMENT.cells(settings, data)
     assert len(cells) == 6
     rows = EXPERIMENT.tabulate(

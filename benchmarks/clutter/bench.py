@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are objects that touch separated, beside clusters alone? See README.md."""
+"""Are objects that touch separated, beside PCL's local convexity and clusters alone? See README.md."""
 
 import argparse
 import hashlib
@@ -13,15 +13,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import frontier, models, physics, piles
+from benchmarks.clutter import frontier, lccp, models, physics, piles
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
+from foretouch.types import Int32
 
 HERE: Final = Path(__file__).parent
-OURS, CLUSTERS, PERFECT = "foretouch", "clusters alone", "perfect splitting of the clusters"
+OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
 _REPEATS: Final = 5
+_PEER_RUNS: Final = 3
 _COLUMNS: Final = ("precision", "recall", "f", "found", "merged", "cut")
 
 
@@ -29,15 +31,26 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
     """A row for each method over all scenes, and for each kind of scene."""
     nan, plain = float("nan"), SegmentationConfig().updated({"split.angle_deg": 180.0})  # which does not split
     found: dict[str, list[tuple[SceneScore, float, float]]] = {method: [] for method in (OURS, CLUSTERS, PERFECT)}
+    every: list[Int32] = []  # clusters of each scene
     for scene in scenes:
-        depth = np.isfinite(scene.cloud.xyz[..., 2])
-        every = (segment(scene.cloud).labels, segment(scene.cloud, plain).labels, scene.labels)
-        ours, clusters, true = (np.where(depth, labels, 0).astype(np.int32) for labels in every)
+        ours, clusters, true = (
+            _measured(scene, labels)
+            for labels in (segment(scene.cloud).labels, segment(scene.cloud, plain).labels, scene.labels)
+        )
         jobs = [partial(segment_anew, scene.cloud, config) for config in (None, plain)]  # in turn
         whole_ms, alone_ms = np.min([[cpu_ms(job, 1) for job in jobs] for _ in range(_REPEATS)], axis=0).tolist()
         found[OURS].append((score(ours, true), whole_ms, whole_ms - alone_ms))
         found[CLUSTERS].append((score(clusters, true), alone_ms, nan))
         found[PERFECT].append((score(np.where(clusters > 0, true, 0), true), nan, nan))
+        every.append(clusters)
+    if (program := lccp.program()) is None:
+        print(f"{LCCP} is left out: apt-get install libpcl-dev g++")
+    else:
+        peers = lccp.split([scene.cloud for scene in scenes], every, program, _PEER_RUNS)
+        found[LCCP] = [
+            (score(labels, _measured(scene, scene.labels)), alone_ms + ms, ms)
+            for scene, (labels, ms), (_, alone_ms, _) in zip(scenes, peers, found[CLUSTERS], strict=True)
+        ]
     kinds, rows = ["all", *dict.fromkeys(scene.kind for scene in scenes)], []
     for kind in kinds if len(kinds) > 2 else kinds[:1]:
         for method, answers in found.items():
@@ -48,6 +61,11 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
             row |= {"whole_ms": _median([ms for _, ms, _ in some]), "splitting_ms": _median([ms for *_, ms in some])}
             rows.append(row)
     return rows
+
+
+def _measured(scene: LabelledCloud, labels: Int32) -> Int32:
+    """The labels of pixels with depth, 0 elsewhere."""
+    return np.where(np.isfinite(scene.cloud.xyz[..., 2]), labels, 0).astype(np.int32)
 
 
 def _median(values: Sequence[float]) -> float | None:

@@ -172,10 +172,8 @@ def _row(rng: Rng, kind: str) -> list[Placed]:
     flat = (shapes.box, shapes.packet, shapes.can)
     makers = {"bowls": (shapes.vessel,), "balls": (shapes.ball,)}.get(kind, flat)
     models = [_one(rng, makers, "o0")]
-    models += [
-        _one(rng, makers if rng.random() < 0.6 else (*flat, shapes.vessel), f"o{k}")
-        for k in range(1, rng.integers(2, 4))
-    ]
+    mixed = (*flat, shapes.vessel)
+    models += [_one(rng, makers if rng.random() < 0.6 else mixed, f"o{k}") for k in range(1, rng.integers(2, 4))]
     turn, places = about_z(rng.uniform(0.0, 2.0 * np.pi)), [np.zeros(2)]
     for one, other in pairwise(models):
         aside = rng.uniform(-0.4, 0.4) * min(one.size[1], other.size[1])
@@ -189,10 +187,8 @@ def _row(rng: Rng, kind: str) -> list[Placed]:
             far = float(np.sqrt(far * far - aside * aside))
         places.append(places[-1] + (far + rng.uniform(0.0, 0.001), aside))
     middle = np.mean(places, axis=0)
-    return [
-        Placed(model, turn @ np.array([*(place - middle), model.size[2] / 2.0]), turn)
-        for model, place in zip(models, places, strict=True)
-    ]
+    feet = [np.array([*(place - middle), one.size[2] / 2.0]) for one, place in zip(models, places, strict=True)]
+    return [Placed(model, turn @ foot, turn) for model, foot in zip(models, feet, strict=True)]
 
 
 def behind(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
@@ -391,33 +387,26 @@ def _fill(tree: Float32, nodes: Any, node: int, at: int) -> None:
 
 
 def main() -> None:
-    """Make scenes, learn, and write the trees."""
+    """Make scenes, learn in rounds from nine tenths of them, and write the trees with their scores on the others."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, default=cache_folder() / "learn", help="folder of the scenes, made where they are not there")  # fmt: skip
     parser.add_argument("--jobs", type=int, default=2, help="processes; the result does not depend on them")
     options = parser.parse_args()
     write_scenes(options.scenes, options.jobs)
     files = sorted(path for name in SETS for path in (options.scenes / name).glob("*.npz"))
-    learn(files, options.jobs)
-
-
-def learn(files: Sequence[Path], jobs: int) -> Float32:
-    """Trees learned in rounds from nine tenths of the scenes in these files, written with their scores on the others."""
     known, new = [path for k, path in enumerate(files) if k % HELD_OUT], files[::HELD_OUT]
     trees, rows, same, piled = FIRST, [], [], []
-    for count, weight in ROUNDS:
-        with Pool(jobs) as pool:
+    with Pool(options.jobs) as pool:
+        for count, weight in ROUNDS:
             for x, y, touch in pool.imap(partial(pairs_of, trees), known, chunksize=8):
                 rows.append(x)
                 same.append(y)
                 piled.append(np.full(len(y), touch))
-        trees = learned(rows, same, [np.where(one, weight, 1.0) for one in piled], count)
-        with Pool(jobs) as pool:
+            trees = learned(rows, same, [np.where(one, weight, 1.0) for one in piled], count)
             means = summary(pool.imap(partial(score_of, trees), new, chunksize=8))
-        scores = {name: round(value, 3) for name, value in means.items()}
-        print(f"{sum(map(len, same))} pairs: {scores}", flush=True)
+            scores = {name: round(value, 3) for name, value in means.items()}
+            print(f"{sum(map(len, same))} pairs: {scores}", flush=True)
     write(trees, scores, len(known), sum(map(len, same)))
-    return trees
 
 
 def write(trees: Float32, scores: dict[str, float], scenes: int, pairs: int) -> None:

@@ -85,10 +85,8 @@ def _leaning(models: Models, rng: Rng) -> Pile:
     over = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])  # its top towards -x
     half = np.abs(over) @ model.size / 2.0
     away = float(np.linalg.norm(support.model.size[:2])) / 2.0 + half[0] + _GAP_M
-    leaning = Placed(
-        model, turn @ np.array([away, 0.0, half[2] + 0.001]), turn @ over @ about_z(np.pi / 2.0 * rng.integers(4))
-    )
-    return settle([support, leaning], _ROUGH)
+    place, rotation = np.array([away, 0.0, half[2] + 0.001]), over @ about_z(np.pi / 2.0 * rng.integers(4))
+    return settle([support, Placed(model, turn @ place, turn @ rotation)], _ROUGH)
 
 
 def _stacked(models: Models, rng: Rng) -> Pile:
@@ -176,11 +174,8 @@ def singles(models: Models, shapes: Shapes, seed: int) -> Iterator[Scene]:
     """
     for number, (name, pose) in enumerate(product(models, range(_POSES))):
         pile, rng = alone(models[name], seed, number, upright=pose % 2 == 0)
-        for view in (
-            (float(rng.uniform(25.0, 55.0)), float(rng.uniform(0.75, 1.1))),
-            (0.0, float(rng.uniform(0.75, 1.1))),
-        ):
-            yield look(pile, shapes, "single", view, SampleKey(seed, number, int(view[0] == 0.0)))
+        for k, tilt in enumerate((float(rng.uniform(25.0, 55.0)), 0.0)):
+            yield look(pile, shapes, "single", (tilt, float(rng.uniform(0.75, 1.1))), SampleKey(seed, number, k))
 
 
 def alone(model: Model, seed: int, number: int, *, upright: bool) -> tuple[Pile, Rng]:
@@ -208,9 +203,8 @@ def visible(seen: Scene) -> bool:
     """Whether enough of each object is seen, and nothing is cut off by the edge of the image."""
     depth = np.isfinite(seen.xyz[..., 2])
     inside = not seen.labels[[0, -1]].any() and not seen.labels[:, [0, -1]].any()
-    return inside and all(
-        np.count_nonzero(depth & (seen.labels == k)) >= _FEWEST_PX for k in range(1, len(seen.names) + 1)
-    )
+    sizes = np.bincount(seen.labels[depth], minlength=len(seen.names) + 1)[1:]
+    return bool(inside and sizes.min() >= _FEWEST_PX)
 
 
 def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: SampleKey) -> Scene:
@@ -230,8 +224,8 @@ def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: 
     def place(_job: Any, state: Any) -> None:
         state.bodies = bodies
 
-    effects = (Effect("pile", place, "objects", writes=("bodies",)), *FRAME_EFFECTS)
-    engine = Engine(settings, effects, ("depth", "labels"))
+    effects = (Effect("pile", place, "objects"), *FRAME_EFFECTS)
+    engine = Engine(settings, effects)
     state = engine.run(key)
     depth = np.where(np.isfinite(state.depth), state.depth, np.nan)
     xyz = (engine.world.rays * depth[..., None]) @ engine.world.view.R_world_camera

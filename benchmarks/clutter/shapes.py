@@ -87,20 +87,10 @@ def bottle(rng: Rng) -> Model:
     cap, tall = neck * rng.uniform(1.0, 1.35), rng.uniform(0.008, 0.025)
     top = body + shoulder
     bulge = (r + neck) / 2.0 + (r - neck) * rng.uniform(0.0, 0.35)
-    points = [
-        (0.93 * r, 0.0),
-        (r, 0.004),
-        (waist * r, body / 2.0),
-        (r, body),
-        (bulge, body + shoulder / 2.0),
-        (neck, top),
-    ]
-    points += [
-        (neck * rng.uniform(0.8, 1.0), top + long),
-        (cap, top + long + 0.001),
-        (cap * rng.uniform(0.8, 1.0), top + long + tall),
-    ]
-    return _squashed(rng, points)
+    end = top + long
+    radii = [0.93 * r, r, waist * r, r, bulge, neck, neck * rng.uniform(0.8, 1.0), cap, cap * rng.uniform(0.8, 1.0)]
+    heights = [0.0, 0.004, body / 2.0, body, body + shoulder / 2.0, top, end, end + 0.001, end + tall]
+    return _squashed(rng, list(zip(radii, heights, strict=True)))
 
 
 def stepped(rng: Rng) -> Model:
@@ -139,15 +129,8 @@ def drill(rng: Rng) -> Model:
     """A barrel that lies, with a chuck before it, a grip below it, and mostly a foot below the grip."""
     r, long = rng.uniform((0.02, 0.09), (0.038, 0.17))
     chuck, out = r * rng.uniform(0.35, 0.8), rng.uniform(0.02, 0.06)
-    barrel = turned(
-        [
-            (r * rng.uniform(0.6, 1.0), 0.0),
-            (r, 0.012),
-            (r, long),
-            (chuck, long + 0.012),
-            (chuck * rng.uniform(0.5, 1.0), long + out),
-        ]
-    )
+    radii = [r * rng.uniform(0.6, 1.0), r, r, chuck, chuck * rng.uniform(0.5, 1.0)]
+    barrel = turned(list(zip(radii, [0.0, 0.012, long, long + 0.012, long + out], strict=True)))
     if rng.random() < 0.4:
         barrel = [*_block(2 * r, 2 * r * rng.uniform(0.8, 1.3), long), *_shifted(_rod(chuck, out), 0, 0, long / 2)]
         barrel = _shifted(barrel, 0, 0, long / 2)
@@ -164,11 +147,10 @@ def drill(rng: Rng) -> Model:
 def hammer(rng: Rng) -> Model:
     """A head across a handle."""
     r, long = rng.uniform((0.009, 0.1), (0.02, 0.24))
-    shaft = (
-        _rod(r, long, rng.uniform(0.7, 1.2))
-        if rng.random() < 0.5
-        else _shifted(_block(2 * r, 3 * r, long), 0, 0, long / 2)
-    )
+    if rng.random() < 0.5:
+        shaft = _rod(r, long, rng.uniform(0.7, 1.2))
+    else:
+        shaft = _shifted(_block(2 * r, 3 * r, long), 0, 0, long / 2)
     head = _moved(_rod(1.0, 1.0), (1, 0, 0), np.pi / 2, (0, 0.5, 0)) if rng.random() < 0.5 else _block(2, 1, 2)
     size = rng.uniform((0.015, 0.06, 0.015), (0.035, 0.12, 0.035))
     return centred("", [*shaft, *[part * size + (0, rng.uniform(-0.3, 0.3) * size[1], long) for part in head]])
@@ -178,18 +160,13 @@ def jug(rng: Rng) -> Model:
     """A body with a large handle and mostly a spout."""
     r, tall = rng.uniform((0.04, 0.08), (0.065, 0.17))
     top = r * rng.uniform(0.5, 1.0)
-    body = turned(
-        [(0.9 * r, 0.0), (r, 0.01), (r, 0.5 * tall), (top, tall), (0.5 * top, tall + rng.uniform(0.003, 0.03))]
-    )
-    grip = handle((r + top) / 2, 0.55 * tall, min(0.4 * tall, rng.uniform(0.025, 0.055)))
-    spout = (
-        _moved(
-            _rod(0.013, rng.uniform(0.03, 0.07), 0.7), (0, 1, 0), rng.uniform(-1.3, -0.6), (-0.85 * r, 0, 0.5 * tall)
-        )
-        if rng.random() < 0.5
-        else []
-    )
-    return centred("", [*body, *grip, *spout])
+    edge = (0.5 * top, tall + rng.uniform(0.003, 0.03))
+    parts = turned([(0.9 * r, 0.0), (r, 0.01), (r, 0.5 * tall), (top, tall), edge])
+    parts += handle((r + top) / 2, 0.55 * tall, min(0.4 * tall, rng.uniform(0.025, 0.055)))
+    if rng.random() < 0.5:
+        spout = _rod(0.013, rng.uniform(0.03, 0.07), 0.7)
+        parts += _moved(spout, (0, 1, 0), rng.uniform(-1.3, -0.6), (-0.85 * r, 0, 0.5 * tall))
+    return centred("", parts)
 
 
 def bent(rng: Rng) -> Model:
@@ -210,10 +187,8 @@ def pan(rng: Rng) -> Model:
     radius, tall = rng.uniform((0.05, 0.02), (0.09, 0.05))
     wall = np.stack([np.linspace(radius, 1.1 * radius, BANDS + 1), np.linspace(0.0, tall, BANDS + 1)], axis=1)
     long = rng.uniform(0.06, 0.14)
-    return centred(
-        "",
-        [*hollow(wall, 0.004), *_shifted(_block(long, 0.022, 0.012), 1.05 * radius + long / 2 - 0.002, 0, 0.8 * tall)],
-    )
+    grip = _shifted(_block(long, 0.022, 0.012), 1.05 * radius + long / 2 - 0.002, 0, 0.8 * tall)
+    return centred("", [*hollow(wall, 0.004), *grip])
 
 
 def union(rng: Rng) -> Model:
@@ -224,9 +199,7 @@ def union(rng: Rng) -> Model:
         size = rng.uniform(0.025, 0.1, 3) * 0.8**k
         block = _block(*size, rng.uniform(0.05, 0.6))
         rod = _shifted(_rod(size[0] / 2, size[2], rng.uniform(0.4, 1.0)), 0, 0, -size[2] / 2)
-        points = 0.8 * rng.normal(
-            size=(60, 3)
-        )  # the factor keeps the solids that the trees were learned from, to the bit
+        points = 0.8 * rng.normal(size=(60, 3))  # the factor keeps the trees' solids, to the bit
         round_one = [points / np.linalg.norm(points, axis=1, keepdims=True) * size / 2]
         solid = (block, rod, round_one)[rng.integers(3)]
         turn = Rotation.random(random_state=rng).as_matrix() if rng.random() < 0.4 else np.eye(3)

@@ -34,9 +34,7 @@ class ReferenceRow:
     plane: Plane
     config: GeoGraspConfig
     counts: dict[str, int]
-    found: dict[
-        str, Float64
-    ]  # initial (2, 3), contacts (2, 3), rotation (3, 3), axis (3,), centroid (3,) [m], score (1,)
+    found: dict[str, Float64]  # initial, contacts (2, 3), rotation (3, 3), axis, centroid (3,) [m], score (1,)
     is_initial: bool
 
 

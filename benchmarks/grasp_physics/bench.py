@@ -6,7 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -15,8 +15,10 @@ import yaml
 
 from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
 from benchmarks.grasp_physics.camera import VIEWS, see
+from benchmarks.grasp_physics.figure import Case, draw
 from benchmarks.grasp_physics.objects import Item, read_items
-from benchmarks.grasp_physics.simulation import OPENING_M, Verdict, held
+from benchmarks.grasp_physics.simulation import HELD, OPENING_M, Verdict, held
+from benchmarks.grasp_physics.surface import best_grasp
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
@@ -24,8 +26,9 @@ from foretouch.types import Float64
 
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
+BEST: Final = "best on the true surface"
 OURS: Final = get_args(GraspMethod)
-METHODS: Final = (*OURS, RULE)
+METHODS: Final = (*OURS, RULE, BEST)
 DEFAULT: Final = PipelineConfig().grasp.method
 REFERENCE: Final = "original"  # whose time the others are compared with
 NO_OBJECT: Final = "no object found"
@@ -39,43 +42,47 @@ _DRAWS = 10_000
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Task:
-    """What one process does: all images of one object."""
+def rows_of(
+    item: Item,
+    poses: int = 8,
+    methods: Sequence[str] = METHODS,
+    conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),),
+    settings: Mapping[str, Any] | None = None,
+) -> Iterator[Row]:
+    """What became of the grasps on one object: "held", the kind of failure, or why there was none, and the time of the plan.
 
-    item: Item
-    poses: int = 8
-    methods: Sequence[str] = METHODS
-    conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),)  # radius of the tips [mm], friction
-    settings: Mapping[str, Any] = field(default_factory=dict)  # of the pipeline, by dotted keys
-
-    def close(self, pose: Float64, contacts: Float64 | None, one: tuple[float, float], reason: str) -> Row:
-        """What became of a grasp with contacts (2, 3) in the world: "held", the kind of failure, or why there was no grasp."""
-        verdict = Verdict(False, False, reason)
-        if contacts is not None:
-            verdict = held(self.item, pose, *contacts, one[0] * 1e-3, one[1])
-        return {"tip_mm": one[0], "friction": one[1]} | verdict._asdict()
-
-
-def rows_of(task: Task) -> list[Row]:
-    """All rows of one object."""
-    return [row for number in range(task.poses) for row in _of_pose(task, number)]
-
-
-def _of_pose(task: Task, number: int) -> Iterator[Row]:
-    """The rows of one pose."""
-    for view in VIEWS:
-        seen = see(task.item, number, view)
+    Args:
+        item: The object.
+        poses: How many of it.
+        methods: That plan.
+        conditions: Radius of the tips [mm] and friction, one or more of them.
+        settings: Of the pipeline, by dotted keys.
+    """
+    for number, view in product(range(poses), VIEWS):
+        seen = see(item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
-        for method in task.methods:
-            changes = {"grasp.method": method, **task.settings} if method in OURS else {}
-            pipeline = Pipeline(PipelineConfig().updated(changes))
-            start = time.thread_time()
-            contacts = propose(method, pipeline, targets[0]) if targets else None
-            ms, reason = (1e3 * (time.thread_time() - start), NO_GRASP) if targets else (math.nan, NO_OBJECT)
-            world = None if contacts is None else seen.camera.to_world(contacts)
-            facts = {"object": task.item.name, "pose": number, "view": view, "method": method, "ms": ms}
-            yield from (facts | task.close(seen.pose, world, one, reason) for one in task.conditions)
+        for method in methods:
+            ms, grasp, reason = math.nan, None, NO_GRASP
+            if method != BEST and not targets:
+                reason = NO_OBJECT
+            elif method != BEST:
+                pipeline, start = pipeline_of(method, settings), time.thread_time()
+                contacts = propose(method, pipeline, targets[0])
+                ms = 1e3 * (time.thread_time() - start)
+                grasp = None if contacts is None else seen.camera.to_world(contacts)
+            facts = {"object": item.name, "pose": number, "view": view, "method": method, "ms": ms}
+            for tip, friction in conditions:
+                if method == BEST:
+                    grasp = best_grasp(item, seen.pose, tip * 1e-3, friction)
+                verdict = Verdict(False, False, reason)
+                if grasp is not None:
+                    verdict = held(item, seen.pose, *grasp, tip * 1e-3, friction)
+                yield facts | {"tip_mm": tip, "friction": friction} | verdict._asdict()
+
+
+def pipeline_of(method: str, settings: Mapping[str, Any] | None) -> Pipeline:
+    """That plans by a method."""
+    return Pipeline(PipelineConfig().updated({"grasp.method": method, **(settings or {})} if method in OURS else {}))
 
 
 def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
@@ -135,13 +142,15 @@ def share(rows: Sequence[Row], what: str) -> str:
 
 
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Held and strict by view, and time beside that of the reference."""
+    """Held and strict by view, of the best on the true surface, and time beside that of the reference."""
     found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
     for (method,) in values(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
         for (view,) in values(rows, "view"):
-            mine = select(rows, method=method, view=view)
+            mine, best = (select(rows, method=name, view=view) for name in (method, BEST))
             line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
+            if any(row["held"] for row in best):
+                line[f"{view}: of the best"] = f"{mean(mine, 'held') / mean(best, 'held'):.2f}"
         times = [row["ms"] for row in select(rows, method=method)]
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
@@ -175,6 +184,22 @@ def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
     }
 
 
+def pictured(rows: Sequence[Row], items: Sequence[Item], settings: Mapping[str, Any] | None = None) -> Iterator[Case]:
+    """A grasp that holds and one of each kind of failure, planned again; of the default method and seen obliquely where there is one."""
+    tip, friction = values(rows, "tip_mm", "friction")[0]
+    planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] != BEST]
+    reasons = {row["reason"] for row in planned} - {NO_GRASP, NO_OBJECT}
+    for reason in sorted(reasons, key=lambda text: (text != HELD, HELD not in text, text)):
+        order = lambda row: (row["method"] != DEFAULT, row["method"] == RULE, row["view"] != VIEWS[0])  # noqa: E731
+        name, number, view, method, *_ = min(select(planned, reason=reason), key=order).values()
+        (item,) = (item for item in items if item.name == name)
+        seen = see(item, number, view)
+        target = Pipeline().segment(seen.cloud).targets[0]
+        contacts, points = propose(method, pipeline_of(method, settings), target), target.cloud.xyz.astype(np.float64)
+        title = f"{reason.replace(f'{HELD}, ', f'{HELD}, but ')}\n{name},\n{method}, {view}"
+        yield Case(title, item.at(seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
+
+
 def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """A table in Markdown."""
     return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
@@ -191,17 +216,17 @@ def main() -> None:
     parser.add_argument("--all", action="store_true", help="also the other tips and frictions of the table")
     parser.add_argument("--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the pipeline")
     parser.add_argument("--rows", type=Path, help="write one row for each grasp to this CSV")
-    parser.add_argument("--renew", action="store_true", help="write the committed tables")
+    parser.add_argument("--renew", action="store_true", help="write the committed tables and the picture")
     options = parser.parse_args()
     ensure_libusb()
     conditions = [(TIPS_MM[0], friction) for friction in FRICTIONS] + [(tip, FRICTIONS[0]) for tip in TIPS_MM[1:]]
     chosen = options.poses, options.methods, conditions if options.all else conditions[:1]
     settings = {name: yaml.safe_load(value) for name, _, value in (text.partition("=") for text in options.set)}
     items = read_items(options.objects or Path(options.data or "") / "ycb")
-    todo = [Task(item, *chosen, settings) for item in items if not options.only or item.name in options.only]
-    if not todo:
+    items = [item for item in items if not options.only or item.name in options.only]
+    if not items:
         parser.error(f"--only: {', '.join(options.only)}: there is no such object")
-    rows = [row for task in todo for row in rows_of(task)]
+    rows = [row for item in items for row in rows_of(item, *chosen, settings)]
     if options.rows:
         write_csv(options.rows, rows)
     found = tables(rows)
@@ -209,9 +234,10 @@ def main() -> None:
         print(f"\n{title}")
         print_rows(lines)
     if options.renew:
-        text = [f"{len(todo)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
+        text = [f"{len(items)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
         text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
+        draw(list(pictured(rows, items, settings)), HERE / "grasps.png")
 
 
 if __name__ == "__main__":

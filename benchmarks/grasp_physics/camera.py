@@ -82,7 +82,7 @@ def see(item: Item, number: int, view: str) -> Seen:
     def stand(_job: Job, state: SampleState) -> None:
         state.bodies = [body]
 
-    engine = Engine(config, (Effect("object", stand, "objects", writes=("bodies",)), *FRAME_EFFECTS), ("depth",))
+    engine = Engine(config, (Effect("object", stand, "objects"), *FRAME_EFFECTS))
     depth = to_millimetres(engine.run(SampleKey(seed, slot)).depth)
     nothing, rgb = np.zeros(depth.shape, np.int32), np.zeros((*depth.shape, 3), np.uint8)
     return Seen(item, pose, camera, DepthImage(depth, rgb, nothing, camera.matrix, camera.table_plane()).cloud())

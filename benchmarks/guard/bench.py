@@ -8,12 +8,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import math
-import statistics
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from benchmarks.common import print_rows, read_csv, write_csv
 from benchmarks.guard.cases import Case, all_cases
@@ -29,15 +30,10 @@ _CASE_S = 6.0  # CPU time after which a case ends
 
 
 class Measured(NamedTuple):
-    """CPU time of one call of both ways, the least of all turns: other load can only increase it [s]."""
+    """How many times as fast as the peer; by the least CPU time of all turns, which other load can only increase."""
 
-    ours_s: float
-    peer_s: float
-
-    @property
-    def ratio(self) -> float:
-        """How many times as fast as the peer."""
-        return self.peer_s / self.ours_s
+    ratio: float
+    ours_s: float  # of one call
 
 
 class Runner:
@@ -62,7 +58,7 @@ class Runner:
                 seconds = self._turn(self._jobs[k], self._calls[k])
                 spent += seconds * self._calls[k]
                 least[k] = min(least[k], seconds)
-        return Measured(*least)
+        return Measured(least[1] / least[0], least[0])
 
     def _turn(self, job: Callable[[], Any], calls: int) -> float:
         if self.case.own_clock:
@@ -80,16 +76,14 @@ def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> bool:
         return not best[name].ratio >= ALLOWED * committed.get(name, 0.0)
 
     best = {one.case.name: one.measure() for one in runners}
-    for _ in range(AGAIN):
-        for one in runners:
-            if lost(name := one.case.name):
-                print(f"  {name}: {best[name].ratio:.3g} of {committed[name]:.3g}, measured again", flush=True)
-                best[name] = max(best[name], one.measure(), key=lambda measured: measured.ratio)
+    for one in AGAIN * list(runners):
+        if lost(name := one.case.name):
+            print(f"  {name}: {best[name].ratio:.3g} of {committed[name]:.3g}, measured again", flush=True)
+            best[name] = max(best[name], one.measure())
     rows = []
     for one in runners:
-        measured, known = best[one.case.name], committed.get(one.case.name)
-        limits = {"committed": known, "allowed": None if known is None else ALLOWED * known}
-        found = {"CPU ms": 1e3 * measured.ours_s, "ratio now": measured.ratio, **limits, "peer": one.case.peer}
+        (ratio, ours_s), known = best[one.case.name], committed.get(one.case.name)
+        found = {"CPU ms": 1e3 * ours_s, "ratio now": ratio, "committed": known, "peer": one.case.peer}
         rows.append({"": one.case.name, **found, "is": "LOST" if lost(one.case.name) else ""})
     print_rows(rows)
     return not any(row["is"] for row in rows)
@@ -97,10 +91,9 @@ def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> bool:
 
 def renew(runners: Sequence[Runner], path: Path) -> None:
     """Write the median of several measurements, each over all cases; rows of other cases stay."""
-    every = [[one.measure() for one in runners] for _ in range(RENEWED)]
+    every = np.array([[one.measure() for one in runners] for _ in range(RENEWED)])
     rows = {row["name"]: row for row in read_csv(path)}
-    for one, found in zip(runners, zip(*every, strict=True), strict=True):
-        ratio, ours_s = (statistics.median(getattr(each, name) for each in found) for name in ("ratio", "ours_s"))
+    for one, (ratio, ours_s) in zip(runners, np.median(every, axis=0), strict=True):
         facts = {"name": one.case.name, "peer": one.case.peer, "ratio": f"{ratio:.4g}", "cpu_ms": f"{1e3 * ours_s:.4g}"}
         rows[one.case.name] = facts
     write_csv(path, [rows[case.name] for case in all_cases() if case.name in rows])

@@ -93,7 +93,7 @@ def training_step() -> Job:
 def simulator(name: str) -> Job:
     """Four samples of a scene, cloud and touch."""
     made = scene(name)
-    engine = Engine(made, EFFECTS, ("cloud", "touch"))
+    engine = Engine(made, EFFECTS)
     return lambda: [engine.run(SampleKey(made.seed, slot)) for slot in range(4)]
 
 

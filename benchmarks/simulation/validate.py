@@ -59,9 +59,9 @@ def _lag1(counts: Array) -> Array:
     return np.asarray((rest[1:] * rest[:-1]).sum(axis=0)[moving] / squares[moving])
 
 
-def states(config: SceneConfig, count: int, *outputs: str) -> Iterator[Any]:
-    """Some outputs of the first tries of the first slots, but for those that fail."""
-    engine = Engine(config, EFFECTS, outputs)
+def states(config: SceneConfig, count: int) -> Iterator[Any]:
+    """All that is known of the first tries of the first slots, but for those that fail."""
+    engine = Engine(config, EFFECTS)
     for slot in range(count):
         with suppress(SimulationError):
             yield engine.run(SampleKey(config.seed, slot))
@@ -71,7 +71,7 @@ def camera() -> Iterator[Row]:
     """Noise of planes in 10 mm patches of a flat box, and the step of depth."""
     config = scene("rigid", camera__holes=None, camera__flying_pixels=None, objects=[_FLAT])
     rng = np.random.default_rng(0)
-    clouds = [state.cloud.xyz.astype(np.float64) for state in states(config, 10, "cloud")]
+    clouds = [state.cloud.xyz.astype(np.float64) for state in states(config, 10)]
     rms = [value for cloud in clouds for value in _plane_rms(cloud, rng)]
     yield "plane-fit RMS of 10 mm patches at 1.2 m, median [mm]", 1e3 * float(np.median(rms)), 0.64, 1.05
     steps = np.unique(np.diff(np.unique(np.round(1e6 * clouds[0][:, 2]))))
@@ -94,7 +94,7 @@ def sensor() -> Iterator[Row]:
     fingers = {"timeline": {"hold_s": 3.0}, "noise": {}, "scan": {}}
     config = scene("clean", fingers=fingers)
     found = []
-    for state in states(config, 8, "series", "load"):
+    for state in states(config, 8):
         found += [np.rint(state.series[state.load == 1.0][1:, finger, 1:]) for finger in range(2)]
     noise = steady_noise(found)
     yield "electrode noise, sd [counts]", noise.sd, 3.9, 4.9
@@ -121,12 +121,12 @@ def forces(name: str, count: int) -> Iterator[Row]:
     """Balance of the fingers, and the sum of pressure against the commanded force."""
     config = scene(name, grasps__control="force")
     balance, sums = [], []
-    for state in states(config, count, "contacts", "targets", "pads"):
+    for state in states(config, count):
         thumb, middle = (
             c.pressure.sum() * (p.x[0, 1] - p.x[0, 0]) ** 2 for c, p in zip(state.contacts, state.pads, strict=True)
         )
         balance.append(abs(thumb - middle) / thumb)
-        sums.append(abs(thumb - state.targets[0]) / state.targets[0])
+        sums.append(abs(thumb - state.target) / state.target)
     yield f"{name}: imbalance of the two fingers, largest", max(balance), 0.0, 1e-3
     yield f"{name}: Σ p·A against the command, largest", max(sums), 0.0, 1e-3
 
@@ -137,8 +137,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rigid = Simulation(scene("rigid"))
     samples = list(rigid.samples(arguments.n))
-    layer_calls = rigid.timings["contact_layer"].calls
-    rows = [*camera(), *sensor(), *counts(samples), ("rigid: calls of the layer solver", layer_calls, 0, 0)]
+    rows = [*camera(), *sensor(), *counts(samples)]
     rows += [*forces("rigid", 60), *forces("deformables", 60)]
     lines = [
         {"what": what, "found": f"{found:.3g}", "must": f"{least:g} to {most:g}", "": "ok" if least <= found <= most else "no"}

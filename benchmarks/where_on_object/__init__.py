@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.config import Settings, setting
+from foretouch.config import Settings
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
@@ -34,8 +34,7 @@ from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_
 from foretouch_lab.learning.training.contact import describe_samples
 from foretouch_lab.learning.training.tracker import fit_places, fit_tracker
 
-LEVEL: Final = "level"
-VARIANTS: Final = (LEVEL, "where")
+LEVEL, WHERE = "level", "where"
 _MINUTE_NS: Final = 60 * 10**9
 REGIMES: Final[Mapping[str, tuple[int, int]]] = {"first three": (0, 2), "later": (3, 10**9)}
 """Ranges of the number of touches of the object before a grasp, both ends included, by name."""
@@ -45,7 +44,6 @@ REGIMES: Final[Mapping[str, tuple[int, int]]] = {"first three": (0, 2), "later":
 class WhereSettings(Settings):
     """Settings of the experiment."""
 
-    variants: tuple[str, ...] = setting(VARIANTS, "What stands for where on the object", choices=VARIANTS)
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
@@ -106,7 +104,7 @@ def _cells(_settings: WhereSettings, data: Grasps) -> list[Cell]:
     return [Cell(f"predict+{name}", {"object": name}) for name in names]
 
 
-def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
+def _run(cell: Cell, _settings: WhereSettings, data: Grasps) -> list[Row]:
     target, recording = cell.values["object"], recorded(data.samples)
     own = recording.objects == target
     others = recording.take(~own)
@@ -116,10 +114,8 @@ def _run(cell: Cell, settings: WhereSettings, data: Grasps) -> list[Row]:
     group = fit_group(held_out, new=True)
     level, features = fit_tracker(others, group, group), features_of(data.samples)
     reference, touches, rows = other_objects_mean(recording), recording.touches(), []
-    for name in settings.variants:
-        where, parameters = None if name == LEVEL else features, level
-        if where is not None:
-            parameters = fit_places(level, replace(others, where=where[~own]))
+    placed = fit_places(level, replace(others, where=features[~own]))
+    for name, where, parameters in ((LEVEL, None, level), (WHERE, features, placed)):
         counts = predicted(recording, where, target, parameters)
         scored, off = np.isfinite(counts).all(axis=1), counts - recording.readings
         sums = {"squared": off**2, "reference": (reference - recording.readings) ** 2}
@@ -189,7 +185,7 @@ EXPERIMENT = Experiment(
     question="What does it add to know where on the object its earlier touches were?",
     module=__name__,
     settings=WhereSettings,
-    presets={"full": {}, "quick": {}, "smoke": {"variants": [LEVEL, "where"], "bootstrap.draws": 200}},
+    presets={"full": {}, "quick": {}, "smoke": {"bootstrap.draws": 200}},
     load=_load,
     cells=_cells,
     run=_run,

@@ -25,8 +25,7 @@ def test_explain_runs_nothing_and_names_what_would_run(scene, call) -> None:
     answer = call("simulate", scene, "--explain", "--json")
     assert answer.status == 0
     effects = {e["name"]: e for e in answer.records[-1]["effects"]}
-    assert effects["contact_winkler"]["ran"]
-    assert "rigid" in effects["contact_winkler"]["reason"]
+    assert (effects["contact"]["ran"], effects["contact"]["reason"]) == (True, "fidelity")
     assert (effects["depth_noise"]["ran"], effects["depth_noise"]["reason"]) == (False, "no camera.noise")
     assert list(scene.parent.iterdir()) == [scene]
 
@@ -47,7 +46,7 @@ def test_a_data_set_is_written_whole(scene, tmp_path, call) -> None:
     effects = call("simulate", scene, "--explain", "--json").records[-1]["effects"]
     assert (int(ran), int(known)) == (sum(one["ran"] for one in effects), len(effects))
     calls = {e["name"]: e["calls"] for e in record["effects"]}
-    assert (calls["counts"], calls["contact_layer"]) == (3, 0)
+    assert (calls["counts"], calls["slip"]) == (3, 0)
     assert store.manifest["about"]["scene_sha256"] == record["scene_sha256"]
     assert store.manifest["about"]["scene"]["objects"][0]["name"] == "can"
     assert (tmp_path / "ds" / SHEET).read_bytes().startswith(b"\x89PNG")

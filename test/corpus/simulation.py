@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hard cases of the simulator, for `check_outcome`: meshes, scenes, and every effect at its bounds."""
+"""Hard cases of the simulator, for `check_outcome`: contacts, scenes, and every effect at its bounds."""
 
 import dataclasses
 import typing
@@ -9,11 +9,13 @@ from types import NoneType, UnionType
 from typing import Any
 
 import numpy as np
+from corpus.outcome import nearly
 
 from foretouch.config import Settings, setting_infos
 from foretouch.errors import ForetouchError, TactileError
 from foretouch.tactile import touch_faults
-from foretouch_lab.simulation.objects import TriangleMesh
+from foretouch_lab.simulation.contact.grip import solve_contact
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ElasticLayer
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.simulate import Simulation
 
@@ -23,29 +25,32 @@ _CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"re
 _ANY = "?"  # answered, or refused by any name
 
 
-def mesh_cases() -> Cases:
-    """Meshes that are no solids, and solids of absurd size."""
-    corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
-    sides = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
-    faces = np.array([*sides, (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)], np.int64)
-    for name, vertices, triangles, reason in (
-        ("flat", corners * [1.0, 1.0, 0.0], faces, "has no extent"),
-        ("inside out", corners, faces[:, ::-1], "encloses"),
-        ("an infinite vertex", np.where(corners > 0, np.inf, 0.0), faces, "not finite"),
-        ("no face", corners, faces[:0], "no face|no triangle"),
-        ("a negative index", corners, faces - 1, "no vertex"),
-        ("a degenerate face", corners, np.concatenate([faces, [[0, 0, 0]]]), "not shared by two faces"),
-        *((f"a size of {size:g} m", size * corners, faces, _in_unit_box) for size in (1e-9, 1e3, 1e-300, 1e150)),
-    ):
-        yield f"mesh: {name}", partial(_unit_mesh, vertices, triangles), reason
+def contact_cases() -> Cases:
+    """Contact of a pad with a surface, by both solvers."""
+    wide = "compressed by|window is wide"
+    offset = (np.arange(24) - 11.5) * 5e-4
+    lens = (offset[:, None] ** 2 + offset**2) / 0.02
+    lens -= lens.min()
+    needle, flat = np.full((24, 24), np.inf), np.zeros((24, 24))
+    needle[12, 12] = 0.0
+    for level in ("winkler", "layer"):
+        pressed = partial(_pressed, level)
+        for value in (5e-324, 1e-30):
+            yield f"contact: {level}, {value:g} N", partial(pressed, lens, force_n=value), nearly(0.0)
+        yield f"contact: {level}, out of reach", partial(pressed, lens, depth_m=-1.0), nearly(0.0)
+        yield f"contact: {level}, 1e30 N", partial(pressed, lens, force_n=1e30), wide
+        yield f"contact: {level}, 1 m deep", partial(pressed, lens, depth_m=1.0), wide
+        yield f"contact: {level}, a needle of one cell", partial(pressed, needle, force_n=0.01)
+        yield f"contact: {level}, a flat", partial(pressed, flat, force_n=0.5)
 
 
-def _unit_mesh(vertices: Any, faces: Any) -> Any:
-    return TriangleMesh(vertices, faces).in_unit_box().closed("mesh").vertices
-
-
-def _in_unit_box(vertices: Any) -> bool:
-    return bool(np.allclose(np.abs(vertices), 0.5))
+def _pressed(level: Any, gap: Any, **command: float) -> float:
+    """Force of a contact [N]; its pressure must be finite and at least 0."""
+    skin = ElasticLayer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
+    solution = solve_contact(ContactProblem(gap, 5e-4, (skin,)), Command(**command), level)
+    assert np.isfinite(solution.pressure).all()
+    assert solution.pressure.min() >= 0.0
+    return solution.force_n
 
 
 def sample_cases() -> Cases:
@@ -53,10 +58,11 @@ def sample_cases() -> Cases:
     small = "compressed by|given up|window is wide"
     for name, document, reason in (
         *((f"a can of {m:g} m", _can(size_m=[m] * 3), "size_m") for m in (1e-9, 1e-3, 1e3)),
-        ("a can wider than the hand", _can(size_m=[0.2] * 3), "the hand opens"),
-        *((f"a force of {n:g} N", _force(n), None) for n in (0.0, 1e-30)),
-        *((f"a force of {n:g} N", _force(n), "force_n") for n in (5e-324, 1e300)),
-        *((f"a depth of {m:g} m", _depth(m), small if m == 1.0 else None) for m in (0.0, 1e-12, 1.0)),
+        ("a can wider than the hand", _can(size_m=[0.2] * 3), "the hand opens|given up"),
+        ("a plate of 5 mm", _can(shape="box", size_m=[0.12, 0.12, 0.005]), _ANY),
+        *((f"a force of {n:g} N", _force(n), None) for n in (0.0, 5e-324, 1e-30)),
+        ("a force of 1e300 N", _force(1e300), "force_n"),
+        *((f"a depth of {m:g} m", _depth(m), small if m == 0.1 else None) for m in (0.0, 1e-12, 0.1)),
         ("fingers far below the object", {"grasps": {"insertion_m": 0.9}}, "closes beside"),
         ("an object out of view", _can(pose={"x_m": [5.0, 5.0]}), "outside of the view"),
         ("an object without weight", {"gravity": {}, **_can(mass_kg=0.0)}, None),
@@ -86,12 +92,10 @@ def effect_cases() -> Cases:
             document: dict[str, Any] = values
             for word in reversed(name.split(".")):
                 document = {word: document}
-            if name in ("fingers.creep", "fingers.slip", "fingers.vibration", "fingers.scan"):
+            if name in ("fingers.creep", "fingers.slip", "fingers.scan"):
                 document["fingers"]["timeline"] = {}
             if name == "gravity":
                 document |= _can(mass_kg=0.1)
-            if name == "grasps.middle":
-                document["grasps"]["balanced"] = False
             yield f"effects: {name} at its {end} values", *_scene(document, _ANY)
 
 

@@ -2,7 +2,6 @@
 """A bag of XELA's messages becomes a recording that names its sensor, and everything that is made of one."""
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from sensor_builders import XELA_TYPES, sens_stream, xela_counts, xela_stream
 from topic_builders import Faults, write_topics
 
 from foretouch.dataset.bag import Recording
-from foretouch.dataset.files import sealed
 from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import SampleRecord, readings
@@ -25,7 +23,7 @@ from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import SampleSet, export_samples, open_samples
 from foretouch.dataset.store import Store
-from foretouch.errors import DatasetError, FileError, ForetouchError, TactileError
+from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.description import load_sensor, packaged_sensor
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch_lab.dataset.store_writer import build_store
@@ -154,27 +152,3 @@ def test_what_is_not_of_the_sensor_is_refused_or_counted_by_name(tmp_path: Path)
 
 def one_finger(at_ns: int, level: int) -> tuple[str, Any]:
     return "xela_server_ros2/msg/SensStream", sens_stream(xela_counts(level)[:1], (1,), at_ns * 1e-9)
-
-
-def test_samples_of_another_sensor_than_the_manifest_states_are_refused(tmp_path: Path) -> None:
-    imported(tmp_path)
-    file = tmp_path / "ds" / "manifest.json"
-    manifest = json.loads(file.read_text())
-
-    def refused(sensor: Any, rule: str) -> None:
-        file.write_text(sealed(manifest | {"sensor": sensor}, "sha256"))
-        with pytest.raises(ForetouchError, match=rule):
-            list(open_samples(tmp_path / "ds").records())
-        try:
-            faults = [line for report in verify_dataset(tmp_path / "ds") for line in report.fault_lines()]
-        except ForetouchError as err:
-            faults = [str(err)]
-        assert re.search(rule, faults[0]), faults
-
-    values = [{**one, "range": [0, 50_000]} for one in manifest["sensor"]["values"]]
-    cases = (
-        (manifest["sensor"] | {"values": values}, rf"is of {NAME} \(.{{8}}\), and the dataset of {NAME} \("),
-        (packaged_sensor("biotac_sp").to_mapping(), rf"is of {NAME} .*, and the dataset of biotac_sp"),
-        ([1], r"manifest\.json: sensor: is not a description"),
-    )
-    every_case(cases, refused)

@@ -2,10 +2,6 @@
 """Edits change the samples that are read but never the recordings, and can be undone."""
 
 import resource
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -153,39 +149,3 @@ def test_an_edit_that_does_not_fit_on_the_disk_is_not_in_force_and_the_next_one_
         assert (log.read_bytes(), ids(dataset)) == (good, before)
     assert relabel(dataset, ["ball/000002"], "cup") == 2
     assert "cup/000002" in ids(dataset)
-
-
-EDITOR = """
-import sys
-from pathlib import Path
-from recording_builders import IDENTITY, QUICK
-from foretouch.dataset.recording.edits import Edit
-from foretouch.dataset.recording.writer import RecordingWriter
-with RecordingWriter(Path(sys.argv[1]), IDENTITY, QUICK) as writer:
-    for number in range(10**6):
-        undo = Edit(action="undo", edit=writer.edit(Edit(action="drop", ids=("ball/000001",), stamp_ns=number + 1)))
-        print("dropped", flush=True)
-        writer.edit(undo)
-        print("undone", flush=True)
-"""
-
-
-@pytest.mark.slow
-def test_an_acknowledged_edit_is_kept_after_a_kill_and_another_one_is_kept_or_not_but_never_half(
-    dataset: Path, rng
-) -> None:
-    for _ in range(12):
-        before, command = len(read_edits(dataset).edits), [sys.executable, "-c", EDITOR, str(dataset)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]) as process:
-            assert process.stdout
-            process.stdout.readline()
-            time.sleep(rng.uniform(0.0, 0.3))
-            process.send_signal(signal.SIGKILL)
-            said = ["dropped", *process.stdout.read().split()]
-        edits = read_edits(dataset).edits
-        done = [{"drop": "dropped", "undo": "undone"}[edit.action] for edit in edits[before:]]
-        assert done[: len(said)] == said
-        assert len(done) - len(said) in (0, 1), "all that was acknowledged, and at most one more"
-        assert describe(dataset).discarded == (edits[-1].action == "drop")
-        if edits[-1].action == "drop":
-            undo(dataset)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from every_case import every_case
 from other_sensor import USKIN, write_readings
 from other_tools import run_rerun
 from PIL import Image
@@ -136,23 +135,6 @@ def test_what_cannot_be_exported_or_read_is_refused_and_leaves_nothing(exported:
     assert recognise(exported)
 
 
-def test_grasps_without_a_series_are_episodes_of_one_frame(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
-        for number in range(2):
-            writer.append(replace(record(number, points=5), series=None))  # fewer points than an export keeps
-    assert export_samples(tmp_path / "ds", tmp_path / "out", "lerobot").written == 2
-    frames = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
-    assert [(one["frame_index"], one["episode_index"], one["timestamp"]) for one in frames] == [
-        (0, 0, 0.0),
-        (0, 1, 0.0),
-    ]
-    touch = record(1, points=5).sample.touch
-    assert touch is not None
-    assert frames[1]["observation.tactile.thumb"] == [touch["PDC_TH"][0], *touch["E_TH"], 2100.5]
-    cloud = np.reshape(frames[0]["observation.pointcloud"], (1024, 3))
-    assert len(np.unique(cloud, axis=0)) == 5
-
-
 def test_each_channel_states_where_its_taxels_are_and_what_they_mean(exported: Path, tmp_path: Path) -> None:
     features = json.loads((exported / "meta/info.json").read_text())["features"]
     info = features["observation.tactile.thumb.electrode"]["info"]
@@ -245,22 +227,14 @@ def test_clouds_that_are_images_are_depth_maps_in_millimetres_with_their_intrins
 
 def test_rerun_shows_every_episode(exported: Path, tmp_path: Path) -> None:
     rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'foretouch[view]'")
-    out = tmp_path / "imported.rrd"
-    recording = rerun.RecordingStream("import")
+    out, recording = tmp_path / "imported.rrd", rerun.RecordingStream("import")
     recording.save(out)
     recording.log_file_from_path(exported)
     recording.flush()
     recording.disconnect()
-    printed = run_rerun(tmp_path, "rrd", "print", out)
-    for name in (
-        "observation.tactile.thumb",
-        "observation.tactile.middle_finger",
-        "observation.pointcloud",
-        "action",
-        "task",
-    ):
-        lines = [line for line in printed.splitlines() if "with 6 rows" in line and f" - /{name} - " in line]
-        assert len(lines) == 4, name
+    printed = run_rerun(tmp_path, "rrd", "print", out).splitlines()
+    for name in ("observation.tactile.thumb", "observation.pointcloud", "action", "task"):
+        assert len([line for line in printed if "with 6 rows" in line and f" - /{name} - " in line]) == 4, name
 
 
 _READ = """
@@ -277,35 +251,23 @@ print(json.dumps([data.num_frames, data.num_episodes, [one["task"] for one in fr
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_the_newest_lerobot_reads_equal_frames(exported: Path, tmp_path: Path) -> None:
+def test_the_newest_lerobot_reads_equal_frames_windows_and_depth(exported: Path, tmp_path: Path) -> None:
     facts, found = read_by_lerobot(exported, tmp_path)
     assert facts == [24, 4, ["grasp the ball"] * 12 + ["grasp the cup"] * 6 + ["grasp the ball"] * 6]
     assert set(found) == set(expected_frames())
-
-    def check(name: str, expected: np.ndarray) -> None:
-        np.testing.assert_array_equal(found[name], expected)
-
-    every_case(expected_frames().items(), check)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1500)
-def test_the_newest_lerobot_reads_windows_and_depth(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
-        for number in range(2):
-            made = record(number)
-            row, column = np.indices((8, 10))
-            depth = np.full((8, 10), 1.0 + 0.1 * number)
-            xyz = np.dstack([(column - 4.5) * depth / 600.0, (row - 3.5) * depth / 600.0, depth]).astype(np.float32)
-            writer.append(replace(made, sample=replace(made.sample, cloud=Cloud(xyz))))
-    export_samples(tmp_path / "ds", tmp_path / "out", "lerobot", fps=40_000_000)
-    _, found = read_by_lerobot(tmp_path / "out", tmp_path)
-    stored = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
-    for name in ("observation.tactile.thumb.electrode", "observation.tactile.stamps_ns"):
-        np.testing.assert_array_equal(found[name], np.array([one[name] for one in stored]).astype(found[name].dtype))
-    assert found["observation.tactile.thumb.electrode"].shape[1:] == (3, 24, 1)
-    expected = np.where(np.arange(len(stored)) < len(stored) // 2, 1000.0, 1100.0)
-    np.testing.assert_array_equal(found["observation.images.depth"][:, 0, 4, 5], expected)  # [mm]
+    for name, expected in expected_frames().items():
+        np.testing.assert_array_equal(found[name], expected, err_msg=name)
+    row, column = np.indices((8, 10))
+    xyz = np.dstack([(column - 4.5) / 600.0, (row - 3.5) / 600.0, np.ones((8, 10))]).astype(np.float32)
+    with RecordingWriter(tmp_path / "images", IDENTITY, QUICK) as writer:
+        writer.append(replace(record(0), sample=replace(record(0).sample, cloud=Cloud(xyz))))
+    export_samples(tmp_path / "images", tmp_path / "depth", "lerobot", fps=40_000_000)
+    _, found = read_by_lerobot(tmp_path / "depth", tmp_path)
+    stored = pq.read_table(tmp_path / "depth/data/chunk-000/file-000.parquet").to_pylist()
+    windows = np.array([one["observation.tactile.thumb.electrode"] for one in stored], np.float32)
+    np.testing.assert_array_equal(found["observation.tactile.thumb.electrode"], windows)
+    assert windows.shape[1:] == (3, 24, 1)
+    np.testing.assert_array_equal(found["observation.images.depth"][:, 0], 1000.0)  # [mm]
 
 
 def read_by_lerobot(root: Path, tmp_path: Path) -> tuple[list[Any], dict[str, np.ndarray]]:

@@ -5,9 +5,9 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording
+from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.bag_writer import BagWriter, write_bag
-from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
+from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.recording.sample_codec import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.types import Cloud
@@ -22,23 +22,6 @@ def cloud_of(number: float, stamp_ns: int = 0, shape: tuple[int, ...] = (5,)) ->
 
 def said(text: str) -> bytes:
     return bytes(STORE.serialize_cdr(STORE.types[STRING](text), STRING))
-
-
-def test_a_recording_is_played_byte_for_byte(tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write("/said", STRING, 5, said("before"))
-        writer.write_cloud(cloud_of(1, 10))
-        writer.write("/said", STRING, 15, said("between"))
-        writer.write("/unwanted", STRING, 16, said("nothing"))
-        writer.write_cloud(cloud_of(2, 20))
-    source = open_source(tmp_path / "bag")
-    played = list(entries(source, ["/said"]))
-    assert [(s.topic, s.at_ns, s.stamped) for s in played] == [
-        ("/said", 5, False), (CLOUDS, 10, True), ("/said", 15, False), (CLOUDS, 20, True),
-    ]  # fmt: skip
-    with Recording(tmp_path / "bag") as recording:
-        assert [s.data for s in played] == [m.data for m in recording.messages() if m.topic != "/unwanted"]
-    assert [t.name for t in other_topics(source)] == ["/said", "/unwanted"]
 
 
 def test_a_message_that_is_no_cdr_is_refused_and_one_with_wrong_sizes_is_played(tmp_path):

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from recording_builders import readable, write_sample
+from recording_builders import readable
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag_writer import write_bag
@@ -26,18 +26,6 @@ def test_a_folder_is_played_in_natural_order_with_rising_stamps(tmp_path):
     assert [c.xyz[0, 0] for c in clouds] == [1, 2, 9, 10]
     assert [c.stamp_ns for c in clouds] == [STAMP_STEP_NS * k for k in (1, 2, 3, 4)]
     assert {c.frame_id for c in clouds} == {"camera"}
-
-
-def test_samples_bring_their_grasp_and_a_stamp_of_their_own(tmp_path, rng):
-    for name in ("can/1562239100", "can/1562239078", "box/1562239090"):
-        write_sample(tmp_path / name, rng)
-    source = open_source(tmp_path)
-    samples = [item.sample for item in source]
-    assert source.kind == "samples"
-    assert [s.id for s in samples] == ["box/1562239090", "can/1562239078", "can/1562239100"]
-    assert [s.cloud.stamp_ns for s in samples] == [STAMP_STEP_NS * k for k in (1, 2, 3)]
-    assert samples[0].stamp_ns == 1562239090 * 10**9
-    np.testing.assert_array_equal(samples[0].grasp.g2, [-0.03, 0.0, 1.2])
 
 
 def test_a_recording_keeps_frames_and_stamps_and_one_that_breaks_off_is_reported(tmp_path):

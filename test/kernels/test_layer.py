@@ -24,7 +24,7 @@ def test_they_take_the_same_steps(rng) -> None:
         gap = (x[:, None] ** 2 + x**2) / 0.02 + 1e-5 * rng.normal(size=(n, n))
         problem = ContactProblem(gap - gap.min(), float(x[1] - x[0]), (skin(), soft))
         start = layers._expected_pressure(problem, command)
-        pressure, depth, iterations, residual = layers._descend(problem, command, problem.gap, start, *LIMITS)
+        pressure, depth, iterations, residual = layers._descend(problem, command, problem.gap, start)
         plain = reference.descend(problem, command, problem.gap, start, *LIMITS)
         assert iterations == plain[2] > 2
         assert_allclose(pressure, plain[0], rtol=0.0, atol=1e-12 * plain[0].max())

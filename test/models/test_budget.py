@@ -62,19 +62,9 @@ def measured(monkeypatch):
     """Answers measurements at once: a level takes 2 ms for each of those after it."""
 
     def measure(levels):
-        times = {one.name: {1: 0.002 * (len(levels) - k), 100: 0.05} for k, one in enumerate(levels)}
-        return times, "idle"
+        return {one.name: {1: 0.002 * (len(levels) - k), 100: 0.05} for k, one in enumerate(levels)}
 
     monkeypatch.setattr(budgets, "_measure", measure)
-
-
-def test_a_measured_profile_counts_no_wait_for_a_core(monkeypatch) -> None:
-    monkeypatch.setattr(
-        budgets, "time_calls", lambda *_, **__: {("model", 1): np.array([[0.004, 0.003], [0.002, 0.003], [0.5, 0.003]])}
-    )
-    times, state = budgets._measure([Level("model", None, None)])
-    assert times["model"][1] == pytest.approx(0.003)
-    assert state in ("idle", "loaded")
 
 
 @pytest.mark.usefixtures("measured")
@@ -108,7 +98,7 @@ class Requests:
 
     def __init__(self, budget_ms, around=None):
         self.now = 100.0
-        self.budget = LatencyBudget(budget_ms / 1e3, LEVELS, TIMES, "idle", around or {1: 0.0}, lambda: self.now)
+        self.budget = LatencyBudget(budget_ms / 1e3, LEVELS, TIMES, around or {1: 0.0}, lambda: self.now)
 
     def answer(self, count=1, slow=1.0, waited=0.0, delay=0.0):
         """One request that takes `slow` times its profile and a delay [s]; the name of its level, and whether it was late."""
@@ -138,15 +128,12 @@ def test_waiting_counts_and_a_queue_steps_down_until_it_is_gone() -> None:
     assert requests.answer(waited=0.0075)[0] == "half"
     assert requests.answer()[0] == "model"  # it was that request alone
     assert requests.answer(waited=0.02) == ("mean", True)
-    assert requests.budget.notes()["budget.overloaded"] == "true"
     assert requests.answer()[0] == "model"
     requests = Requests(10)  # what every request waits is not an overload
     for _ in range(50):  # the messages of ten grasps take 5 ms to arrive
         assert requests.answer(count=10, waited=0.005)[0] == "half"
-        assert requests.budget.notes()["budget.overloaded"] == "false"
         assert requests.answer()[0] == "model"
     assert requests.answer(count=10, waited=0.0096)[0] == "mean"
-    assert requests.budget.notes()["budget.overloaded"] == "true"
     assert Requests(5).budget.affordable(10).name == "half"
     requests = Requests(0.1)  # nothing meets it
     assert requests.budget.affordable(1) is None
@@ -161,7 +148,6 @@ def test_overload_steps_down_within_three_answers_and_back_up_after_three_second
         assert requests.answer() == ("model", False)
     names = [requests.answer(slow=3.0)[0] for _ in range(10)]
     assert names == ["model"] * 2 + ["mean"] * 8  # half would need 6 ms
-    assert requests.budget.notes()["budget.overloaded"] == "true"
     eased, names = requests.now, []
     while requests.now < eased + 6.0:
         names.append(requests.answer()[0])
@@ -181,8 +167,5 @@ def test_overload_steps_down_within_three_answers_and_back_up_after_three_second
 def test_delays_that_no_level_avoids_and_single_ones_cost_no_skill() -> None:
     requests = Requests(10)
     assert all(requests.answer(delay=0.05 * (k % 10 == 9)) == ("model", k % 10 == 9) for k in range(300))
-    requests = Requests(5)
-    assert all(requests.answer(slow=2.0 if k % 110 == 20 else 1.0)[0] == "model" for k in range(300))
-    assert requests.budget.notes()["budget.late"] == "3"
     requests = Requests(10)  # all are far too late: the sooner they are done, the better
     assert [requests.answer(delay=0.05)[0] for k in range(5)] == ["model"] + ["mean"] * 4

@@ -78,20 +78,16 @@ def test_what_lasts_on_known_objects_too_is_of_the_sensors() -> None:
 
 def test_before_any_reading_intervals_are_conformal_or_those_of_the_fitted_tracker() -> None:
     plain, tracked = make_calibration(), make_tracked_calibration()
+    for one in (plain, tracked):
+        again = Calibration.from_tensors(one.to_tensors(), BIOTAC).to_tensors()
+        assert again.keys() == one.to_tensors().keys()
+        for name, array in one.to_tensors().items():
+            assert_array_equal(again[name], array)
     for name in GROUPS:
         assert_array_equal(plain.unread_half_widths[name], plain.groups[name].half_width)
         tracker = SensorTracker(tracked.tracker)
         tracker.start_object(known=name == "known")
         assert_array_equal(tracked.unread_half_widths[name], tracker.adapt(tracker.level(7), REST[None])[1][0])
-
-
-def test_tensors_give_it_back_to_the_bit() -> None:
-    for calibration in (make_calibration(), make_tracked_calibration()):
-        again = Calibration.from_tensors(calibration.to_tensors(), BIOTAC)
-        assert (again.tracker is None) == (calibration.tracker is None)
-        assert again.to_tensors().keys() == calibration.to_tensors().keys()
-        for name, array in calibration.to_tensors().items():
-            assert_array_equal(again.to_tensors()[name], array)
 
 
 def changed(index: int | tuple[int, int], value: float) -> Change:
@@ -112,20 +108,15 @@ def test_damage_is_refused_by_name() -> None:
             Calibration.from_tensors(tensors, BIOTAC)
 
     cases = [
-        ("rest", lambda a: None, "rest: is missing"),
-        ("rest", changed(3, np.nan), "rest: holds a value that is not finite$"),
+        ("rest", changed(3, np.nan), "rest: is missing, .* or not finite$"),
         ("new/between", lambda a: None, "new/between: is missing"),
-        ("known/difference_shrinkage", lambda a: None, "known/difference_shrinkage: is missing"),
         ("known/between", lambda a: a[:, :49], r"known/between: shape \(50, 49\) is not \(50, 50\)"),
-        ("known/within", lambda a: a[:2], r"known/within: shape \(2,\) is not \(50,\)"),
-        ("known/within", changed(0, 5e-324), "known/within: .* not finite and at least 1e-09"),
-        ("new/spread", changed(0, -1.0), "new/spread: .* not finite and at least 1e-09"),
-        ("new/half_width", changed(49, np.inf), "new/half_width: .* not finite and at least 1e-09"),
+        ("known/within", changed(0, 5e-324), r"known/within: .* not within \[1e-09"),
+        ("new/half_width", changed(49, np.inf), r"new/half_width: .* not within \[1e-09"),
         ("new/between", changed((0, 1), 1e6), "new/between: is not symmetric"),
         ("new/between", lambda a: -a, "new/between: is not a covariance"),
-        ("new/between", lambda a: 1e200 * a, "new/between: .* exceeds 1e.12"),
-        ("new/difference_shrinkage", changed(5, 1.5), r"new/difference_shrinkage: leaves \[0, 1\]"),
-        ("new/difference_shrinkage", changed(5, -0.1), r"new/difference_shrinkage: leaves \[0, 1\]"),
+        ("new/between", lambda a: 1e200 * a, r"new/between: .* not within \[-1e.12"),
+        ("new/difference_shrinkage", changed(5, 1.5), r"new/difference_shrinkage: .* not within \[0, 1\]"),
         ("tracker/slow", changed(5, np.nan), "^tracker/slow: "),
     ]
     every_case(cases, check)

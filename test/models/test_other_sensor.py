@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_model_builders import edit_card, small_estimator
+from contact_model_builders import edit_card
 from other_sensor import USKIN, changed_sensor
 
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.models import load_model
-from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
 from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import biotac_touch
-from foretouch.tactile.description import with_sensor
 from foretouch.types import Touch
 from foretouch.types.channels import Channel, Channels
 from foretouch_lab.learning.data import load_dataset
@@ -76,16 +74,6 @@ def test_a_card_whose_description_has_changed_is_refused(uskin, tmp_path) -> Non
     edit_card(card, sensor_name=..., sensor_sha256=...)
     with pytest.raises(ModelError, match=r"ranges: x_th: unknown; known: pdc_th"):
         load_model(card)
-
-
-def test_a_card_of_the_biotac_sp_names_it_and_weights_of_other_channels_do_not_fit(tmp_path) -> None:
-    path = save_contact(tmp_path, "toy", small_estimator(), {})
-    assert load_model(path).card["sensor_name"] == "biotac_sp"
-    assert "sensor" not in load_model(path).card
-    edit_card(path, **with_sensor({}, USKIN), sensor_name="xela_uskin_4x4", sensor_sha256=USKIN.sha256)
-    edit_card(path, ranges={name.lower(): [0, 1] for name in USKIN.channels.modalities})
-    with pytest.raises(ModelError, match=r"mean: is missing, of another shape than \(96,\)"):
-        load_model(path)
 
 
 def test_of_many_values_the_modalities_are_decomposed_one_by_one(rng: np.random.Generator) -> None:

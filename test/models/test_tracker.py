@@ -116,26 +116,18 @@ def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(rng) -> 
         assert_allclose(after.variance[others], before.variance[others], rtol=0.1)
 
     every_case(zip(BIOTAC.fingers, (np.r_[0, 2:26], np.r_[1, 26:50]), strict=True), check)
-
-
-def test_a_tare_of_an_exchanged_finger_restarts_it_at_once() -> None:
-    tracker = SensorTracker(drifting())
-    for k in range(5):
-        assert tracker.add_tare(START + k * DAY, np.zeros(SIZE)) == ()
-    offset = np.zeros(SIZE)
-    offset[np.r_[1, 26:50]] = 400.0
-    assert tracker.add_tare(START + 6 * DAY, offset) == ("MF",)
-    assert_allclose(tracker.level(START + 6 * DAY).offset[26:], 400.0, rtol=0.1)
-
-
-def test_readings_as_modelled_restart_a_finger_as_rarely_as_stated(rng) -> None:
-    tracker, restarts = SensorTracker(drifting(slow=0.0, fast=0.0, lasting=0.0)), 0
-    for k in range(1000):
-        restarts += len(touch(tracker, 60.0 * k, rng.normal(0.0, 20.0, SIZE)))
-    assert restarts <= 2
+    tracker = SensorTracker(drifting())  # a tare restarts an exchanged finger at once
+    assert tracker.add_tare(START, np.zeros(SIZE)) == ()
+    offset = np.where(np.isin(np.arange(SIZE), np.r_[1, 26:50]), 400.0, 0.0)
+    assert tracker.add_tare(START + DAY, offset) == ("MF",)
+    assert_allclose(tracker.level(START + DAY).offset[26:], 400.0, rtol=0.1)
 
 
 def test_intervals_return_to_their_coverage_after_a_change(rng) -> None:
+    tracker, restarts = SensorTracker(drifting(slow=0.0, fast=0.0, lasting=0.0)), 0
+    for k in range(1000):  # readings as modelled restart a finger as rarely as stated
+        restarts += len(touch(tracker, 60.0 * k, rng.normal(0.0, 20.0, SIZE)))
+    assert restarts <= 2
     tracker = SensorTracker(replace(drifting(slow=0.0, fast=0.0, lasting=0.0), alarm=PATIENT.alarm))
     inside = []
     for k in range(600):
@@ -209,7 +201,6 @@ def test_stamps_and_readings_that_cannot_be_are_refused_and_change_nothing() -> 
     every_case(
         [
             ("stamp: .*61.0 s before that of the newest reading", START - 61 * S),
-            ("stamp: .*11 years after", START + 11 * 365 * DAY),
             *(("stamp: .*is not nanoseconds", stamp) for stamp in (-1, 1.5, 2**63, True)),
             *(("reading: value", START, reading) for reading in spoiled),
             ("reading: shape", START, REST[:7]),
@@ -230,16 +221,14 @@ def test_parameters_that_cannot_be_are_refused_by_name() -> None:
             tensors[name].flat[3] = HARM[harm]
         elif harm == "shape":
             tensors[name] = tensors[name][None] if name == "where_scale" else tensors[name][:1]  # of any length
-        elif harm == "missing":
-            del tensors[name]
         else:
-            tensors[name] = tensors[name].astype(np.int64)
+            del tensors[name]
         with pytest.raises(ModelError, match=f"^{name}: "):
             TrackerParameters.from_tensors(tensors, channels=BIOTAC)
 
     # Of models that were fitted without temperatures or features.
     optional = ("slope", "slope_sd", "where_scale", "where_ratio")
-    harms = {name: (*HARM, "shape", "integer", *("missing",) * (name not in optional)) for name in again.to_tensors()}
+    harms = {name: (*HARM, "shape", *("missing",) * (name not in optional)) for name in again.to_tensors()}
     every_case([(name, harm) for name, found in harms.items() for harm in found], check)
 
 
@@ -338,25 +327,17 @@ def test_a_jump_of_the_temperature_and_a_missing_finger_are_left_out(rng) -> Non
     jumped = tdc + np.where(np.arange(len(tdc)) < 20, 0.0, 700.0)[:, None]  # such as after a power cycle
     tracker, offsets = played(thermal(), residuals, jumped)
     assert tracker.tdc_jumps == 2
+    last, night = START + (len(tdc) - 1) * S, 12 * 3600 * S
+    for change, jumps in ((-750.0, 0), (850.0, 2)):  # after a night, a hand may be 10 K colder, 750 counts
+        found, _ = played(thermal(), residuals, tdc)
+        found.add_touch(last + night, REST + residuals[-1], REST, tdc=tdc[-1] + change)
+        assert found.tdc_jumps == jumps
     smooth = tdc - np.where(np.arange(len(tdc)) < 20, 0.0, 1.0)[:, None] * (tdc[20] - tdc[19])
     assert_allclose(offsets, played(thermal(), residuals, smooth)[1], atol=1e-6)
     lone = np.column_stack([tdc[:, 0], np.full(len(tdc), np.nan)])
     offsets, both = (np.array(played(thermal(), residuals, rows)[1]) for rows in (lone, tdc))
     assert_array_equal(offsets[:, 2:26], both[:, 2:26])
     assert_array_equal(offsets[:, 26:], np.array(played(drifting(), residuals, None)[1])[:, 26:])
-
-
-def test_after_a_night_only_what_no_cold_hand_explains_is_a_jump(rng) -> None:
-    """The largest recorded change is 385 counts in a day; a hand that was switched off may be 10 K colder, 750 counts."""
-    residuals, tdc = readings_with_tdc(rng)
-    tracker, _ = played(thermal(), residuals, tdc)
-    last, night = START + (len(tdc) - 1) * S, 12 * 3600 * S
-    for change, jumps in ((385.0, 0), (-750.0, 0), (850.0, 2), (-900.0, 2)):
-        found = tracker.copy()
-        found.add_touch(last + night, REST + residuals[-1], REST, tdc=tdc[-1] + change)
-        assert found.tdc_jumps == jumps
-        moved = tracker.level(last + night, tdc=tdc[-1] + change).offset - tracker.level(last + night).offset
-        assert (np.abs(moved[2:]) < 1e-6 if jumps else np.abs(moved[2:]) > 50.0).all()
 
 
 def test_taxels_that_were_not_read_leave_the_others_as_if_they_did_not_exist() -> None:

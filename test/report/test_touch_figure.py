@@ -24,7 +24,7 @@ BIOTAC_SP = packaged_sensor("biotac_sp")
 @pytest.fixture(scope="module")
 def sample() -> tuple[FoundObject, TouchPrediction, Touch]:
     """An object, a prediction and a tare."""
-    state = run(scene(CAN), "cloud", "grasp", "touch", "tare")
+    state = run(scene(CAN))
     target = FoundObject("1", state.cloud, Plane.from_coefficients([0, 0, -1, 1.25]))
     return target, TouchPrediction(state.grasp, state.touch), state.tare
 

@@ -101,16 +101,3 @@ def test_ctrl_z_is_ignored_and_what_was_acknowledged_is_kept_after_a_kill(record
     assert (one.record.outcome, one.record.flags) == ("failure", ("discarded",))
     assert [edit.action for edit in read_edits(tmp_path / "set").edits] == ["outcome", "drop"]
     assert undo(tmp_path / "set") == 2
-
-
-def test_a_second_recorder_on_the_same_folder_is_refused_by_name(record, lone_graph, tmp_path):
-    terminal, _ = record()
-    with terminal:
-        command = [sys.executable, "-m", "foretouch", "record", "-o", str(tmp_path / "set"), "--namespace", "/other"]
-        with Terminal(command, lone_graph.environment()) as other:
-            assert other.end() == 1
-            assert "is writing this dataset: one recorder at a time" in " ".join(other.text().split())
-            assert other.attributes() == other.before
-        terminal.type("\x03")
-        assert terminal.end() == 0
-        assert terminal.attributes() == terminal.before

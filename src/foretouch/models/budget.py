@@ -22,7 +22,7 @@ import numpy as np
 
 from foretouch.models.contact.estimator import fewer_trees
 from foretouch.models.registry import load_model
-from foretouch.models.timing import MachineLoad, time_calls
+from foretouch.models.timing import time_calls
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
 from foretouch.tactile import Ranges
 from foretouch.types import Cloud, Float64, Grasp
@@ -96,21 +96,20 @@ def _interpolated(times: Mapping[int, float], count: int) -> float:
     return values[-1] + max(0.0, (values[-1] - values[-2]) / (at[-1] - at[-2])) * (count - at[-1])
 
 
-def load_warm(model: TouchModel) -> tuple[list[Level], Times, str]:
-    """The levels of a model, how long they take on this machine, measured in some seconds, and if it was `idle` or `loaded`."""
+def load_warm(model: TouchModel) -> tuple[list[Level], Times]:
+    """The levels of a model, and how long they take on this machine, measured in some seconds."""
     levels = levels_of(model)
-    return levels, *_measure(levels)
+    return levels, _measure(levels)
 
 
-def _measure(levels: Sequence[Level]) -> tuple[Times, str]:
+def _measure(levels: Sequence[Level]) -> Times:
     cloud, grasps = profile_scene(_COUNTS[-1])
     functions = {one.name: lambda count, one=one: one.model.predict(cloud, grasps[:count]) for one in levels}
-    load = MachineLoad()
-    found = time_calls(functions, _COUNTS, _MEASURED_S, pause_s=PAUSE_S)
-    # Of a call that waits for a core, the processor time is the lesser.
-    p95 = {key: float(np.percentile(calls.min(axis=1), 95)) for key, calls in found.items()}
-    times = {one.name: {count: time_s for (name, count), time_s in p95.items() if name == one.name} for one in levels}
-    return times, str(load.row()["state"])
+    times: dict[str, dict[int, float]] = {one.name: {} for one in levels}
+    for (name, count), calls in time_calls(functions, _COUNTS, _MEASURED_S, pause_s=PAUSE_S).items():
+        # Of a call that waits for a core, the processor time is the lesser.
+        times[name][count] = float(np.percentile(calls.min(axis=1), 95))
+    return times
 
 
 def profile_scene(count: int) -> tuple[Cloud, list[Grasp]]:
@@ -143,7 +142,6 @@ class LatencyBudget:
     budget_s: float  # from the receipt of a request to its answer [s]
     levels: Sequence[Level]  # the best first
     times: Times  # of the levels
-    state: str  # of the machine when they were measured
     # By number of grasps, ascending, what a caller needs around a prediction [s].
     around: Mapping[int, float] = field(default_factory=lambda: {1: 0.0})
     now: Callable[[], float] = time.monotonic  # clock [s]
@@ -152,7 +150,6 @@ class LatencyBudget:
     _waits: dict[int, float] = field(default_factory=dict, init=False)
     # When each of the latest answers ended [s], and how slow it was; those of the last 3 s count.
     _recent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=100), init=False)
-    _overloaded: bool = field(default=False, init=False)
     _counts: Counter[str] = field(
         default_factory=lambda: Counter(answered=0, late=0, reduced=0, unaffordable=0), init=False
     )
@@ -171,10 +168,9 @@ class LatencyBudget:
             least = self._waits[digits] = min(waited, self._waits.get(digits, waited))
             recent = sorted(ratio for ended, ratio in self._recent if ended > began - 3.0)
             place = _best(expected, self.budget_s - waited, recent)
-            idle = _best(expected, self.budget_s - least)
             level = self.levels[place]
-            self._last, self._overloaded = level.name, place > idle
-        return Answer(level, place > 0, arrived, began, expected[place], expected[idle] <= self.budget_s - least)
+            self._last = level.name
+        return Answer(level, place > 0, arrived, began, expected[place], min(expected) <= self.budget_s - least)
 
     def is_over(self, answer: Answer) -> bool:
         """Whether an answer is late by now, or so close to it that it may be when it is handed over."""
@@ -192,15 +188,8 @@ class LatencyBudget:
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
         with self._lock:
-            slowdown = np.median([ratio for _, ratio in self._recent] or 1.0)
-            return {
-                "budget_ms": f"{self.budget_s * 1e3:g}",
-                "budget.level": self._last,
-                "budget.overloaded": str(self._overloaded).lower(),
-                "budget.slowdown": f"{slowdown:.2f}",
-                **{f"budget.{name}": str(count) for name, count in self._counts.items()},
-                "budget.profile": f"measured at the start ({self.state})",
-            }
+            counts = {f"budget.{name}": str(count) for name, count in self._counts.items()}
+            return {"budget_ms": f"{self.budget_s * 1e3:g}", "budget.level": self._last, **counts}
 
     def _expected(self, count: int) -> list[float]:
         """Time of an answer by each level [s]."""

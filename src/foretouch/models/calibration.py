@@ -16,7 +16,7 @@ from typing import Final, Self
 import numpy as np
 
 from foretouch.errors import ModelError
-from foretouch.models.files import TensorRecord, read_part
+from foretouch.models.files import Rules, TensorRecord, read_part
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
 from foretouch.types import AnyArray, Float64, Touch
@@ -50,12 +50,19 @@ class CalibrationGroup(TensorRecord):
     spread: Float64
     half_width: Float64
 
+    def _rules(self) -> Rules:
+        most, least = max(1e12, float(self.channels.most.max()) ** 2), _MIN_VALUE * self.channels.resolution.min()
+        variance = ("D", least**2 / _MIN_VALUE, most)
+        return {
+            "between": ("DD", -most, most),
+            "within": variance,
+            "difference_shrinkage": ("D", 0.0, 1.0),
+            "spread": variance,
+            "half_width": ("D", least, most),
+        }
+
     def _check(self) -> None:
-        most = max(1e12, float(self.channels.most.max()) ** 2)
-        for name, array in self.to_tensors().items():
-            _check_array(name, array, self.channels)
-            if np.abs(array).max() > most:
-                raise ModelError(f"{name}: {np.abs(array).max():.3g} exceeds {most:g}, the square of {most**0.5:g}")
+        super()._check()
         tolerance = 1e-6 * np.abs(self.between).max()
         if np.abs(self.between - self.between.T).max() > tolerance:
             raise ModelError("between: is not symmetric")
@@ -63,8 +70,6 @@ class CalibrationGroup(TensorRecord):
             np.linalg.cholesky(self.between + max(tolerance, 1e-300) * np.eye(len(self.between)))
         except np.linalg.LinAlgError as err:
             raise ModelError("between: is not a covariance: it has a negative eigenvalue") from err
-        if self.difference_shrinkage.min() < 0.0 or self.difference_shrinkage.max() > 1.0:
-            raise ModelError("difference_shrinkage: leaves [0, 1]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,10 +166,9 @@ class Calibration:
             ModelError: Names the array that is missing, of another shape or not finite, or no variance, width,
                 shrinkage factor or covariance.
         """
-        if "rest" not in tensors:
-            raise ModelError("rest: is missing")
         tensors = {name: np.asarray(array, np.float64) for name, array in tensors.items()}
-        _check_array("rest", tensors["rest"], channels)
+        if "rest" not in tensors or tensors["rest"].shape != (channels.size,) or not np.isfinite(tensors["rest"]).all():
+            raise ModelError(f"rest: is missing, of another shape than ({channels.size},), or not finite")
         tracked = any(name.startswith(_TRACKER) for name in tensors)
         calibration = cls(
             channels,
@@ -179,15 +183,3 @@ class Calibration:
 def tare_offset(tare: Touch, rest: Float64) -> Float64:
     """(D,) a tare minus a rest level; 0 of channels that are not tared."""
     return np.where(tare.channels.tared, tare.values - rest, 0.0)
-
-
-def _check_array(name: str, array: AnyArray, channels: Channels) -> None:
-    shape = (channels.size,) * (2 if name == "between" else 1)
-    if array.shape != shape:
-        raise ModelError(f"{name}: shape {array.shape} is not {shape}")
-    positive = name in {"within", "spread", "half_width"}
-    least = _MIN_VALUE * channels.resolution ** (1 if name == "half_width" else 2)
-    if not np.isfinite(array).all() or (positive and not (array >= least).all()):
-        raise ModelError(
-            f"{name}: holds a value that is not finite{f' and at least {least.min():g}' if positive else ''}"
-        )

@@ -5,7 +5,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from safetensors import SafetensorError
@@ -63,11 +63,20 @@ def read_tensors(
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 
 
+Rules = Mapping[str, str | tuple[str, float, float]]
+
+
 class TensorRecord:
     """Base of a dataclass whose fields are arrays, stored in a file under the names of the fields.
 
     A field `channels` is not stored: the sensor is stated by the card.
+
+    Attributes:
+        RULES: By array, a letter for each axis of its shape and, if other than ±1e12, its least and largest value. D, M and F are
+            the values, modalities and fingers of `channels`, a digit is itself, and other letters are equal in all arrays.
     """
+
+    RULES: ClassVar[Rules]
 
     def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
@@ -89,16 +98,23 @@ class TensorRecord:
         return record
 
     def _check(self) -> None:
-        """Raise ModelError, which names the array, if the arrays cannot be used."""
-        raise NotImplementedError
+        """Raise ModelError, which names the array, if a shape or a value breaks a rule."""
+        sizes, channels = {str(n): n for n in range(10)}, getattr(self, "channels", None)
+        if channels is not None:
+            sizes |= {"D": channels.size, "M": len(channels.modalities), "F": len(channels.fingers)}
+        for name, rule in self._rules().items():
+            letters, low, high = (rule, -1e12, 1e12) if isinstance(rule, str) else rule
+            array = getattr(self, name)
+            sizes |= {one: n for one, n in zip(letters, array.shape, strict=False) if one not in sizes}
+            wanted = tuple(sizes.get(one, -1) for one in letters)
+            if array.shape != wanted:
+                raise ModelError(f"{name}: shape {array.shape} is not {wanted}")
+            if not ((array >= low) & (array <= high)).all():  # NaN fails too
+                raise ModelError(f"{name}: holds a value that is not within [{low:g}, {high:g}]")
 
-    def _require(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Raise ModelError unless these arrays are finite and of these shapes, in which -1 is any length."""
-        for name, shape in shapes.items():
-            found = getattr(self, name)
-            fits = found.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
-            if not fits or not np.isfinite(found).all():
-                raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
+    def _rules(self) -> Rules:
+        """`RULES`, or those that depend on the record."""
+        return self.RULES
 
 
 Record = TypeVar("Record", bound=TensorRecord)

@@ -13,7 +13,6 @@ import fcntl
 import hashlib
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
 
@@ -125,12 +124,9 @@ class HandHistory:
         self.signature = cloud.frame_id, place_and_size(cloud)
         return self._counted(restarted)
 
-    def keep_to_clock(self, now_ns: int) -> str:
-        """Set readings aside that are ahead of the clock (see `SensorTracker.keep_to_clock`)."""
-        aside, reason = self.tracker.set_aside, self.tracker.keep_to_clock(now_ns)
-        if self.tracker.set_aside != aside:
-            self.signature = None
-        return reason
+    def keep_to_clock(self, now_ns: int) -> bool:
+        """See `SensorTracker.keep_to_clock`."""
+        return self.tracker.keep_to_clock(now_ns)
 
     def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
         """Whether the object of a cloud is the one that was touched last.
@@ -244,19 +240,11 @@ class HistoryFile:
     def read(self, model: TouchModel) -> HandHistory | None:
         """What was read before; None without a file.
 
-        If there is none, the newest file that was set aside and is of this hand and model becomes it again.
-
         Raises:
             FileError: If the file is damaged, or of another version, sensor, hand or model.
         """
         if self.path.is_symlink() or self.path.exists():
             return read_history(self.path, model, self._hand)
-        set_aside = self.path.parent.glob(f"{self.path.name}.unused*")
-        for kept in sorted(set_aside, key=lambda one: -one.lstat().st_mtime_ns):
-            with suppress(FileError, OSError):
-                history = read_history(kept, model, self._hand)
-                kept.rename(self.path)
-                return history
         return None
 
     def write(self, history: HandHistory) -> None:

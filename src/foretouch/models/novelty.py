@@ -27,7 +27,6 @@ from foretouch.types.channels import Channels
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""
 
-_SIZES: Final = 8
 _NEAREST: Final = 3
 _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
 _MINIMUM_POINTS: Final = 8
@@ -80,6 +79,8 @@ class Fallback(TensorRecord):
     span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
     mean: Float64  # (D,) float64 of the training labels [counts]
 
+    RULES = {"centre": "8", "scale": ("8", 1e-12, 1e12), "known": "S8", "span": "2", "mean": "D"}  # noqa: RUF012
+
     @classmethod
     def fit(cls, channels: Channels, sizes: Float64, labels: Float64) -> Self:
         """From the (S, 8) sizes of the training clouds, S of at least 5, and their (S, D) labels [counts]."""
@@ -111,9 +112,6 @@ class Fallback(TensorRecord):
         return weight * counts + (1.0 - weight) * self.mean, inside
 
     def _check(self) -> None:
-        sizes, mean = (_SIZES,), (self.channels.size,)
-        self._require({"centre": sizes, "scale": sizes, "known": (-1, _SIZES), "span": (2,), "mean": mean})
-        if not (self.scale > 0.0).all():
-            raise ModelError("scale: a value is not above 0")
+        super()._check()
         if len(self.known) < _NEAREST or not self.span[0] < self.span[1]:
             raise ModelError("known, span: too few clouds, or a span that is empty")

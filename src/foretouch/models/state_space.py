@@ -38,7 +38,7 @@ _ALARM: Final = (10.0, 7.7)
 """Limits of the innovation test without a fit: of the mean square as on the public recordings, whose noise has heavier
 tails than a Gaussian (2.0), and of the squared mean at their correlation of .84 within a finger (.84 · 9.14)."""
 
-_RULES: Final[dict[str, tuple[str, float, float]]] = {  # letters of the shape, and bounds, which are inclusive
+_RULES: Final[Mapping[str, tuple[str, float, float]]] = {  # letters of the shape, and bounds, which are inclusive
     "basis": ("DD", -1e10, 1e10),
     **dict.fromkeys(("slow", "fast"), ("D", 0.0, 1e6)),
     **dict.fromkeys(("slow_time_s", "fast_time_s"), ("D", 1.0, 1e10)),
@@ -82,6 +82,8 @@ class TrackerParameters(TensorRecord):
     slope_sd: Float64  # (D,) standard deviation of the slopes between sensors
     where_scale: Float64  # (P,) unit of each feature of a grasp; absent in files of models without
     where_ratio: Float64  # (M,) by modality: variance of what they predict over that of the rest of the noise
+
+    RULES = _RULES
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
@@ -163,14 +165,7 @@ class TrackerParameters(TensorRecord):
         return bool((np.abs(self.basis) * other <= 1e-9 * largest).all())
 
     def _check(self) -> None:
-        sizes = {"D": self.channels.size, "M": len(self.channels.modalities), "F": len(self.channels.fingers), "2": 2}
-        sizes["P"] = self.where_scale.size
-        for name, (letters, low, high) in _RULES.items():
-            array, shape = getattr(self, name), tuple(sizes[letter] for letter in letters)
-            if array.shape != shape or array.dtype != np.float64:
-                raise ModelError(f"{name}: {array.dtype} {array.shape} is not float64 {shape}")
-            if not ((array >= low) & (array <= high)).all():  # NaN fails too
-                raise ModelError(f"{name}: holds a value that is not within [{low:g}, {high:g}]")
+        super()._check()
         length = np.linalg.norm(self.basis, axis=1)
         if not (length > 0.0).all() or not np.linalg.cond(self.basis / length[:, None], 1) < _MAX_CONDITION:
             raise ModelError(f"basis: is singular, or its condition exceeds {_MAX_CONDITION:g}")

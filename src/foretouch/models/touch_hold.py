@@ -59,12 +59,15 @@ class TouchHold(TensorRecord):
         share: Float64 = ((found < self.low) | (found > self.high)).mean(axis=1)
         return share
 
-    def _check(self) -> None:
-        size, networks, units = len(self.low), len(self.out_bias), self.out.shape[-1]
-        self._require({
-            "low": (size,), "high": (size,), "hidden": (networks, size, units), "hidden_bias": (networks, units),
-            "out": (networks, units), "out_bias": (networks,), "calibration": (2,),
-        })  # fmt: skip
+    RULES = {  # noqa: RUF012
+        "low": "D",
+        "high": "D",
+        "hidden": "KDH",
+        "hidden_bias": "KH",
+        "out": "KH",
+        "out_bias": "K",
+        "calibration": "2",
+    }
 
 
 def load_touch_hold(card_path: Path | None = None) -> tuple[TouchHold, dict[str, Any]]:

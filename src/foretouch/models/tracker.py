@@ -32,7 +32,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 
@@ -54,9 +54,6 @@ _FIRST_TOUCH: Final = 4.0  # times the limits at the first touch: few objects de
 _FACTOR_RANGE: Final = math.log(8.0)  # the factor is at most 8 times its first value, and at least an eighth of it
 _LATE_NS: Final = 60 * 10**9  # readings of several topics arrive in this order at most
 _AHEAD_NS: Final = 60 * 10**9
-_KEEP_EVERY_NS: Final = 300 * 10**9  # between the states that are kept, `_KEPT` at most
-_KEPT: Final = 16
-_LEAP_NS: Final = 10 * 365 * 86400 * 10**9  # no sensor is stored for longer
 _TDC_JUMP: Final = (150.0, 2.0, 800.0)  # at once, in each second, and at most; recorded: 71 in 95 s, 385 in a day
 _MOST_SLOPE: Final = 1e4  # in the coordinates of the basis
 
@@ -89,7 +86,6 @@ class SensorTracker:
         revision: Changes whenever a reading is added or an object begins.
         similar: Touches of the current object by where it was touched.
         tdc_readings: Readings with the temperature of a finger at least.
-        set_aside: Readings that `keep_to_clock` has set aside.
         tdc_jumps: How often the temperature of a finger jumped, as after a power cycle.
     """
 
@@ -115,8 +111,7 @@ class SensorTracker:
         self.similar = SimilarTouches.none(parameters)
         self.touches = self._readings = 0
         self._newest_ns = self._object_ns = -1
-        self.revision = self.set_aside = 0
-        self._earlier: tuple[dict[str, Any], ...] = ()  # attributes before the latest readings, oldest first
+        self.revision = 0
 
     def copy(self) -> Self:
         """An independent tracker in the same state."""
@@ -124,29 +119,17 @@ class SensorTracker:
         twin._filter = self._filter.copy()  # noqa: SLF001  its own class
         return twin
 
-    def keep_to_clock(self, now_ns: int) -> str:
-        """Set readings aside whose stamps are more than 60 s ahead of a clock [ns], which was wrong then or was set back.
+    def keep_to_clock(self, now_ns: int) -> bool:
+        """Count readings as taken now whose stamps are more than 60 s ahead of a clock [ns], which was wrong then or set back.
 
-        The state before them is restored, without the object, and at most five minutes of readings more are lost. If the
-        clock went back by more than the 80 minutes for which states are kept, they count as taken now.
-
-        Returns:
-            What was done; "" if no reading is ahead of the clock.
+        Returns whether there are any. 0 stands for a clock that was not read yet.
         """
-        if now_ns <= 0 or self._newest_ns - now_ns <= _AHEAD_NS:  # 0: `/clock` has not been heard yet
-            return ""
-        earlier = [state for state in self._earlier if state["_newest_ns"] <= now_ns]
-        if not earlier:
-            self._newest_ns, self._object_ns, self._tdc_ns = (
-                min(one, now_ns) for one in (self._newest_ns, self._object_ns, self._tdc_ns)
-            )
-            return "the clock was set back: readings that are ahead of it count as taken now"
-        state = earlier.pop()
-        aside, revision = self._readings - state["_readings"], self.revision
-        vars(self).update({**state, "_filter": state["_filter"].copy(), "set_aside": self.set_aside + aside})
-        self._earlier, self.revision = tuple(earlier), revision
-        self.start_object()
-        return f"the clock was set back: {aside} readings that are ahead of it are set aside"
+        if now_ns <= 0 or self._newest_ns - now_ns <= _AHEAD_NS:
+            return False
+        self._newest_ns, self._object_ns, self._tdc_ns = (
+            min(one, now_ns) for one in (self._newest_ns, self._object_ns, self._tdc_ns)
+        )
+        return True
 
     def add_tare(self, stamp_ns: int, offset: Float64, *, tdc: Float64 | None = None) -> tuple[str, ...]:
         """Add a tare.
@@ -396,19 +379,13 @@ class SensorTracker:
         return max(0, int(stamp_ns) - self._newest_ns) / 1e9 if self._newest_ns >= 0 else 0.0
 
     def _checked_stamp(self, stamp_ns: int) -> int:
-        """The stamp, not before the newest one; a `TactileError` if it is not a valid stamp, far ahead, or too late."""
+        """The stamp, not before the newest one; a `TactileError` if it is not a valid stamp, or too late."""
         if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
             raise TactileError(f"stamp: {stamp_ns!r} is not nanoseconds from 0")
         stamp = int(stamp_ns)
         if self._newest_ns >= 0 and self._newest_ns - stamp > _LATE_NS:
             late = (self._newest_ns - stamp) / 1e9
             raise TactileError(f"stamp: is {late:.1f} s before that of the newest reading, 60 s are allowed")
-        if self._newest_ns >= 0 and stamp - self._newest_ns > _LEAP_NS:
-            years = (stamp - self._newest_ns) / 1e9 / 86400 / 365
-            raise TactileError(f"stamp: is {years:.0f} years after that of the newest reading, 10 are allowed")
-        if not self._earlier or stamp - self._earlier[-1]["_newest_ns"] >= _KEEP_EVERY_NS:
-            state = {name: value for name, value in vars(self.copy()).items() if name != "_earlier"}
-            self._earlier = (*self._earlier[1 - _KEPT :], state)
         return max(stamp, self._newest_ns)
 
     def to_tensors(self) -> dict[str, AnyArray]:
@@ -463,15 +440,17 @@ class SensorTracker:
     def _restore(self, tensors: Mapping[str, AnyArray]) -> None:
         touches, readings, kind, *suspect = (int(value) for value in tensors["counts"])
         newest, last_of_object = (int(value) for value in tensors["stamps_ns"])
-        if not 0 <= touches <= readings or kind not in (NEW, KNOWN) or any(one not in (0, 1) for one in suspect):
-            raise ModelError(f"counts: {tensors['counts'].tolist()} cannot be")
-        if not -1 <= last_of_object <= newest or (newest < 0) != (readings == 0):
-            raise ModelError(f"stamps_ns: {[newest, last_of_object]} cannot be")
-        if (np.abs(tensors["log_factor"] - self._first_log_factor) > _FACTOR_RANGE + 1e-9).any():
-            raise ModelError("log_factor: leaves its limits")
-        unlikely = np.abs(tensors["expected"]) > self._channels.most * max(touches, 1)
-        if unlikely.any() or np.abs(tensors["mean"]).max() > 1e6:
-            raise ModelError("mean, expected: hold values that readings cannot give")
+        possible = (
+            0 <= touches <= readings
+            and {kind, *suspect} <= {0, 1}
+            and -1 <= last_of_object <= newest
+            and (newest < 0) == (readings == 0)
+            and (np.abs(tensors["log_factor"] - self._first_log_factor) <= _FACTOR_RANGE + 1e-9).all()
+            and (np.abs(tensors["expected"]) <= self._channels.most * max(touches, 1)).all()
+            and np.abs(tensors["mean"]).max() <= 1e6
+        )
+        if not possible:
+            raise ModelError("counts, stamps_ns, log_factor, expected, mean: hold what readings cannot give")
         self._kind = kind
         self._filter.start_object(self.parameters.object[kind])
         mean, covariance = self._filter.mean.copy(), self._filter.covariance.copy()

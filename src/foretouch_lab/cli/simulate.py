@@ -121,17 +121,17 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
 
 def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
     count = arguments.count
-    timed = [(plan, simulation.timings[plan.name]) for plan in explain_scene(simulation.scene)]
+    plans, calls, seconds_of = explain_scene(simulation.scene), simulation.calls, simulation.seconds
     if arguments.json:
         effects = [
             {
                 "name": plan.name,
-                "ran": timing.calls > 0,
-                "ms_per_sample": 1e3 * timing.seconds / count,
+                "ran": calls[plan.name] > 0,
+                "ms_per_sample": 1e3 * seconds_of[plan.name] / count,
                 "reason": plan.reason,
-                "calls": timing.calls,
+                "calls": calls[plan.name],
             }
-            for plan, timing in timed
+            for plan in plans
         ]
         print_json({
             "effects": effects,
@@ -143,10 +143,10 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             "path": str(arguments.out),
         })  # fmt: skip
         return
-    ran = sorted((t.seconds / count, plan.name) for plan, t in timed if t.calls)
+    ran = sorted((seconds_of[name] / count, name) for name in calls)
     slowest = ", ".join(f"{name} {1e3 * seconds:.1f}" for seconds, name in reversed(ran[-3:]))
     print(
-        f"{len(ran)} of {len(timed)} effects ran, as the scene needs them (--explain lists all); slowest: {slowest} ms a sample"
+        f"{len(ran)} of {len(plans)} effects ran, as the scene needs them (--explain lists all); slowest: {slowest} ms a sample"
     )
     failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
     print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")

@@ -28,7 +28,7 @@ from foretouch_lab.learning.training.contact import ContactPredictor, ContactTra
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
-from foretouch_lab.simulation.simulate import SAMPLE_KEYS, Simulation
+from foretouch_lab.simulation.simulate import Simulation
 from foretouch_lab.simulation.world import SampleKey
 
 RIGID: Final = "rigid"
@@ -146,7 +146,7 @@ def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[st
 
 def _drops(scene: SceneConfig, count: int) -> dict[int, Float64]:
     """(2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; those that fail are left out."""
-    engine, found = Engine(scene, EFFECTS, ("readings",)), {}
+    engine, found = Engine(scene, EFFECTS), {}
     for slot in range(count):
         try:
             rest, pressed = engine.run(SampleKey(scene.seed, slot)).readings
@@ -163,7 +163,7 @@ def _samples(scene: SceneConfig, count: int) -> list[GraspSample]:
 def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
     """See `Area.timed`: simulates the first grasps that do not fail, one after the other."""
     scene = data.changed(variant)
-    engine, kept = Engine(scene, EFFECTS, SAMPLE_KEYS), []
+    engine, kept = Engine(scene, EFFECTS), []
     for slot in range(2 * _TIMED):
         try:
             engine.run(SampleKey(scene.seed, slot))

@@ -33,7 +33,7 @@ from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg, sensor_to_msg
-from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
+from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, SimulatedHand
 from foretouch_lab.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch_lab.simulation.scene import scheduled_scene
 from foretouch_lab.simulation.world import CAMERA_FRAME
@@ -97,7 +97,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
-        self._resting: RestingFingers
+        self._resting: SimulatedHand
         self._faults = MessageFaults(FaultConfig())
         super().__init__(name, HandNodeConfig, **options)
 
@@ -107,10 +107,9 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._hand = SimulatedHand(scene, self.config.course)
         if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
             self._began = time.monotonic() - self.age_s(self.config.scene.origin_ns)
-        at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
+        self._resting = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._sensor = sensor = self._hand.sensor
         kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
-        self._resting = RestingFingers(at_rest)
         self._solver: Worker[tuple[GraspArray, float]] = Worker(
             "hand-contact", 4, lambda one: self._solve(*one), lambda _, why: self._drop(why)
         )

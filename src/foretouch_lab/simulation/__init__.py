@@ -2,6 +2,6 @@
 """The simulator: objects on a table, a simulated depth camera, and BioTac SP fingertips that press on the objects."""
 
 from foretouch_lab.simulation.depth_scene import CameraView, DepthImage, DepthScene, random_scene
-from foretouch_lab.simulation.solids import Box, Cylinder, Primitive, Sphere
+from foretouch_lab.simulation.solids import Primitive
 
-__all__ = ["Box", "CameraView", "Cylinder", "DepthImage", "DepthScene", "Primitive", "Sphere", "random_scene"]
+__all__ = ["CameraView", "DepthImage", "DepthScene", "Primitive", "random_scene"]

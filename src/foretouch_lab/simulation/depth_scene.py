@@ -14,7 +14,7 @@ import numpy.typing as npt
 from foretouch.camera.deproject import Deprojector, pinhole_matrix
 from foretouch.errors import ConfigError
 from foretouch.types import Bool, Cloud, Float32, Float64, Int32, UInt8
-from foretouch_lab.simulation.solids import LYING, Box, Cylinder, Primitive, Sphere, about_z, footprint_m
+from foretouch_lab.simulation.solids import LYING, Primitive, about_z, footprint_m
 
 Window = tuple[slice, slice]
 
@@ -202,18 +202,13 @@ class DepthScene:
         """One frame; without effects it is exact to the millimetre that the depth is rounded to.
 
         Args:
-            rng: Generator of noise and flying pixels; may be None without either.
+            rng: Generator of noise and flying pixels; None leaves out both.
             noise_m: Standard deviation of the depth at 1 m, growing with its square [m].
             flying_pixels: Whether pixels on a depth edge lie between both sides.
-
-        Raises:
-            ConfigError: If an effect needs a generator and none is given.
         """
         depth, labels = self.cast()
         rgb = self._colours(depth, labels)
-        if noise_m > 0.0 or flying_pixels:
-            if rng is None:
-                raise ConfigError("rng: is None, noise and flying pixels need a generator")
+        if rng is not None:
             depth = add_flying_pixels(depth, rng) if flying_pixels else depth
             depth = add_stereo_noise(depth, noise_m, rng) if noise_m > 0.0 else depth
         return DepthImage(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
@@ -235,12 +230,6 @@ class DepthScene:
             depth[window][nearer] = hit[nearer]
             labels[window][nearer] = label
         return depth, labels
-
-    def moved(self, index: int, offset: Float64) -> Self:
-        """The scene with one object shifted by (3,) in the world [m]."""
-        objects = list(self.objects)
-        objects[index] = objects[index].moved(offset)
-        return replace(self, objects=tuple(objects))
 
     def _colours(self, depth: Float64, labels: Int32) -> UInt8:
         """A colour per label, darker where the surface turns away, by the slope of the depth."""
@@ -311,7 +300,7 @@ def _find_place(
 ) -> Primitive | None:
     for _ in range(_ATTEMPTS):
         solid = _random_solid(rng)
-        solid = solid.moved(np.append(rng.uniform(-0.5, 0.5, 2) * TABLE_M, 0.0))
+        solid = replace(solid, position=solid.position + np.append(rng.uniform(-0.5, 0.5, 2) * TABLE_M, 0.0))
         fits = _in_view(solid, view) and (np.abs(solid.position[:2]) + footprint_m(solid) < TABLE_M / 2.0).all()
         if not fits or any(_collide(solid, other) for other in placed):
             continue
@@ -326,14 +315,15 @@ def _random_solid(rng: np.random.Generator) -> Primitive:
     turn = about_z(rng.uniform(0.0, 2.0 * np.pi))
     if kind == 0:
         size = rng.uniform((0.04, 0.04, 0.04), (0.14, 0.12, 0.18))
-        return Box(position=np.array([0.0, 0.0, size[2] / 2.0]), rotation=turn, size=size)
+        return Primitive("box", size, np.array([0.0, 0.0, size[2] / 2.0]), turn)
     if kind == 1:
         radius, height = rng.uniform(0.025, 0.05), rng.uniform(0.06, 0.20)
+        size = np.array([2.0 * radius, 2.0 * radius, height])
         if rng.random() < 0.5:
-            return Cylinder(position=np.array([0.0, 0.0, height / 2.0]), rotation=turn, radius=radius, height=height)
-        return Cylinder(position=np.array([0.0, 0.0, radius]), rotation=turn @ LYING, radius=radius, height=height)
+            return Primitive("cylinder", size, np.array([0.0, 0.0, height / 2.0]), turn)
+        return Primitive("cylinder", size, np.array([0.0, 0.0, radius]), turn @ LYING)
     radius = rng.uniform(0.03, 0.08)
-    return Sphere(position=np.array([0.0, 0.0, radius]), radius=radius)
+    return Primitive("ball", np.full(3, 2.0 * radius), np.array([0.0, 0.0, radius]))
 
 
 def _in_view(solid: Primitive, view: CameraView) -> bool:

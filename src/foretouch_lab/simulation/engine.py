@@ -2,11 +2,11 @@
 """Effects, each one step of a sample, and the engine that runs those that a scene calls for and measures their time.
 
 Each effect has a random stream of its own: an effect that is off leaves all bit-equal that is not computed from its result.
-Of each object of the scene, those effects run, in the order of their list, that the scene calls for and whose result leads
-to an output. The others cost nothing.
+Of each object of the scene, those effects run, in the order of their list, that the scene calls for. The others cost nothing.
 """
 
 import time
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -37,14 +37,13 @@ class SampleState:
     exact_depth: Float64  # (h, w) along the optical axis [m], inf where there is nothing
     labels: Int32  # (h, w): 0 none, 1 table, 2 the object, 3 and on the clutter
     hits: list[Hits | None]  # of each body, flat over the window; None for a body that the window does not show
-    normals: Float64  # (h, w, 3), outward unit normals in the world; zero where no body is
     depth: Float64  # (h, w) [m], as the camera measures it; inf where it measures nothing
     cloud: Cloud  # the object's points in the camera frame
     pixels: Int64  # (n,), pixel of each point in the flat image
     plan: GraspPlan  # result of GeoGrasp
     grasp: Grasp  # the grasp that is executed, in the camera frame
     fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world
-    targets: Float64  # (2,) that both fingers are commanded to reach, [N] or [m] by the scene's `control`
+    target: float  # what both fingers are commanded to reach, [N] or [m] by the scene's `control`
     axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
     tangential_n: Float64  # (2, 3) [N], force of the object's weight on both fingers in the world, across their line
     postures: tuple[tuple[ContactFrame, Float64], tuple[ContactFrame, Float64]]
@@ -62,11 +61,12 @@ class SampleState:
     load: Float64  # (T,), 0 without contact and 1 in full contact
     hold_row: int  # the message that is the touch; the tare is the median of those before the first load
     level: Float64  # (T, 2, 25) [counts], how far the readings have drifted in the course of the campaign
-    others: Float64  # (T, 2, 4) [counts], PAC0, PAC1, TAC and TDC of both fingers, not rounded; 0 if not simulated
-    slid: Float64  # (T,) [m], how far the object has slid
+    others: Float64  # (T, 2, 4) [counts], PAC0, PAC1 (always 0), TAC and TDC of both fingers, not rounded; 0 if not simulated
     series: Float64  # (T, 2, V), with what the sensor adds
     touch: Touch  # readings in contact
     tare: Touch | None  # readings before contact; None where no tare is recorded
+    elapsed_s: float  # of a live hand, the time since it was switched on [s]
+    idle_rows: int  # of a live hand, how many messages are read while nothing is touched
 
 
 @dataclass(frozen=True)
@@ -78,36 +78,21 @@ class Effect:
         run: Computes the effect.
         when: Field of the scene that calls for it, such as `camera.noise` (`objects.` stands for the object of the
             sample), or a function that returns the reason to run it with an object, or None.
-        reads: Keys of the state that must be there, those that it changes included.
-        writes: Keys that it makes or changes.
-        changes: Keys that it both reads and writes.
         off: Reason why it does not run where nothing calls for it; by default the field that is absent.
         again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is there.
-        detail: Describes that field, for the reason.
     """
 
     name: str
     run: Callable[["Job", SampleState], None]
     when: str | Callable[[SceneConfig, ObjectConfig], str | None]
-    reads: tuple[str, ...] = ()
-    writes: tuple[str, ...] = ()
-    changes: tuple[str, ...] = ()
     off: str = ""
     again: bool = False
-    detail: Callable[[Any], str] | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("reads", "writes"):
-            object.__setattr__(self, name, tuple(dict.fromkeys((*getattr(self, name), *self.changes))))
 
     def reason(self, scene: SceneConfig, item: ObjectConfig) -> str | None:
         """Why it runs with an object of a scene; None where nothing calls for it."""
         if callable(self.when):
             return self.when(scene, item)
-        value = _field_of(self.when, scene, item)
-        if value is None or value == ():
-            return None
-        return self.when if self.detail is None else f"{self.when}: {self.detail(value)}"
+        return None if _field_of(self.when, scene, item) in (None, ()) else self.when
 
 
 def _field_of(path: str, scene: SceneConfig, item: ObjectConfig) -> Any:
@@ -156,14 +141,6 @@ class EffectPlan:
     objects: tuple[str, ...] = ()  # the objects it runs with
 
 
-@dataclass
-class EffectTiming:
-    """How often an effect ran and how long in all, by the processor time of its thread [s]."""
-
-    calls: int = 0
-    seconds: float = 0.0
-
-
 @dataclass(eq=False)
 class Engine:
     """Makes samples of one scene.
@@ -171,60 +148,41 @@ class Engine:
     Attributes:
         scene: The scene.
         effects: All effects there are, in the order in which they run.
-        outputs: The keys that are asked for.
-        timings: By effect, for all that are listed: those that never ran have no calls.
+        calls: How often each effect ran.
+        seconds: How long each ran in all, by the processor time of its thread [s].
         world: What all samples share.
         chains: Of each object, the effects that run.
     """
 
     scene: SceneConfig
     effects: Sequence[Effect]
-    outputs: tuple[str, ...]
-    timings: dict[str, EffectTiming] = field(init=False)
+    calls: Counter[str] = field(default_factory=Counter)
+    seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     world: World = field(init=False)
     chains: list[list[Effect]] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.timings = {effect.name: EffectTiming() for effect in self.effects}
         self.world = World.of(self.scene)
-        self.chains = [self._chain(item) for item in self.scene.objects]
-
-    def _chain(self, item: ObjectConfig) -> list[Effect]:
-        """The effects that lead to the outputs for one object, found from the outputs backwards."""
-        wanted, chain = set(self.outputs), []
-        for effect in reversed(self.effects):
-            if not wanted.isdisjoint(effect.writes) and effect.reason(self.scene, item) is not None:
-                chain.append(effect)
-                wanted.update(effect.reads)
-        return chain[::-1]
+        self.chains = [
+            [effect for effect in self.effects if effect.reason(self.scene, item) is not None]
+            for item in self.scene.objects
+        ]
 
     def explain(self) -> list[EffectPlan]:
         """Which effects will run and which will not, without running any."""
         plans = []
         for effect in self.effects:
-            reasons = [effect.reason(self.scene, item) for item in self.scene.objects]
-            ran = [k for k, chain in enumerate(self.chains) if effect in chain]
-            reason = ", ".join(dict.fromkeys(reasons[k] or "" for k in ran))
-            if not ran:
-                reason = "nothing reads it" if any(reasons) else effect.off or f"no {effect.when}"
-            plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(self.scene.objects[k].name for k in ran)))
+            ran = [(item, why) for item in self.scene.objects if (why := effect.reason(self.scene, item)) is not None]
+            reason = ", ".join(dict.fromkeys(why for _, why in ran)) or effect.off or f"no {effect.when}"
+            plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(item.name for item, _ in ran)))
         return plans
 
-    def run(self, key: SampleKey, item: ObjectConfig | None = None) -> SampleState:
-        """Make one sample.
-
-        Args:
-            key: Which one.
-            item: In place of that object: one that calls for the same effects, such as itself of another material.
-
-        Raises:
-            SimulationError: If an effect refuses; `reason` names the kind.
-        """
+    def run(self, key: SampleKey, **given: Any) -> SampleState:
+        """Make one sample, from the keys that are given; a `SimulationError` names the `reason` of a refusal."""
         index = object_index(self.scene, key.slot)
-        item = self.scene.objects[index] if item is None else item
-        state = SampleState()
+        item, state = self.scene.objects[index], SampleState()
+        vars(state).update(given)
         for effect in self.chains[index]:
-            timing = self.timings[effect.name]
             start = time.thread_time()
             try:
                 effect.run(Job(self.scene, item, self.world, key, effect), state)
@@ -234,6 +192,6 @@ class Engine:
                 reason = _REASONS.get(type(err), effect.name)
                 raise SimulationError(f"{item.name}: {effect.name}: {err}", reason) from err
             finally:
-                timing.calls += 1
-                timing.seconds += time.thread_time() - start
+                self.calls[effect.name] += 1
+                self.seconds[effect.name] += time.thread_time() - start
         return state

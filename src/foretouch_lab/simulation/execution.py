@@ -2,7 +2,7 @@
 """A simulated hand that executes grasps on the objects of a scene: the readings of its fingertips, message by message.
 
 The contact of a grasp is solved once, for the object as it lay when the grasp was planned; time only scales it. The same
-effects run as in a data set, and only those that the scene calls for. Between grasps, `RestingFingers` generates the
+effects run as in a data set, and only those that the scene calls for. Between grasps, `SimulatedHand.read` gives the
 readings of fingertips that touch nothing.
 """
 
@@ -17,22 +17,53 @@ from foretouch.errors import SimulationError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Grasp
-from foretouch_lab.simulation.contact.pad import ContactFrame
-from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.effects.reading import drift_of
+from foretouch_lab.simulation import fingertip
+from foretouch_lab.simulation.effects import grasp, reading, view
 from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
 from foretouch_lab.simulation.fingertip import quantise, read_press
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scene.fingers import DriftConfig, TimelineConfig
+from foretouch_lab.simulation.scene.fingers import TimelineConfig
 from foretouch_lab.simulation.scene.ranges import draw
-from foretouch_lab.simulation.world import SampleKey, World
+from foretouch_lab.simulation.world import SampleKey
 
 _BLOCK = 200  # messages that are made at a time
 _STREAMS = 1 << 20  # apart from the numbers by which grasps are repeated
-_NOT_LIVE = ("sessions", "tares")  # one hand, one day; a tare is found in the rest
-_NOT_AT_REST = (*_NOT_LIVE, "fingertip", "timeline", "slip")
 
 Counts = npt.NDArray[Any]
+
+
+def _calendar(job: Job, state: SampleState) -> None:
+    """The campaign passes with the time since the hand was switched on."""
+    assert job.world.campaign is not None  # noqa: S101  # the scene calls for this with a campaign only
+    state.campaign_time = job.world.campaign.live(state.elapsed_s)
+
+
+def _drift(job: Job, state: SampleState) -> None:
+    """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
+    before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), fingertip.SESSION_S)
+    state.series += reading.drift_of(job.world, before + state.elapsed_s + state.times)
+
+
+def _at_rest(job: Job, state: SampleState) -> None:
+    """Nothing touches the fingertips."""
+    array, rows, timeline = job.world.array, state.idle_rows, job.scene.fingers.timeline
+    assert timeline is not None  # noqa: S101  # of the hand
+    low = np.array([finger.rest for finger in state.sensors]) if array is None else array.rest
+    reading.start(state, np.arange(rows) / timeline.rate_hz, np.zeros(rows), low, low)
+
+
+# Without those of one hand on one day; touch and tare are found in the messages, and the grasp is given.
+_READING = [
+    replace(effect, run={"calendar": _calendar, "drift": _drift}.get(effect.name, effect.run))
+    for effect in reading.EFFECTS
+    if effect.name not in ("sessions", "counts", "tares")
+]
+_EXECUTING = [*view.PLACING, *grasp.EFFECTS[1:], *_READING]
+_RESTING = [
+    Effect("rest", _at_rest, "fingers") if effect.name == "moments" else effect
+    for effect in _READING
+    if effect.name not in ("fingertip", "timeline", "slip")
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +86,6 @@ class GraspTrajectory:
     release: int | None  # first row after steady contact; None likewise
     midpoint: Float64  # (3,) float64, between the fingertips as they really went [m], in the frame of the grasp
     rotation: Float64  # (3, 3) float64, of the hand as it really went
-    forces: tuple[float, float] = (0.0, 0.0)  # normal force of both fingers in steady contact [N]
     reason: str = ""  # why it failed, as `SimulationError.reason`; "" where it succeeded
     message: str = ""  # the same in words
 
@@ -90,28 +120,15 @@ class SimulatedHand:
             hold_s=config.hold_s,
         )
         self.scene = scene.replace(fingers=scene.fingers.replace(timeline=timeline))
-        self._grasp: Grasp | None = None
-        self._idle_rows = 0
-        self._elapsed_s = 0.0
-        live = {"grasp": self._given_grasp, "drift": self._drift, "calendar": self._calendar}
-        reads = {"grasp": (), "drift": ("series", "times")}
-        effects = [
-            replace(e, run=live.get(e.name, e.run), reads=reads.get(e.name, e.reads))
-            for e in EFFECTS
-            if e.name not in _NOT_LIVE
-        ]
-        self._executing = Engine(self.scene, effects, ("series", "load", "fingers", "contacts", "others"))
-        at_rest = Effect(
-            "rest", self._no_contact, "fingers", reads=("sensors",), writes=("series", "times", "load", "slid")
-        )
-        effects = [at_rest if e.name == "moments" else e for e in effects if e.name not in _NOT_AT_REST]
-        self._resting = Engine(self.scene, effects, ("series", "others"))
+        self._executing, self._resting = Engine(self.scene, _EXECUTING), Engine(self.scene, _RESTING)
+        self._rows: Counts = np.empty((0, 2, 0))  # those that `read` gives next
+        self._repeat = _STREAMS
 
-    def execute(self, grasp: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> GraspTrajectory:
+    def execute(self, chosen: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> GraspTrajectory:
         """Take an object.
 
         Args:
-            grasp: In the camera frame, thumb at g1.
+            chosen: In the camera frame, thumb at g1.
             slot: Which sample of the scene lies on the table.
             repeat: How many messages or grasps there were before: what the sensor adds differs from one to the next.
             elapsed_s: Time since the hand was switched on, for what drifts [s].
@@ -119,28 +136,29 @@ class SimulatedHand:
         Returns:
             The trajectory; where the grasp comes to nothing, that of a hand that closes without touching.
         """
-        self._grasp, self._elapsed_s = grasp, elapsed_s
-        start = round(self.config.rest_s * self.config.rate_hz)
+        config, key = self.config, SampleKey(self.scene.seed, slot, 0, repeat)
+        start = round(config.rest_s * config.rate_hz)
         try:
-            state = self._executing.run(self._key(slot, repeat))
+            state = self._executing.run(key, grasp=chosen, elapsed_s=elapsed_s)
         except SimulationError as err:
-            config = self.config
             length_s = 2.0 * (config.rest_s + config.approach_s + config.close_s) + config.hold_s
             counts = self.rest(round(length_s * config.rate_hz), repeat, elapsed_s)
             return GraspTrajectory(
-                counts, start, None, None, None, grasp.midpoint, grasp.rotation, reason=err.reason, message=str(err)
+                counts, start, None, None, None, chosen.midpoint, chosen.rotation, reason=err.reason, message=str(err)
             )
+        (thumb, middle), camera = state.fingers, self._executing.world.view
+        # A finger's tangent x is the hand's X or its opposite, whichever points down; its approach is the hand's Z or -Z.
+        x, z = camera.R_world_camera.T @ thumb.rotation[:, 0], -(camera.R_world_camera.T @ thumb.normal)
+        x = -x if x @ chosen.rotation[:, 0] < 0.0 else x
         steady = np.flatnonzero(state.load == 1.0)
-        midpoint, rotation = _achieved(state.fingers, grasp, self._executing.world)
         return GraspTrajectory(
             counts=self._counts(state),
             start=start,
             onset=int(np.argmax(state.load > 0.0)),
             contact=int(steady[0]),
             release=int(steady[-1]) + 1,
-            midpoint=midpoint,
-            rotation=rotation,
-            forces=(state.contacts[0].force_n, state.contacts[1].force_n),
+            midpoint=camera.to_camera((thumb.origin + middle.origin) / 2.0),
+            rotation=np.column_stack([x, np.cross(z, x), z]),
         )
 
     def press(self, finger: int) -> Counts:
@@ -152,8 +170,17 @@ class SimulatedHand:
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
         """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""
-        self._idle_rows, self._elapsed_s = rows, elapsed_s
-        return self._counts(self._resting.run(self._key(0, repeat)))
+        key = SampleKey(self.scene.seed, 0, 0, repeat)
+        return self._counts(self._resting.run(key, idle_rows=rows, elapsed_s=elapsed_s))
+
+    def read(self, elapsed_s: float) -> Counts:
+        """The next row of readings without contact, each new, at a time since the hand was switched on [s]."""
+        if not len(self._rows):
+            self._rows = self.rest(_BLOCK, self._repeat, elapsed_s)
+            self._repeat += 1
+        found: Counts = self._rows[0]
+        self._rows = self._rows[1:]
+        return found
 
     @property
     def sensor(self) -> Sensor:
@@ -164,73 +191,5 @@ class SimulatedHand:
     def _counts(self, state: SampleState) -> Counts:
         if (array := self._executing.world.array) is not None:
             return array.quantise(state.series)
-        series = np.concatenate([state.series, state.others], axis=2) if hasattr(state, "others") else state.series
-        return quantise(series).astype(np.int16)
-
-    def _key(self, slot: int, repeat: int) -> SampleKey:
-        return SampleKey(self.scene.seed, slot, 0, repeat)
-
-    # Effects of a live hand.
-
-    def _given_grasp(self, job: Job, state: SampleState) -> None:
-        """In place of planning: the grasp that was asked for."""
-        assert self._grasp is not None  # noqa: S101  # set by execute
-        state.grasp = replace(self._grasp, object_id=job.item.name)
-
-    def _no_contact(self, _job: Job, state: SampleState) -> None:
-        array = self._resting.world.array
-        low = np.array([finger.rest for finger in state.sensors]) if array is None else array.rest
-        state.series = np.repeat(low[None], self._idle_rows, axis=0)
-        state.times = np.arange(self._idle_rows) / self.config.rate_hz
-        state.load, state.slid = np.zeros((2, self._idle_rows))
-
-    def _calendar(self, job: Job, state: SampleState) -> None:
-        """The campaign passes with the time since the hand was switched on."""
-        assert job.world.campaign is not None  # noqa: S101  # the scene calls for this with a campaign only
-        state.campaign_time = job.world.campaign.live(self._elapsed_s)
-
-    def _drift(self, job: Job, state: SampleState) -> None:
-        """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
-        config: DriftConfig = job.settings
-        before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), config.session_s)
-        state.series += drift_of(job.world, config, before + self._elapsed_s + state.times)
-
-
-class RestingFingers:
-    """Readings without contact, each new.
-
-    Args:
-        hand: Whose fingers; nobody else may use it at the same time.
-    """
-
-    def __init__(self, hand: SimulatedHand) -> None:
-        self._hand = hand
-        self._repeat = _STREAMS
-        self._rows: Counts = np.empty((0, 2, 0))
-        self._next = 0
-
-    def read(self, elapsed_s: float) -> Counts:
-        """Counts of thumb and middle finger, a row of `GraspTrajectory.counts`.
-
-        Args:
-            elapsed_s: Time since the hand was switched on [s].
-        """
-        if self._next == len(self._rows):
-            self._rows, self._next = self._hand.rest(_BLOCK, self._repeat, elapsed_s), 0
-            self._repeat += 1
-        self._next += 1
-        found: Counts = self._rows[self._next - 1]
-        return found
-
-
-def _achieved(fingers: tuple[ContactFrame, ContactFrame], grasp: Grasp, world: World) -> tuple[Float64, Float64]:
-    """Midpoint and rotation of the hand in the camera frame, as the fingers really went.
-
-    A finger's tangent x is the hand's X or its opposite, whichever points down; its approach is the hand's Z or -Z.
-    """
-    thumb, middle = fingers
-    R_camera_world = world.view.R_world_camera.T  # noqa: N806  # transforms read as algebra
-    x, z = R_camera_world @ thumb.rotation[:, 0], -(R_camera_world @ thumb.normal)
-    if x @ grasp.rotation[:, 0] < 0.0:
-        x = -x
-    return world.view.to_camera((thumb.origin + middle.origin) / 2.0), np.column_stack([x, np.cross(z, x), z])
+        others = [state.others] if state.others.any() else []
+        return quantise(np.concatenate([state.series, *others], axis=2)).astype(np.int16)

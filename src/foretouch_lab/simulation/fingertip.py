@@ -38,7 +38,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.tactile import BIOTAC_SP, ELECTRODES, FULL_SCALE, to_kohm
 from foretouch.types import Float64, Int64
-from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
+from foretouch_lab.simulation.contact.pad import PadConfig, PadWindow
 from foretouch_lab.simulation.contact.problem import ContactSolution
 
 _FRESH_PER_ROW: Final = 16.8  # electrodes that are sampled between two messages
@@ -47,18 +47,18 @@ _CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring 
 PDC_PER_KELVIN: Final = 8.0  # [counts/K]; orders of magnitude, not measurements: they differ from sensor to sensor
 ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
 
+BODY_KELVIN: Final = 3.0  # rise of the liquid's temperature since power-on, in the end
+WARMING_S: Final = 600.0  # time constant of the warming
+SESSION_S: Final = (0.0, 1800.0)  # from power-on to a grasp, low and high
+TARE_AGE_S: Final = (2.0, 30.0)  # from a tare to its touch
+
 TDC_PER_KELVIN: Final = 75.0  # [counts/K]; slope of the converter's curve between 2350 and 2700, where recordings are
 TAC_PER_KELVIN_S: Final = 400.0  # [counts s/K]; an order of magnitude: recorded TAC varies by tens of counts
-VIBRATION_NOISE: Final = (
-    5.0  # standard deviation of PAC of a still fingertip [counts]; this and the next are assumptions
-)
-VIBRATION_CONTACT: Final = 200.0  # of PAC at first touch and at release [counts]
-VIBRATION_SLIP: Final = 200.0  # of PAC per slip of 1 mm [counts/mm]
-VIBRATION_S: Final = 0.03  # time in which a vibration of the skin falls to 1/e
-PAC_REST: Final = 2048.0  # PAC of a still fingertip
 TAC_REST: Final = 2048.0  # TAC at a steady temperature
 TDC_REST: Final = (2400.0, 2580.0)  # TDC of thumb and middle finger at power-on [counts], about as recorded
 
+NOISE_ELECTRODE: Final = 4.2  # standard deviation of the white noise of an electrode [counts]
+NOISE_PDC: Final = 0.3  # of PDC
 WANDER_COUNTS: Final = 1.9  # standard deviation of the slow fluctuation of an electrode
 WANDER_S: Final = 0.4  # time in which its correlation falls to 1/e
 
@@ -67,22 +67,6 @@ CREEP_TIME_S: Final = 1.5  # time constant of the late part
 
 SLIP_SPEED_M_S: Final = 0.005  # mean speed of the object over the skin
 SLIP_LENGTH_M: Final = 0.0005  # mean length of one slip
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoiseConfig(Settings):
-    """Noise of the channels."""
-
-    electrode_counts: float = setting(4.2, "Standard deviation of the white noise of an electrode", bounds=(0.0, 1e6))
-    pdc_counts: float = setting(0.3, "Standard deviation of the white noise of PDC", bounds=(0.0, 1e6))
-
-
-@dataclass(frozen=True, kw_only=True)
-class TemperatureConfig(Settings):
-    """Warming of the liquid, which moves all counts; it is not compensated in the sensor."""
-
-    body_kelvin: float = setting(3.0, "Rise of the liquid's temperature since power-on, in the end", bounds=(-1e3, 1e3))
-    warming_s: float = setting(600.0, "Time constant of the warming", bounds=(1e-3, 1e9))
 
 
 def ou_noise(
@@ -127,14 +111,14 @@ def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s
     return result
 
 
-def warming(config: TemperatureConfig, times_s: Float64) -> Float64:
+def warming(times_s: Float64, body_kelvin: float = BODY_KELVIN, warming_s: float = WARMING_S) -> Float64:
     """(T,) float64: rise of the liquid's temperature [K] at times since power-on [s]."""
-    return np.asarray(config.body_kelvin * -np.expm1(-times_s / config.warming_s))
+    return np.asarray(body_kelvin * -np.expm1(-times_s / warming_s))
 
 
-def temperature_drift(config: TemperatureConfig, times_s: Float64) -> Float64:
-    """(T, 25) float64: drift of PDC and electrodes [counts] at times (T,) since power-on [s]."""
-    return np.outer(warming(config, times_s), [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
+def temperature_drift(rise_k: Float64) -> Float64:
+    """(T, 25) float64: drift of PDC and electrodes [counts] by a rise of the temperature (T,) [K], not compensated in the sensor."""
+    return np.outer(rise_k, [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
 
 
 def slip_path(rows: int, rate_hz: float, rng: np.random.Generator) -> Float64:
@@ -226,39 +210,25 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
     """
     if solution.force_n == 0.0:
         return finger.rest
-    skin = solution.displacement[0]
-    volume = _displaced_volume(skin, pad.step_m**2)
-    approach = _skin_approach(_electrode_weights(pad, window.frame, window.points), skin, volume)
-    electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
-    return np.append(_pdc_counts(window.frame, volume, finger), electrodes)
+    skin, cell_m2, normal = solution.displacement[0], pad.step_m**2, window.frame.normal
+    # Where the skin's displacement is a rise, it takes liquid up.
+    volume_m3 = max(float(np.minimum(skin, BOTTOMING_M).sum()) * cell_m2, 0.0)
+    approach = electrode_weights(pad, window) @ skin.ravel() - volume_m3 / BULGE_AREA_M2
+    facing = math.pow(max(-float(normal[2]), 0.0), RIM_POWER)
+    pdc = finger.pdc_rest + finger.pdc_span * facing * math.tanh(volume_m3 / SATURATION_M3)
+    return np.append(pdc, electrode_counts(approach, finger.electrode_rest, finger.electrode_gain))
 
 
 def read_press(finger: Finger) -> Float64:
     """(25,) counts [counts] of a fingertip whose whole pad is pressed by a person, halfway to its largest pressure."""
     approach = 0.5 * THINNING_M * np.maximum(-BIOTAC_SP.layout.normals[:, 2], 0.0)
-    electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
+    electrodes = electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
     return np.append(finger.pdc_rest + 0.5 * finger.pdc_span, electrodes)
 
 
-def _displaced_volume(displacement: Float64, cell_m2: float) -> float:
-    """Liquid pushed aside by the contact [m³]; where the skin's displacement is a rise, it takes liquid up."""
-    return max(float(np.minimum(displacement, BOTTOMING_M).sum()) * cell_m2, 0.0)
-
-
-def _pdc_counts(frame: ContactFrame, volume_m3: float, finger: Finger) -> float:
-    """PDC in counts, not yet rounded, of a pad that is touched at a frame."""
-    facing = math.pow(max(-float(frame.rotation[2, 2]), 0.0), RIM_POWER)
-    return finger.pdc_rest + finger.pdc_span * facing * math.tanh(volume_m3 / SATURATION_M3)
-
-
-def _electrode_weights(
-    pad: PadConfig, frame: ContactFrame, skin_points: Float64, kernel_m: float = KERNEL_M
-) -> Float64:
-    """(24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1.
-
-    `skin_points` (N, N, 3) are the cells on the skin in the frame of the fingertip [m]; not finite beside the pad.
-    """
-    points = skin_points.reshape(-1, 3)
+def electrode_weights(pad: PadConfig, window: PadWindow) -> Float64:
+    """(24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1."""
+    points = window.points.reshape(-1, 3)
     normals = BIOTAC_SP.layout.normals
     places = BIOTAC_SP.layout.positions + pad.layer_m * normals
     on_skin = np.isfinite(points.sum(axis=1))
@@ -266,21 +236,16 @@ def _electrode_weights(
     # |p - e|² = |p|² - 2 p·e + |e|², so that the bulk of the work is one product of matrices
     squares = np.einsum("ij,ij->i", points, points) - 2.0 * places @ points.T
     squares += np.einsum("ij,ij->i", places, places)[:, None]
-    scale = pad.step_m**2 / (2.0 * math.pi * kernel_m**2)
-    facing = np.maximum(normals @ frame.rotation[:, 2], 0.0)
-    weights: Float64 = np.exp(squares * (-0.5 / kernel_m**2))
+    scale = pad.step_m**2 / (2.0 * math.pi * KERNEL_M**2)
+    facing = np.maximum(normals @ window.frame.normal, 0.0)
+    weights: Float64 = np.exp(squares * (-0.5 / KERNEL_M**2))
     weights *= (scale * facing)[:, None]
     weights *= on_skin
     return weights
 
 
-def _skin_approach(weights: Float64, displacement: Float64, volume_m3: float) -> Float64:
-    """(24,) float64 [m]: how much closer the skin is to each electrode; negative where it bulges."""
-    return np.asarray(weights @ displacement.ravel() - volume_m3 / BULGE_AREA_M2)
-
-
-def _electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
-    """Counts (..., 24) of electrodes, not yet rounded, by the approach of `_skin_approach` and the counts without contact."""
+def electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
+    """Counts (..., 24) of electrodes, not yet rounded, by the approach of the skin [m] and the counts without contact."""
     impedance_kohm = to_kohm(rest) * np.exp(np.clip(gain * approach / THINNING_M, -_MAX_EXPONENT, _MAX_EXPONENT))
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
 

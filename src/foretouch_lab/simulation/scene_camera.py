@@ -35,7 +35,7 @@ class FrameMaker:
 
     def __init__(self, scene: SceneConfig) -> None:
         self.scene = scene
-        self._engine = Engine(scene, (*view.PLACING, *view.FRAME_EFFECTS), ("depth", "labels", "normals"))
+        self._engine = Engine(scene, (*view.PLACING, *view.FRAME_EFFECTS))
 
     def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
         """One image.
@@ -53,7 +53,7 @@ class FrameMaker:
         item = self.scene.objects[object_index(self.scene, slot)]
         if item.colour is not None:
             colours[state.labels == FIRST_OBJECT] = item.colour
-        shade = np.where(state.labels > TABLE, view.light(state.normals), 1.0)
+        shade = np.where(state.labels > TABLE, view.light(view.normals_of(state)), 1.0)
         return self._image(state.depth, (colours * shade[..., None]).astype(np.uint8), state.labels)
 
     def nothing(self) -> DepthImage:

@@ -7,8 +7,8 @@ failure counted by reason. What stands in a slot depends on the scene, the seed 
 number of workers.
 """
 
-from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
@@ -18,17 +18,13 @@ import numpy as np
 
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.processes import one_thread_each, process_pool
-from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac import FINGERS, OTHERS
 from foretouch.types import GraspSample
 from foretouch_lab.simulation.effects import EFFECTS
-from foretouch_lab.simulation.engine import EffectPlan, EffectTiming, Engine, SampleState
+from foretouch_lab.simulation.engine import EffectPlan, Engine, SampleState
 from foretouch_lab.simulation.fingertip import quantise
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.world import SampleKey, object_index
-
-#: The keys of the state that every sample is made of.
-SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
 
 _BLOCK = 16  # slots that a worker makes at a time
 _AHEAD = 3  # blocks a worker that may wait for the reader
@@ -48,8 +44,8 @@ class Simulation:
     """A run over a scene; iterate `samples` once."""
 
     scene: SceneConfig  # the scene
-    timings: dict[str, EffectTiming] = field(default_factory=lambda: {e.name: EffectTiming() for e in EFFECTS})
-    # by effect, over all tries so far
+    calls: Counter[str] = field(default_factory=Counter)  # how often each effect ran so far
+    seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))  # and how long in all [s]
     failures: list[Failure] = field(default_factory=list)  # tries that came to nothing, so far
 
     @property
@@ -72,30 +68,19 @@ class Simulation:
             ConfigError: If the scene is a campaign of fewer grasps.
             SimulationError: If a slot fails `scene.max_attempts` times.
         """
-        _require_length(self.scene, count)
+        if self.scene.campaign is not None and count > self.scene.campaign.size:
+            raise ConfigError(f"campaign: {count} grasps exceed its {self.scene.campaign.size}")
         blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
         made_here = map(partial(_make_block, self.scene), blocks)
         results = made_here if workers == 1 else _spread(self.scene, blocks, workers)
-        for samples, timings, failures, given_up in results:
-            self._add(timings, failures)
+        for samples, calls, seconds, failures, given_up in results:
+            self.calls.update(calls)
+            for name, spent in seconds.items():
+                self.seconds[name] += spent
+            self.failures.extend(failures)
             yield from samples
             if given_up:
                 raise _given_up(failures[-self.scene.max_attempts :])
-
-    def _add(self, timings: Mapping[str, EffectTiming], failures: Sequence[Failure]) -> None:
-        for name, timing in timings.items():
-            self.timings[name].calls += timing.calls
-            self.timings[name].seconds += timing.seconds
-        self.failures.extend(failures)
-
-
-def _require_length(scene: SceneConfig, count: int) -> None:
-    campaign = scene.campaign
-    if campaign is not None and count > campaign.size:
-        raise ConfigError(
-            f"campaign: {count} grasps exceed its {campaign.size} ({len(campaign.days)} sessions of {campaign.objects} "
-            f"objects, {campaign.grasps} grasps each)"
-        )
 
 
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
@@ -105,18 +90,18 @@ def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
 
 @lru_cache(maxsize=1)  # a worker process has one scene all its life
 def _engine_of(scene: SceneConfig) -> Engine:
-    return Engine(scene, EFFECTS, (*SAMPLE_KEYS, "others", *([] if scene.campaign is None else ["campaign_time"])))
+    return Engine(scene, EFFECTS)
 
 
-# Samples, time by effect, failures, and whether they end with a slot that is given up.
-_Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
+# Samples, calls and time by effect, failures, and whether they end with a slot that is given up.
+_Block = tuple[list[GraspSample], Counter[str], dict[str, float], list[Failure], bool]
 
 
 def _make_block(scene: SceneConfig, slots: range) -> _Block:
     from threadpoolctl import threadpool_limits
 
     engine = _engine_of(scene)
-    engine.timings = {effect.name: EffectTiming() for effect in EFFECTS}
+    engine.calls, engine.seconds = Counter(), defaultdict(float)
     samples: list[GraspSample] = []
     failures: list[Failure] = []
     with threadpool_limits(1):  # sums of threaded BLAS depend on the number of threads
@@ -124,9 +109,9 @@ def _make_block(scene: SceneConfig, slots: range) -> _Block:
             made, failed = _first_success(engine, _tries(engine, slot))
             failures += failed
             if made is None:
-                return samples, engine.timings, failures, True
+                return samples, engine.calls, engine.seconds, failures, True
             samples.append(_sample(scene, slot, *made))
-    return samples, engine.timings, failures, False
+    return samples, engine.calls, engine.seconds, failures, False
 
 
 def _tries(engine: Engine, slot: int) -> list[SampleKey]:
@@ -157,15 +142,13 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
     if key.repeat:
         extra["repeat"] = float(key.repeat)
     fingers = (name.lower() for name in state.touch.channels.fingers)
-    for finger, target, contact in zip(fingers, state.targets, state.contacts, strict=True):
-        extra[f"target_{finger}"] = float(target)
+    for finger, contact in zip(fingers, state.contacts, strict=True):
+        extra[f"target_{finger}"] = state.target
         extra[f"force_{finger}_n"] = contact.force_n
         extra[f"depth_{finger}_m"] = float(contact.depth_m)
         extra[f"area_{finger}_m2"] = float(contact.area_m2)
     if scene.campaign is not None:
         extra |= _campaign_values(state)
-    if hasattr(state, "others"):
-        extra |= _other_values(state)
     return GraspSample(
         id=f"{item.name}/{slot:06d}",
         object=item.name,
@@ -174,7 +157,7 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
         touch=state.touch,
         tare=state.tare,
         stamp_ns=0 if scene.campaign is None else state.campaign_time.stamp_ns,
-        extra=extra,
+        extra=extra | _other_values(state),
     )
 
 
@@ -182,8 +165,7 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
     """Where in the campaign a sample is, and its true rest levels: PDC, and the mean of the electrodes [counts]."""
     now = state.campaign_time
     values = {"session": float(now.session), "visit": float(now.visit), "powered_s": now.powered_s}
-    level = state.level[0] if hasattr(state, "level") else np.zeros((2, 1 + ELECTRODES))
-    for finger, sensor, moved in zip(("th", "mf"), state.sensors, level, strict=True):
+    for finger, sensor, moved in zip(("th", "mf"), state.sensors, state.level[0], strict=True):
         values[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
         values[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
     return values

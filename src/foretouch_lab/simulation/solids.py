@@ -8,10 +8,9 @@ A ray is o + t·d. The direction is not normalised: with d_z = 1 in the camera's
 the depth itself. All is float64; a ray that misses has t = inf.
 """
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any, Literal
 
 import numpy as np
 
@@ -100,20 +99,14 @@ def _search_tree(shape: str, variant: int) -> Any:
     return scene
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Primitive(ABC):
-    """A solid with a pose."""
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """A solid in closed form: a box, a cylinder about its own z axis, or a ball."""
 
+    kind: Literal["box", "cylinder", "ball"]
+    size: Float64  # (3,) float64, edges of the bounding box along its own axes [m]
     position: Float64  # (3,) float64, its centre in the world [m]
     rotation: Float64 = field(default_factory=lambda: np.eye(3))  # (3, 3) float64, its axes as columns in the world
-
-    @abstractmethod
-    def _edges(self) -> Float64:
-        """(3,) float64, edges of the bounding box along its own axes [m]."""
-
-    @abstractmethod
-    def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        """`cast` in the solid's own frame, (n, 3) to (n,)."""
 
     def cast(self, origin: Float64, directions: Float64) -> Float64:
         """Where rays enter the solid.
@@ -125,59 +118,23 @@ class Primitive(ABC):
         Returns:
             (...) float64, t of the first hit, inf where there is none.
         """
-        t = self._cast((origin - self.position) @ self.rotation, directions.reshape(-1, 3) @ self.rotation)
+        start, along = (origin - self.position) @ self.rotation, directions.reshape(-1, 3) @ self.rotation
+        half = self.size / 2.0
+        if self.kind == "ball":
+            near, far = _ball(start, along, float(half[0]))
+        else:
+            own = slice(0, 3) if self.kind == "box" else slice(2, 3)  # a cylinder is between its caps
+            enter, leave = _slab(start[own], along[:, own], half[own])
+            near, far = enter.max(axis=1), leave.min(axis=1)
+        if self.kind == "cylinder":
+            enter, leave = _ball(start[:2], along[:, :2], float(half[0]))  # and within its mantle
+            near, far = np.maximum(near, enter), np.minimum(far, leave)
+        t = np.where((near <= far) & (near > 0.0), near, np.inf)  # in front of the eye
         return t.reshape(directions.shape[:-1])
 
     def corners(self) -> Float64:
         """(8, 3) float64, corners of its oriented bounding box, world [m]."""
-        return self.position + (_UNIT_CORNERS * self._edges()) @ self.rotation.T
-
-    def moved(self, offset: Float64) -> Self:
-        """The same solid, shifted by (3,) in the world [m]."""
-        return replace(self, position=self.position + offset)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Box(Primitive):
-    """A cuboid."""
-
-    size: Float64  # (3,) float64, full edge lengths [m]
-
-    def _edges(self) -> Float64:
-        return self.size
-
-    def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        near, far = _slab(origin, directions, self.size / 2.0)
-        return _first(near.max(axis=1), far.min(axis=1))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Cylinder(Primitive):
-    """A solid cylinder about its own z axis."""
-
-    radius: float  # [m]
-    height: float  # [m]
-
-    def _edges(self) -> Float64:
-        return np.array([2.0 * self.radius, 2.0 * self.radius, self.height])
-
-    def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        near, far = _slab(origin[2:], directions[:, 2:], np.array([self.height / 2.0]))  # between the caps
-        side_near, side_far = _ball(origin[:2], directions[:, :2], self.radius)  # within the mantle
-        return _first(np.maximum(near[:, 0], side_near), np.minimum(far[:, 0], side_far))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Sphere(Primitive):
-    """A ball."""
-
-    radius: float  # [m]
-
-    def _edges(self) -> Float64:
-        return np.full(3, 2.0 * self.radius)
-
-    def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        return _first(*_ball(origin, directions, self.radius))
+        return self.position + (_UNIT_CORNERS * self.size) @ self.rotation.T
 
 
 def _slab(origin: Float64, directions: Float64, half: Float64) -> tuple[Float64, Float64]:
@@ -207,8 +164,3 @@ def _ball(origin: Float64, directions: Float64, radius: float) -> tuple[Float64,
     far = np.where(hit, (-b + root) / scale, -np.inf)
     along = (a == 0.0) & (c <= 0.0)  # parallel to a cylinder's axis, inside its mantle
     return np.where(along, -np.inf, near), np.where(along, np.inf, far)
-
-
-def _first(near: Float64, far: Float64) -> Float64:
-    """Entry of a convex solid in front of the eye, inf where the ray misses it."""
-    return np.where((near <= far) & (near > 0.0), near, np.inf)

@@ -11,7 +11,7 @@ falls on its area, so that an array without gaps takes all but what is spread ov
 axis of the taxel, by its name: X, Y or Z as the last letter; P, N, F or `normal` is Z, as is the only channel of a taxel.
 X and Y are along the skin; Z is against the outward normal, so that pressure is positive.
 
-Values in N are forces. Others start at a rest level and reach the end of their range at `full_scale_n`; rest levels and
+Values in N are forces. Others start at a rest level and reach the end of their range at 1.8 N; rest levels and
 gains differ from taxel to taxel. XELA states of the uSkin that it is not calibrated, that a cell bears no more than 3 N, and that
 magnets and neighbouring modules disturb it (manual of the XR1944, 2020); Tomo et al. (2016) report 1 gf as the least force, and
 taxels 4.7 mm apart with little crosstalk. Full scale, spread, noise, drift and crosstalk here are assumptions of that size.
@@ -32,6 +32,11 @@ from foretouch.types import Float64
 from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
 from foretouch_lab.simulation.fingertip import GAIN_SPREAD
 
+FULL_SCALE_N: Final = 1.8  # force on a taxel at which values that are not in newtons leave their range
+CROSSTALK: Final = {
+    "neighbours": 0.03,
+    "axes": 0.03,
+}  # share of a force that each neighbour, and X and Y of the taxel, read
 REST_SPREAD: Final = 0.02  # standard deviation of the rest level from taxel to taxel, of the range
 NOISE_N: Final = 0.001  # standard deviation of the noise of a channel whose description states none [N]: 0.1 gf
 SESSION_N: Final = 0.02  # standard deviation of the rest level from session to session [N]
@@ -54,17 +59,6 @@ class TaxelConfig(Settings):
         "Share of the angle between pad and object by which fingertip or object give way, so that flat pads lie on faces",
         bounds=(0.0, 1.0),
     )
-    full_scale_n: float = setting(
-        1.8, "Force on a taxel at which values that are not in newtons leave their range", bounds=(1e-3, 1e4)
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class CrosstalkConfig(Settings):
-    """How much of a force on one taxel is read elsewhere; the defaults are assumptions."""
-
-    neighbours: float = setting(0.03, "Share that each neighbouring taxel reads", bounds=(0.0, 1.0))
-    axes: float = setting(0.03, "Share of the normal force that X and Y of the same taxel read", bounds=(0.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +89,7 @@ class TaxelArray:
         window = _window(pad, middle, curvature, half)
         weights = _weights(window.points.reshape(-1, 3), sensor.layout.positions, axes, size, config.spread_m)
         channels, area_m2 = sensor.predicted, float(size.prod(axis=1).mean())
-        levels = [_rest_and_gain(one, area_m2 * sensor.size / count, config) for one, count in channels]
+        levels = [_rest_and_gain(one, area_m2 * sensor.size / count) for one, count in channels]
         rest, spread, nominal, gain_spread = _each(levels, channels).T
         drawn = rng.standard_normal((3, 2, len(rest)))
         gain, kelvin = nominal * np.exp(gain_spread * drawn[1]), KELVIN_N * nominal * drawn[2]
@@ -138,17 +132,17 @@ class TaxelArray:
     def press(self, finger: int) -> Float64:
         """(V,) what a person adds to the values of a finger by pressing every taxel with half of its full scale."""
         force = np.concatenate([np.full(part.stop - part.start, float(axis == 2)) for axis, part, _ in self._parts])
-        return np.asarray(0.5 * self.config.full_scale_n * self.gain[finger] * force)
+        return np.asarray(0.5 * FULL_SCALE_N * self.gain[finger] * force)
 
-    def with_crosstalk(self, series: Float64, config: CrosstalkConfig) -> Float64:
+    def with_crosstalk(self, series: Float64) -> Float64:
         """A series (T, 2, V) in which neighbours, and the other axes, read a part of each force."""
         force = (series - self.rest) / self.gain
         mixed, taxels = force.copy(), [(axis, part) for axis, part, of_taxels in self._parts if of_taxels]
         normal = dict(taxels).get(2)
         for axis, part in taxels:
-            mixed[..., part] += config.neighbours * force[..., part] @ self._neighbours
+            mixed[..., part] += CROSSTALK["neighbours"] * force[..., part] @ self._neighbours
             if axis != 2 and normal is not None:
-                mixed[..., part] += config.axes * force[..., normal]
+                mixed[..., part] += CROSSTALK["axes"] * force[..., normal]
         return np.asarray(self.rest + self.gain * mixed)
 
     def session(self, rng: np.random.Generator) -> Float64:
@@ -211,7 +205,7 @@ def require_channels(sensor: Sensor) -> None:
         raise ConfigError(f"{sensor.config.name}: dead: half of the taxels of a finger or more")
     for channel, _ in sensor.predicted:
         _axis(channel, sensor)
-        _rest_and_gain(channel, 1.0, TaxelConfig())
+        _rest_and_gain(channel, 1.0)
 
 
 def _each(numbers: Sequence[Any], channels: list[tuple[ChannelConfig, int]]) -> Float64:
@@ -232,7 +226,7 @@ def _axis(channel: ChannelConfig, sensor: Sensor) -> int:
     return axis
 
 
-def _rest_and_gain(channel: ChannelConfig, area_m2: float, config: TaxelConfig) -> tuple[float, float, float, float]:
+def _rest_and_gain(channel: ChannelConfig, area_m2: float) -> tuple[float, float, float, float]:
     """Mean and spread of the rest level, gain per newton and spread of its logarithm."""
     sign = -1.0 if channel.contact == "fall" else 1.0
     if channel.unit in ("N", "Pa"):
@@ -245,7 +239,7 @@ def _rest_and_gain(channel: ChannelConfig, area_m2: float, config: TaxelConfig) 
         )
     zero = channel.rest == "zero"
     rest = 0.0 if zero else low + _LEVELS.get(channel.contact, 0.5) * (high - low)
-    gain = sign * max(high - rest, rest - low) / config.full_scale_n
+    gain = sign * max(high - rest, rest - low) / FULL_SCALE_N
     return rest, 0.0 if zero else REST_SPREAD * (high - low), gain, GAIN_SPREAD
 
 

@@ -25,19 +25,7 @@ from foretouch.types.channels import Channels
 from foretouch_lab.simulation.depth_scene import CameraView
 from foretouch_lab.simulation.fingertip import Finger, draw_finger, ou_noise
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scene.campaign import (
-    CHANGE_S,
-    DAY_S,
-    GRASP_S,
-    POWER_ON_S,
-    SLOPE_MF,
-    SLOPE_SPREAD,
-    SLOPE_TH,
-    CampaignConfig,
-    DriftTermConfig,
-    ExchangeConfig,
-    ThermistorConfig,
-)
+from foretouch_lab.simulation.scene import campaign as calendar
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.taxels import TaxelArray, TaxelConfig
 
@@ -104,7 +92,7 @@ def object_index(scene: SceneConfig, slot: int) -> int:
 class Campaign:
     """One campaign."""
 
-    config: CampaignConfig  # its settings
+    config: calendar.CampaignConfig  # its settings
     scene: SceneConfig  # the scene
     first: tuple[Finger, Finger]  # thumb and middle finger as they are mounted at first
 
@@ -120,7 +108,7 @@ class Campaign:
     def live(self, elapsed_s: float) -> CampaignTime:
         """The time of a live hand that was switched on some time ago [s], and stays on until the next session."""
         time_s = self.config.live_speed * max(0.0, elapsed_s)
-        starts = np.asarray(self.config.days) * DAY_S
+        starts = np.asarray(self.config.days) * calendar.DAY_S
         session = max(0, int(np.searchsorted(starts, time_s, side="right")) - 1)
         return replace(self._time(session, time_s - float(starts[session])), speed=self.config.live_speed)
 
@@ -129,19 +117,19 @@ class Campaign:
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
 
-    def kelvin(self, config: ThermistorConfig, session: int, visit: int) -> tuple[Float64, float]:
+    def kelvin(self, session: int, visit: int) -> tuple[Float64, float]:
         """(2,) temperature of both fingers at power-on, and that of the object of a visit minus theirs [K]."""
         shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
         rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
-        start = config.session_kelvin * shared + config.finger_kelvin * np.array(own)
-        return start, draw(rng, config.object_kelvin)
+        start = calendar.SESSION_KELVIN * shared + calendar.FINGER_KELVIN * np.array(own)
+        return start, draw(rng, calendar.OBJECT_KELVIN)
 
     def slopes(self, session: int) -> Float64:
         """(2, 24) float64: counts of the electrodes that are mounted in a session per count of TDC."""
         drawn = []
-        for finger, (name, mean) in enumerate(zip(_FINGERS, (SLOPE_TH, SLOPE_MF), strict=True)):
+        for finger, (name, mean) in enumerate(zip(_FINGERS, (calendar.SLOPE_TH, calendar.SLOPE_MF), strict=True)):
             rng = SampleKey(self.scene.seed, self._exchanges_before(finger, session)).stream(f"slopes of the {name}")
-            drawn.append(mean + SLOPE_SPREAD * rng.standard_normal(ELECTRODES))
+            drawn.append(mean + calendar.SLOPE_SPREAD * rng.standard_normal(ELECTRODES))
         return np.array(drawn)
 
     def drift(self, now: CampaignTime, times_s: Float64, load: Float64) -> Float64:
@@ -165,10 +153,10 @@ class Campaign:
         return total
 
     def _time(self, session: int, powered_s: float, visit: int = 0, grasp: int = 0) -> CampaignTime:
-        time_s = self.config.days[session] * DAY_S + powered_s
+        time_s = self.config.days[session] * calendar.DAY_S + powered_s
         return CampaignTime(_START_NS + round(time_s * 1e9), time_s, powered_s, session, visit, grasp)
 
-    def _exchanges(self, finger: int) -> list[ExchangeConfig]:
+    def _exchanges(self, finger: int) -> list[calendar.ExchangeConfig]:
         """Of one finger, in order of time."""
         return sorted((e for e in self.config.exchanges if e.finger == _FINGERS[finger]), key=attrgetter("session"))
 
@@ -181,9 +169,9 @@ class Campaign:
         config, sessions = self.config, []
         for session in range(len(config.days)):
             rng = SampleKey(self.scene.seed, session).stream("times of a session")
-            pauses = rng.uniform(*GRASP_S, (config.objects, config.grasps))
-            pauses[:, 0] += rng.uniform(*CHANGE_S, config.objects)
-            pauses[0, 0] = POWER_ON_S
+            pauses = rng.uniform(*calendar.GRASP_S, (config.objects, config.grasps))
+            pauses[:, 0] += rng.uniform(*calendar.CHANGE_S, config.objects)
+            pauses[0, 0] = calendar.POWER_ON_S
             sessions.append(np.cumsum(pauses).reshape(pauses.shape))
         return sessions
 
@@ -214,8 +202,8 @@ class Campaign:
             paths.append((self._path(term, number, "drift of the hand", 1), sensors))
         return paths
 
-    def _path(self, term: DriftTermConfig, number: int, name: str, channels: int, sensor: int = 0) -> Float64:
-        end_s = self.config.days[-1] * DAY_S + self.config.longest_session_s
+    def _path(self, term: calendar.DriftTermConfig, number: int, name: str, channels: int, sensor: int = 0) -> Float64:
+        end_s = self.config.days[-1] * calendar.DAY_S + self.config.longest_session_s
         knots = int(np.ceil(end_s / _distance_s(term))) + 1
         rng = SampleKey(self.scene.seed, number, sensor).stream(name)
         return ou_noise(knots, channels, 1.0, 1.0, _KNOTS, rng)
@@ -250,11 +238,11 @@ class World:
         return BIOTAC if self.array is None else self.array.sensor.channels
 
 
-def _distance_s(term: DriftTermConfig) -> float:
-    return term.memory_days * DAY_S / _KNOTS
+def _distance_s(term: calendar.DriftTermConfig) -> float:
+    return term.memory_days * calendar.DAY_S / _KNOTS
 
 
-def _interpolated(path: Float64, term: DriftTermConfig, at_s: Float64) -> Float64:
+def _interpolated(path: Float64, term: calendar.DriftTermConfig, at_s: Float64) -> Float64:
     """(T, C) of a path (K, C); the first and the last value beyond its ends."""
     place = np.clip(at_s / _distance_s(term), 0.0, len(path) - 1)
     low = np.minimum(place.astype(np.int64), len(path) - 2)

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pair_builders import SECOND, interval, level, stream
+from pair_builders import SECOND, interval, stream
 
 from foretouch.cloud.messages import cloud_fields
-from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
@@ -70,23 +70,6 @@ class Session:
             for one in self.results()
             if isinstance(one, RejectedGrasp) or one.cut is not None
         ]
-
-
-def test_samples_hold_their_own_cloud_touch_and_candidates() -> None:
-    session = Session(2, object="can", note="a note")
-    for number in (0, 1):
-        session.plan(number)
-        session.report(number, success=number == 0)
-    results = session.results()
-    for number, one in enumerate(results):
-        assert isinstance(one, AssembledSample)
-        sample = one.record.sample
-        assert (sample.cloud.xyz == number).all()
-        np.testing.assert_allclose(sample.touch.values, level(number), atol=5.0)  # type: ignore[union-attr]
-        assert (sample.object, one.record.note, sample.grasp.id) == ("can", "a note", f"g-{number}")
-        assert [other.id for other in one.record.candidates] == [f"g-{number} second"]
-    assert [one.record.outcome for one in results] == ["success", "failure"]
-    assert session.assembler.results == {"recorded": 2}
 
 
 def test_reasons_of_messages_that_cannot_become_samples() -> None:
@@ -170,17 +153,3 @@ def test_readings_whose_stamps_jitter_are_waited_for() -> None:
         windows.append(one.cut.window)
     np.testing.assert_array_equal(windows[0].stamps_ns, windows[1].stamps_ns)
     np.testing.assert_array_equal(windows[0].counts, windows[1].counts)
-
-
-def test_a_stamp_in_the_far_future_hides_no_contact() -> None:
-    """The contact detector behind `assume_grasps` sees accepted readings alone."""
-    session = Session(0, assume_grasps=True, watch_sensors=True)
-    session.plan(0)
-    for k, reading in enumerate(stream(1)):
-        if k == 20:
-            late = replace(reading, stamp_ns=reading.stamp_ns + 3600 * SECOND)
-            assert session.assembler.add_tactile(late, received_ns=reading.received_ns, now_s=0.0) == ()
-        (accepted,) = session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
-        assert accepted.stamp_ns == reading.stamp_ns
-    session.assembler.poll(0.0, ending=True)
-    assert session.assembler.results == {"recorded": 1}

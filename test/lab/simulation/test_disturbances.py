@@ -5,15 +5,15 @@ from numpy.testing import assert_allclose
 
 from benchmarks.simulation.validate import steady_noise
 from foretouch_lab.simulation.fingertip import (
+    NOISE_ELECTRODE,
     WANDER_COUNTS,
     WANDER_S,
-    NoiseConfig,
-    TemperatureConfig,
     creep,
     ou_noise,
     scan,
     slip_path,
     temperature_drift,
+    warming,
 )
 
 RATE_HZ = 100.0
@@ -22,7 +22,7 @@ RATE_HZ = 100.0
 def steady_touch(seed, rows=280):
     """A steady touch with all the noise on, in whole counts."""
     rng = np.random.default_rng(seed)
-    counts = 3400.0 + NoiseConfig().electrode_counts * rng.standard_normal((rows, 24))
+    counts = 3400.0 + NOISE_ELECTRODE * rng.standard_normal((rows, 24))
     counts += ou_noise(rows, 24, WANDER_COUNTS, WANDER_S, RATE_HZ, rng)
     return np.rint(scan(counts, rng))
 
@@ -79,7 +79,6 @@ def test_creep_comes_late_with_hysteresis_and_drift_ends_at_body_temperature():
     response = creep(load, RATE_HZ, share=0.3, time_s=0.5)
     assert (response[10:90] < response[189:109:-1]).all()
     assert_allclose(creep(load, RATE_HZ, share=0.0), load, rtol=1e-12)
-    config = TemperatureConfig()
-    drift = temperature_drift(config, np.array([0.0, config.warming_s, 1e9]))
+    drift = temperature_drift(warming(np.array([0.0, 600.0, 1e9])))
     kelvin = np.array([0.0, 3.0 * (1 - np.exp(-1)), 3.0])
     assert_allclose(drift, np.outer(kelvin, [8.0] + [12.0] * 24))

@@ -10,17 +10,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.errors import TactileError
 from foretouch.tactile import BIOTAC_SP, P2_RANGES, biotac_touch, to_kohm, touch_faults
 from foretouch_lab.simulation import fingertip
-from foretouch_lab.simulation.contact.pad import PadConfig, contact_frame, pad_direction, pad_window
+from foretouch_lab.simulation.contact.pad import PadConfig, pad_direction, pad_window
+from foretouch_lab.simulation.contact.problem import ContactSolution
 from foretouch_lab.simulation.fingertip import (
-    NoiseConfig,
+    NOISE_ELECTRODE,
+    NOISE_PDC,
     SimulatedFingerConfig,
     ThumbConfig,
     draw_finger,
     quantise,
     read_contact,
 )
-from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.world import World
 
 PAD = PadConfig()
 THUMB = draw_finger(ThumbConfig(), np.random.default_rng(0))
@@ -69,8 +69,7 @@ def pressed_anywhere(rng):
 
 def test_counts_spread_as_in_real_grasps():
     """The bounds are a factor of 1.5 about those of 400 real grasps."""
-    noise = NoiseConfig()
-    deviation = np.array([noise.pdc_counts, *[noise.electrode_counts] * 24])
+    deviation = np.array([NOISE_PDC, *[NOISE_ELECTRODE] * 24])
     for kind, median, percentile_99 in ((SimulatedFingerConfig(), 72.0, 691.0), (ThumbConfig(), 117.0, 986.0)):
         contacts, rng = np.random.default_rng(7), np.random.default_rng([7, 1])
         finger = draw_finger(kind, rng)
@@ -97,9 +96,8 @@ def test_pdc_is_linear_at_low_force_and_levels_off_near_two_newtons():
     assert (rise(4.0) - rise(2.0)) / 2.0 < 0.1 * rise(1.0)
 
 
-def weights_at(pitch, roll, pad=PAD, **options):
-    window = pad_window(pad, pad_direction(pitch, roll))
-    return fingertip._electrode_weights(pad, window.frame, window.points, **options)
+def weights_at(pitch, roll, pad=PAD):
+    return fingertip.electrode_weights(pad, pad_window(pad, pad_direction(pitch, roll)))
 
 
 def test_weights_are_of_the_nearest_electrodes_and_depend_on_neither_grid_nor_window():
@@ -117,24 +115,17 @@ def test_weights_are_of_the_nearest_electrodes_and_depend_on_neither_grid_nor_wi
     assert not weights[:, ~np.isfinite(pad_window(wide, pad_direction(0.0, 0.9)).depth).ravel()].any()
 
 
-def test_fingertips_are_those_of_the_hand_whatever_the_seed_of_the_scene() -> None:
-    scenes = ({}, {"seed": 7}, {"fingers": {"hand": 1}})
-    first, seeded, other = (World.of(SceneConfig.from_mapping(one)).fingers for one in scenes)
-    for k in range(2):
-        assert_array_equal(first[k].electrode_gain, seeded[k].electrode_gain)
-        assert not np.isclose(first[k].electrode_rest, other[k].electrode_rest).any()
-
-
 def test_the_rim_responds_less_and_closer_skin_raises_the_impedance_exponentially():
-    def rise_at(roll, finger=THUMB):
-        return fingertip._pdc_counts(contact_frame(PAD, pad_direction(0.0, roll)), 1e-9, finger) - finger.pdc_rest
+    def rise_at(roll, finger=THUMB, displacement_m=1e-6):
+        window, shape = pad_window(PAD, pad_direction(0.0, roll)), (PAD.cells, PAD.cells)
+        pressed = ContactSolution(np.zeros(shape), np.full((1, *shape), displacement_m), 1.0, 0.0, 0.0)
+        return read_contact(PAD, finger, window, pressed)[0] - finger.pdc_rest
 
     assert rise_at(1.0) == pytest.approx(np.cos(1.0) ** fingertip.RIM_POWER * rise_at(0.0))
     assert rise_at(0.0, replace(THUMB, pdc_span=3.0 * THUMB.pdc_span)) == pytest.approx(3.0 * rise_at(0.0))
-    deep = np.full((2, 2), 10 * fingertip.BOTTOMING_M)
-    assert fingertip._displaced_volume(deep, 1e-6) == pytest.approx(4e-6 * fingertip.BOTTOMING_M)
-    assert fingertip._displaced_volume(-deep, 1e-6) == 0.0
-    counts = fingertip._electrode_counts(np.array([-1e-5, 0.0, fingertip.THINNING_M, 1e-4]), np.full(4, 3500.0))
+    assert rise_at(0.0, displacement_m=1.0) == rise_at(0.0, displacement_m=fingertip.BOTTOMING_M)
+    assert rise_at(0.0, displacement_m=-1.0) == 0.0
+    counts = fingertip.electrode_counts(np.array([-1e-5, 0.0, fingertip.THINNING_M, 1e-4]), np.full(4, 3500.0))
     assert (np.diff(counts) < 0).all()
     assert_allclose(to_kohm(counts[1:3]) / to_kohm(3500.0), [1.0, np.e], rtol=1e-12)  # the inverse of the formula
-    assert_allclose(fingertip._electrode_counts(np.array([-1.0, 1.0]), np.full(2, 3500.0)), [4095.0, 0.0], atol=1e-6)
+    assert_allclose(fingertip.electrode_counts(np.array([-1.0, 1.0]), np.full(2, 3500.0)), [4095.0, 0.0], atol=1e-6)

@@ -81,7 +81,7 @@ def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() 
 def test_a_frame_shows_the_sample_of_its_slot() -> None:
     config = scene(camera={"z_step_m": 0.001})
     image = FrameMaker(config).frame(3)
-    state = run(config, "depth", "labels", "window", slot=3)
+    state = run(config, slot=3)
     np.testing.assert_array_equal(image.labels[state.window], state.labels)
     np.testing.assert_array_equal(image.depth_mm[state.window], np.rint(state.depth * 1000))
     assert image.depth_mm.shape == (480, 640)

@@ -6,14 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 from every_case import every_case
-from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, made, made_again, run, scene
+from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, made, run, scene
 
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import SimulationError
 from foretouch.tactile import touch_faults
 from foretouch.types import GraspSample
+from foretouch_lab.simulation.effects import EFFECTS
+from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.simulate import Simulation
+from foretouch_lab.simulation.simulate import Simulation, explain_scene
 from foretouch_lab.simulation.world import SampleKey
 
 FULL = {
@@ -52,18 +54,24 @@ def test_the_same_samples_on_one_worker_and_on_two_and_in_a_longer_run() -> None
     assert digest(first) == digest(second)
     assert digest(first[:3]) == digest(made(config, 3))
     assert single.failures_by_reason == spread.failures_by_reason
-    assert {n: t.calls for n, t in single.timings.items()} == {n: t.calls for n, t in spread.timings.items()}
+    assert single.calls == spread.calls
     assert digest(made(config.replace(seed=1), 3)) != digest(first[:3])
 
 
-def test_an_effect_that_is_off_costs_no_call() -> None:
+def test_an_effect_that_is_off_costs_no_call_and_one_that_is_on_is_named_with_its_objects() -> None:
     simulation = Simulation(scene())
     list(simulation.samples(2))
-    calls = {name: timing.calls for name, timing in simulation.timings.items()}
-    off = ("clutter", "normals", "flying_pixels", "depth_noise", "stereo_shadow", "holes", "depth_steps", "colour")
-    off += ("execution_error", "surface", "weight", "held", "timeline", "slip", "creep", "drift", "noise", "scan_hold")
-    assert {name: calls[name] for name in (*off, "contact_layer")} == dict.fromkeys((*off, "contact_layer"), 0)
-    assert calls["contact_winkler"] == 2  # the scene is rigid
+    always = {"object", "window", "render", "cloud", "grasp", "fingers", "targets", "posture", "first_touch", "relief"}
+    always |= {"contact", "sensors", "fingertip", "moments", "counts"}
+    assert simulation.calls == dict.fromkeys(always, 2)
+    plans = {
+        plan.name: plan for plan in explain_scene(scene(CAN, SPONGE | {"colour": [1, 2, 3]}, camera={"holes": {}}))
+    }
+    assert (plans["colour"].runs, plans["colour"].reason, plans["colour"].objects) == (
+        True, "objects.colour", ("sponge",),
+    )  # fmt: skip
+    assert (plans["holes"].reason, plans["creep"].reason) == ("camera.holes", "no fingers.creep")
+    assert plans["tares"].reason == "each grasp has a tare"
 
 
 CLOUD = ("cloud.xyz", "grasp.g1", "grasp.g2")
@@ -71,20 +79,19 @@ CLOUD = ("cloud.xyz", "grasp.g1", "grasp.g2")
 
 def test_switching_an_effect_leaves_the_other_outputs_alone() -> None:
     cases: list[tuple[dict[str, Any], tuple[str, ...]]] = [
-        ({"fingers": {"noise": {}}}, (*CLOUD, "targets", "readings")),
-        ({"fingers": {"drift": {}}}, (*CLOUD, "targets", "readings")),
-        ({"fingers": {"timeline": {}}}, (*CLOUD, "touch.values", "targets")),
+        ({"fingers": {"noise": {}}}, (*CLOUD, "target", "readings")),
+        ({"fingers": {"drift": {}}}, (*CLOUD, "target", "readings")),
+        ({"fingers": {"timeline": {}}}, (*CLOUD, "touch.values", "target")),
         ({"grasps": {"error": {}}}, CLOUD),
-        ({"objects": [CAN | {"colour": [9, 9, 9]}]}, (*CLOUD, "touch.values", "depth", "targets")),
-        ({"objects": [CAN | {"surface": {}}]}, (*CLOUD, "depth", "targets")),
-        ({"gravity": {}, "objects": [CAN | {"mass_kg": 0.05}]}, (*CLOUD, "depth", "relief", "targets")),
-        ({"clutter": {"distance_m": [0.22, 0.25]}}, (*CLOUD, "touch.values", "targets")),
-        ({"camera": {"z_step_m": 0.001}}, ("exact_depth", "labels", "targets")),
+        ({"objects": [CAN | {"colour": [9, 9, 9]}]}, (*CLOUD, "touch.values", "depth", "target")),
+        ({"objects": [CAN | {"surface": {}}]}, (*CLOUD, "depth", "target")),
+        ({"gravity": {}, "objects": [CAN | {"mass_kg": 0.05}]}, (*CLOUD, "depth", "relief", "target")),
+        ({"clutter": {"distance_m": [0.22, 0.25]}}, (*CLOUD, "touch.values", "target")),
+        ({"camera": {"z_step_m": 0.001}}, ("exact_depth", "labels", "target")),
     ]
 
     def check(groups: dict[str, Any], kept: tuple[str, ...]) -> None:
-        outputs = {name.split(".")[0] for name in kept} | {"touch", "depth"}
-        plain, changed = run(scene(), *outputs), run(SceneConfig.from_mapping({"objects": [CAN], **groups}), *outputs)
+        plain, changed = run(scene()), run(SceneConfig.from_mapping({"objects": [CAN], **groups}))
         for name in kept:
             first, second = attrgetter(name)(plain), attrgetter(name)(changed)
             np.testing.assert_array_equal(first, second, err_msg=name)
@@ -100,12 +107,12 @@ def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name
     assert len(samples) == 3
     assert set(simulation.failures_by_reason) <= {"slips", "misses", "no_grasp", "contact"}
     assert simulation.failures_by_reason["slips"] > 0
-    failure = simulation.failures[0]
+    failure, last = simulation.failures[0], samples[-1]
     with pytest.raises(SimulationError, match="slope") as caught:
-        made_again(config, failure.key)
+        Engine(config, EFFECTS).run(failure.key)
     assert str(caught.value) == failure.message
-    last = samples[-1]
-    again = made_again(config, SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"])))
+    key = SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"]))
+    again = Engine(config, EFFECTS).run(key)
     np.testing.assert_array_equal(again.touch["E_TH"], last.touch["E_TH"])  # type: ignore[union-attr]
     simulation = Simulation(scene(CAN | {"friction": 0.0, "pose": {"rest": "any"}}, grasps=above, max_attempts=3))
     with pytest.raises(SimulationError, match=r"slot 0: given up after 3 attempts \(3 slips\); the last: can: the"):
@@ -118,11 +125,11 @@ def test_a_failure_is_counted_fails_again_when_replayed_and_ends_the_run_by_name
 
 def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:
     config = scene(camera=EVERY_CAMERA_FAULT, grasps={"error": {}}, fingers={"noise": {}})
-    first, again = made_again(config, SampleKey(0, 0)), made_again(config, SampleKey(0, 0, repeat=1))
+    first, again = run(config), run(config, repeat=1)
     np.testing.assert_array_equal(first.cloud.xyz, again.cloud.xyz)
     np.testing.assert_array_equal(first.grasp.g1, again.grasp.g1)
-    assert again.targets[0] == pytest.approx(first.targets[0], rel=0.5)
-    assert again.targets[0] != first.targets[0]
+    assert again.target == pytest.approx(first.target, rel=0.5)
+    assert again.target != first.target
     assert not np.array_equal(first.touch["E_TH"], again.touch["E_TH"])
     assert not np.array_equal(first.fingers[0].origin, again.fingers[0].origin)
 

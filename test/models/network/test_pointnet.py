@@ -29,8 +29,8 @@ def after_two_batches(way, x: torch.Tensor, momentum: float | None = 0.1) -> lis
     return [y, *gradients, norm.running_mean, norm.running_var]
 
 
-@pytest.mark.parametrize("momentum", [0.1, 0.0, None], ids=str)
-@pytest.mark.parametrize(("dtype", "inputs"), [(F64, 6), (torch.float32, 3), (torch.float32, 128)], ids=str)
+@pytest.mark.parametrize("momentum", [0.1, None], ids=str)
+@pytest.mark.parametrize(("dtype", "inputs"), [(F64, 6), (torch.float32, 128)], ids=str)
 def test_batch_norm_by_moments_is_that_of_torch_in_double(dtype, inputs: int, momentum: float | None) -> None:
     x = torch.randn(8, 400, inputs, generator=torch.Generator().manual_seed(8), dtype=F64) + 3.0
     x = x if dtype is F64 else torch.relu(x - 3.0)  # far from zero, or as after a ReLU
@@ -119,7 +119,7 @@ def features_and_gradients(
     return [features, *gradients], net.state_dict()
 
 
-@pytest.mark.parametrize("changes", [{}, {"tnet": False}, {"trunk_widths": (32, 16)}], ids=str)
+@pytest.mark.parametrize("changes", [{}, {"tnet": False, "trunk_widths": (32, 16)}], ids=str)
 @pytest.mark.parametrize("mode", ["frozen", "training"])
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 def test_the_whole_network_equals_the_plain_composition(monkeypatch, dtype, mode, changes) -> None:

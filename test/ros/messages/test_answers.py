@@ -18,7 +18,7 @@ from foretouch.grasp.pose import hand_rotation
 from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, prediction_from_msg
 from foretouch.tactile.description import packaged_sensor, sensor_files
-from foretouch.types import Evidence, Grasp, Touch, TouchPrediction, TouchPredictions
+from foretouch.types import Evidence, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import Status, TouchPredictionArray, TouchPredictionBatch
 
 pytestmark = pytest.mark.ros
@@ -85,20 +85,6 @@ def test_every_sensor_is_read_back_by_its_names_from_messages_and_from_arrays():
     every_case([(name,) for name in sensor_files()], check)
 
 
-def test_electrodes_are_taxels_and_pressures_scalars_and_a_plain_subscriber_reads_them_by_shape():
-    sensor = packaged_sensor("biotac_sp")
-    touch = Touch(np.arange(50.0), sensor.channels)
-    grasp = answer(sensor, 1).grasps[0]
-    plain = TouchAnswer(header_to_msg("cam", 5), [grasp], [TouchPrediction(None, touch)], sensor=sensor)
-    message = sent(plain.message).predictions[0]
-    assert (list(message.scalar_channels), list(message.channels)) == (["PDC"], ["E"])
-    assert list(message.scalars) == [0.0, 1.0]
-    electrodes = np.reshape(message.values, (len(message.fingers), -1, len(message.channels)))
-    np.testing.assert_array_equal(electrodes[..., 0], np.arange(2.0, 50.0).reshape(2, 24))
-    assert np.isnan(message.lower).all()
-    assert np.isnan(foretouch.reading(message)["PDC"].upper).all()
-
-
 def test_a_dead_taxel_is_marked_and_numbers_beyond_single_precision_become_infinite():
     sensor = sensor_with_dead("xela_uskin_4x4", 5)
     huge = Touch(np.full(96, 1e300), sensor.channels)
@@ -126,22 +112,6 @@ def test_a_reading_needs_no_ros_and_arrays_that_do_not_fit_are_refused():
     message.scalar_channels = ["P"]
     with pytest.raises(ModelError, match="channels: PDC of biotac_sp is missing"):
         prediction_from_msg(message)
-
-
-def test_columns_of_predictions_are_sent_as_their_objects():
-    sensor, rng = packaged_sensor("biotac_sp"), np.random.default_rng(0)
-    one = answer(sensor, 1)
-    grasps = [outcome.grasp for outcome in one.outcomes] * 3
-    values = rng.normal(2000.0, 100.0, (3, 50))
-    for bounds in (None, (values - 10.0, values + 10.0)):
-        flags = [("late",), (), ("unfamiliar",)]
-        columns = TouchPredictions(grasps, sensor.channels, values, bounds, flags, "touches", EVIDENCE, {})
-        for made in ("message", "batch"):
-            sent_as = [
-                getattr(TouchAnswer(one.header, [*one.grasps] * 3, outcomes, sensor=sensor), made)
-                for outcomes in (columns, list(columns))
-            ]
-            assert str(sent_as[0]) == str(sent_as[1])
 
 
 def test_without_a_model_every_grasp_has_the_reason_and_no_numbers():

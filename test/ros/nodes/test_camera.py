@@ -110,10 +110,3 @@ def test_a_recording_is_played_once_and_the_node_ends_and_what_is_none_is_named(
     graph.until(lambda: any("bad.db3: not a RealSense recording" in one.message for one in reports))
     with pytest.raises(ConfigError, match="exclude each other"):
         graph.add("camera", camera__file="a.db3", camera__serial="1")
-
-
-def test_filters_and_frame_are_parameters(graph, start):
-    _, heard, _ = start(camera__filters=["decimation"], camera__frame_id="eye")
-    graph.until(lambda: heard)
-    assert heard[0].header.frame_id == "eye"
-    assert heard[0].width < 110  # half of 212, rounded as the library does

@@ -51,7 +51,7 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     path = tmp_path / "scene.yaml"
     path.write_text(json.dumps(config.to_mapping()), encoding="utf-8")
     sensor = packaged_sensor("xela_uskin_4x4")
-    rest = run(config, "tare").tare.values
+    rest = run(config).tare.values
     model = constant_model(sensor, rest, make_calibration(0, sensor.channels, rest))
     monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
     monkeypatch.setattr("foretouch.ros.touch.history_keeper.HistoryKeeper.changed", lambda _: None)
@@ -63,7 +63,7 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     (predictor,) = graph.add("touch_predictor", **SENSOR, **QUICK)
     publishers = [graph.talk_matched(kind, name) for kind, name in ((PointCloud2, CLOUD_TOPIC), (GraspArray, "grasps"))]
     graph.until(lambda: len(messages) > 50)
-    sample = run(config, "cloud", "grasp", "touch")
+    sample = run(config)
     header = header_to_msg(CAMERA_FRAME, time.time_ns())
     grasp = grasp_to_msg(sample.grasp)
     grasp.id = "g-1"

@@ -63,7 +63,7 @@ def test_a_grasp_is_felt_when_and_as_strongly_as_the_hand_reports(graph, start):
     assert (reports[0].grasp_id, reports[0].success, reports[0].header.frame_id) == ("g-1", True, CAMERA_FRAME)
     assert release - contact == round(0.2 * SECOND)
     graph.until(lambda: stamp_ns(tactile[-1].header.stamp) >= release)
-    sample = run(config, "touch", "tare")
+    sample = run(config)
     for low, high, touch in ((begun - SECOND // 5, begun, sample.tare), (contact, release, sample.touch)):
         messages = between(tactile, low, high)
         assert len(messages) == 20

@@ -5,15 +5,12 @@ import numpy as np
 import pytest
 from pair_builders import REST, level
 from robot_builders import QUICK, Robot
-from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.pairing.assembler import AssemblerConfig
 from foretouch.dataset.pairing.cut import PairingConfig
-from foretouch.pipeline import Pipeline
-from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.messages.table import TactileConfig
-from foretouch_msgs.msg import BiotacAll, Grasp, GraspArray, Status, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import BiotacAll, GraspArray, Status, TouchPrediction, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
 
@@ -57,20 +54,3 @@ def test_readings_of_a_successful_grasp_are_shown_and_others_are_not(graph, monk
     graph.until(lambda: robot.feel(REST, 1) or monitor._assembler.results.total() == 3)
     assert dict(monitor._assembler.results) == {"recorded": 1, "overlap": 1, "grasp_failed": 1}
     assert monitor.view().executed[0].grasp.id == "good"
-
-
-def test_the_last_answers_on_known_and_on_unfamiliar_objects_can_be_drawn(graph, scene_cloud):
-    node = MonitorNode(with_clouds=True)
-    graph.serve(node)
-    assert node.last_drawables() == []
-    answers, clouds = graph.talk(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "object_cloud")
-    graph.matched("touch", "object_cloud")
-    cloud = scene_cloud()
-    targets = Pipeline().segment(cloud).targets
-    for k, flags in enumerate((["unfamiliar"], [], ["unfamiliar"], ["late"])):
-        message = objects_to_msg(targets, cloud.frame_id, (k + 1) * 10**9)
-        clouds.publish(message)
-        grasp = Grasp(id=str(k), object_id=targets[0].id)
-        one = TouchPrediction(header=message.header, grasp=grasp, status=Status.OK, flags=flags)
-        answers.publish(TouchPredictionArray(header=message.header, predictions=[one]))
-    graph.until(lambda: [one.grasp.id for _, _, one, _ in node.last_drawables()] == ["3", "2"])

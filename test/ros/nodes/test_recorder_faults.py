@@ -15,7 +15,6 @@ from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.errors import FileError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll, RecorderStatus, Status
@@ -71,19 +70,6 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
     assert [one.sample.grasp.id for one in recorded(tmp_path / "set") if one.sample.touch] == ["before", "after"]
-
-
-def test_a_folder_that_cannot_be_written_is_refused_in_one_line(graph, tmp_path):
-    (node,) = graph.add("recorder", folder=str(tmp_path), **QUICK)
-    (tmp_path / "file").write_bytes(b"")
-    answer = begin(graph, "file/set")
-    assert (answer.success, answer.message) == (False, f"{tmp_path}/file/set: Not a directory")
-    assert not node.recording
-    with pytest.raises(FileError, match="File name too long"):
-        node.begin("x" * 5000)
-    with pytest.raises(FileError, match="set: "):
-        node.begin("/proc/set")  # a file system that takes no folders
-    assert begin(graph, "set").success
 
 
 @pytest.mark.slow

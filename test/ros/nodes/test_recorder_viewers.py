@@ -6,7 +6,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from other_tools import foxglove_faults, rerun_components, rosbags_messages
+from other_tools import rerun_components, rosbags_messages
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_builders import FRAME, QUICK, RecordedRobot, accounts
 from rosbags.typesys import Stores, get_typestore
@@ -88,7 +88,6 @@ def test_other_tools_see_cloud_transforms_joints_and_robot(graph, tmp_path):
         (cloud,) = messages["/foretouch/object_cloud"]
         record = RecordedDataset(tmp_path / "set")[number].record
         assert cloud.width == record.sample.cloud.size
-        assert list(foxglove_faults(report.path)) == []
         seen = rerun_components(report.path, tmp_path / str(number))
         assert {"Points3D:positions", "CoordinateFrame:frame"} <= seen["/foretouch/object_cloud"]
         for entity in ("/tf", "/tf_static"):

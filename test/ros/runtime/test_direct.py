@@ -15,8 +15,6 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.ros.messages.conversions import header_to_msg
-from foretouch.ros.runtime.direct import DirectInput
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, TablePlane, TouchPredictionArray
@@ -181,16 +179,3 @@ def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cl
     graph.until(lambda: len(heard) == 4)
     assert settle(graph, nodes, 2) == [(2, 2, {}, 0), (4, 4, {}, 0), (4, 4, {}, 0)]
     assert sorted(message.header.stamp.nanosec for message in heard) == [1, 2, 10, 11]
-
-
-def test_a_copy_is_recognised_once_by_what_it_carries_and_nothing_else_is():
-    one = DirectInput(None, print)
-    made = lambda stamp, frame="cam": TablePlane(header=header_to_msg(frame, stamp))  # noqa: E731
-    assert not one.is_copy(made(1))
-    for stamp in (1, 2, 2, 3):
-        one.expect_copy(made(stamp))
-    found = [one.is_copy(made(*case)) for case in ((2,), (1, "other"), (4,), (1,), (1,), (2,), (2,), (3,))]
-    assert found == [True, False, False, True, False, True, False, True]
-    for stamp in range(5000):  # whose copies never come
-        one.expect_copy(made(stamp))
-    assert [one.is_copy(made(stamp)) for stamp in (3999, 4000, 4999)] == [False, True, True]

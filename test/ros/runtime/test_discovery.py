@@ -1,16 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What late subscribers get, and two graphs in one namespace, over real DDS."""
 
-import json
-import subprocess
-import sys
-
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header
 
-from foretouch.dataset.bag_writer import write_bag
-from foretouch.ros.graph import PERCEPTION
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 
@@ -68,21 +62,3 @@ def test_answers_of_a_node_of_another_name_are_reported(graph):
     assert node.conflicts == ()
     graph.probe.destroy_publisher(publisher)
     graph.until(lambda: touch.conflicts == ())
-
-
-@pytest.mark.slow
-def test_run_prints_that_another_graph_answers_too(lone_graph, tmp_path, scene_cloud, model_card):
-    write_bag(tmp_path / "recording", [scene_cloud(stamp_ns=stamp, width=212) for stamp in (1, 2)])
-    nodes = lone_graph.add(*PERCEPTION, model=model_card)
-    words = ["run", "--source", str(tmp_path / "recording"), "--model", model_card, "--json"]
-    command = [sys.executable, "-m", "foretouch", *words]
-    done = subprocess.run(
-        command, env=lone_graph.environment(), capture_output=True, text=True, timeout=60, check=False
-    )
-    counts = json.loads(done.stdout.splitlines()[-1])
-    assert counts["answered"] > counts["played"] == 2
-    line = next(line for line in done.stderr.splitlines() if line.startswith("foretouch: a second graph"))
-    for name in PERCEPTION:
-        assert f"2 nodes are named /foretouch/{name}" in line
-        assert f"2 nodes are named /foretouch/{name}" in counts["conflicts"]
-    lone_graph.until(lambda: all(node.past_conflicts and not node.conflicts for node in nodes))

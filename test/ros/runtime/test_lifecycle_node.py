@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lifecycle, QoS and diagnostics of a live node."""
 
-import gc
-
 import pytest
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
-from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.errors import ConfigError
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch_msgs.msg import ObjectArray, TablePlane
+from foretouch_msgs.msg import TablePlane
 
 pytestmark = pytest.mark.ros
 
@@ -53,22 +49,3 @@ def test_a_best_effort_camera_is_heard_and_diagnostics_hold_counts_ages_and_late
     assert (known["received"], known["dropped"], known["answered.ok"]) == ("1", "0", "1")
     assert 0.0 < float(known["latency_ms.p50"]) <= float(known["latency_ms.p95"]) < 20_000
     assert float(known["input_age_ms.p50"]) > 0.0
-
-
-def test_qos_can_be_overridden(graph):
-    graph.add("segmentation", **{"qos_overrides./foretouch/objects.publisher.reliability": "best_effort"})
-    graph.listen(ObjectArray, "objects", reliable=False)
-    graph.matched("objects")
-    (info,) = graph.probe.get_publishers_info_by_topic("/foretouch/objects")
-    assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-
-
-def test_a_node_that_is_destroyed_or_cannot_be_made_is_listed_no_more(graph):
-    (node,) = graph.add("grasp")
-    assert "grasp" in graph.probe.get_node_names()
-    assert gc.get_freeze_count() > 0  # what was loaded is not searched for garbage while a node is active
-    graph.remove(node)
-    assert gc.get_freeze_count() == 0
-    with pytest.raises(ConfigError, match="queue_depth"):
-        graph.add("grasp", queue_depth=0)
-    assert "grasp" not in graph.probe.get_node_names()

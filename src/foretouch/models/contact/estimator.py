@@ -64,6 +64,8 @@ class NoveltyDetector(TensorRecord):
     low: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
     high: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
 
+    RULES = {"centre": "C", "turn": "CC", "known": "SC", "span": "2", "low": "5", "high": "5"}  # noqa: RUF012
+
     @classmethod
     def fit(cls, rows: Float64, objects: Sequence[str]) -> Self:
         """From (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects.
@@ -102,9 +104,9 @@ class NoveltyDetector(TensorRecord):
         return np.where(inside, np.clip((end - distance) / (end - start), 0.0, 1.0), 0.0)
 
     def _check(self) -> None:
-        size, limits = len(_SIZES), (len(_LIMITED),)
-        self._require({"centre": (size,), "turn": (size, size), "known": (-1, size), "span": (2,)})
-        self._require({"low": limits, "high": limits})
+        super()._check()
+        if len(self.centre) != len(_SIZES):
+            raise ModelError(f"centre: shape {self.centre.shape} is not ({len(_SIZES)},)")
         if not len(self.known) or not self.span[0] < self.span[1]:
             raise ModelError("known, span: no cloud, or a span that is empty")
 

@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
 from foretouch.kernels import Kernel
-from foretouch.models.files import TensorRecord
+from foretouch.models.files import Rules, TensorRecord
 from foretouch.types import Float32, Float64, Floating, Int32
 
 _DTYPES: Final = {
@@ -104,6 +104,17 @@ class Forest(TensorRecord):
     def _compiled(self) -> "CompiledForests":
         return CompiledForests([self])
 
+    def _rules(self) -> Rules:
+        nodes = self.feature.size - 1
+        return {
+            "feature": ("N", -1, 32767),
+            "threshold": ("N", -1e300, 1e300),
+            "children": ("N2", 0, nodes),
+            "value": ("LM", -65504.0, 65504.0),
+            "leaf": ("N", 0, len(self.value) - 1 if self.value.ndim else -1),
+            "roots": ("T", 0, nodes),
+        }
+
     def _check(self) -> None:
         assert self._checked  # noqa: S101  or an error was raised
 
@@ -113,21 +124,12 @@ class Forest(TensorRecord):
         for name, kind in _DTYPES.items():
             if getattr(self, name).dtype != kind:
                 raise ModelError(f"{name}: dtype {getattr(self, name).dtype} is not {np.dtype(kind)}")
-        count = self.feature.size
-        flat = all(one.shape == (count,) for one in (self.feature, self.threshold, self.leaf))
-        if not flat or self.children.shape != (count, 2) or self.value.ndim != 2 or self.roots.ndim != 1:
-            raise ModelError("forest: its arrays do not fit together")
-        if not count or not self.roots.size or not np.isfinite(self.threshold).all():
-            raise ModelError("roots, threshold: there is no tree, or a threshold is not finite")
-        index = np.arange(count)[:, None]
-        inner = self.feature >= 0
-        ahead = (self.children[inner] > index[inner]).all() and (self.children < count).all()
-        if not ahead or not (self.children[~inner] == index[~inner]).all():
-            raise ModelError("children: a node leads outside the tree, or back")
-        if self.leaf.min() < 0 or self.leaf.max() >= len(self.value):
-            raise ModelError("leaf: names no value")
-        if self.roots.min() < 0 or self.roots.max() >= count or not np.isfinite(self.value).all():
-            raise ModelError("roots, value: a root is not a node, or a value is not finite")
+        super()._check()
+        if not self.roots.size:
+            raise ModelError("roots: there is no tree")
+        index, inner = np.arange(self.feature.size)[:, None], self.feature >= 0
+        if (self.children[inner] <= index[inner]).any() or (self.children[~inner] != index[~inner]).any():
+            raise ModelError("children: an inner node leads back, or a leaf on")
         return True
 
 
@@ -191,6 +193,14 @@ class KernelRegression(TensorRecord):
     weight: Float32  # (S, M) float32
     decay: Float64  # () float64, γ
 
+    RULES = {  # noqa: RUF012
+        "centre": "F",
+        "scale": ("F", 1e-12, 1e12),
+        "known": "SF",
+        "weight": "SM",
+        "decay": ("", 1e-12, 1e12),
+    }
+
     def predict(self, rows: Float64) -> Float64:
         """(K, M) float64 for (K, F) rows; 0, the mean, far from all training rows."""
         scaled = (rows - self.centre) / self.scale
@@ -210,17 +220,6 @@ class KernelRegression(TensorRecord):
         """Checked, known rows and weights as the compiled functions read them."""
         self._check()
         return _in_groups(self.known, _KNOWN_AT_ONCE), _in_groups(self.weight.T, _OUTPUTS_AT_ONCE)
-
-    def _check(self) -> None:
-        for name, array in self.to_tensors().items():
-            if not np.isfinite(array).all():
-                raise ModelError(f"{name}: holds a value that is not finite")
-        rows, columns = self.weight.shape[:1], self.centre.shape
-        fits = self.scale.shape == columns and self.known.shape == rows + columns
-        if not fits or len(columns) != 1 or self.weight.ndim != 2 or self.decay.shape != ():
-            raise ModelError("kernel: its arrays do not fit together")
-        if not (self.scale > 0.0).all() or not self.decay > 0.0:
-            raise ModelError("scale, decay: a value is not above 0")
 
 
 def laplacian(rows: Float64, known: Float64, decay: float) -> Float64:

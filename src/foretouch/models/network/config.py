@@ -48,7 +48,7 @@ class ModelConfig(Settings):
     head_dropout: float = setting(0.0, "Dropout before the last layer, in training", bounds=(0.0, 0.9))
     precision: str = setting(
         "float32",
-        "Precision of the shared layers in prediction: bfloat16 is three times as fast on processors that have it",
+        "Stated by cards of earlier versions; predictions are computed in float32",
         choices=("float32", "bfloat16"),
     )
     ranges: TactileRanges = TactileRanges()

@@ -9,9 +9,6 @@ Three rewrites, none of which changes the function:
 - The first layer of the head splits into the columns for the features, applied once for each cloud, and
   those for the grasp, applied once for each grasp.
 
-With `ModelConfig.precision` bfloat16 the shared layers after the first, which take most of the time, are computed in
-bfloat16, with sums in float32: a processor with bfloat16 instructions (AVX-512 BF16, AMX) is three times as fast.
-
 The head runs in blocks of `BLOCK` rows, the last one padded: all matrix products have the same size, so a
 prediction is equal to the last bit however many grasps are predicted in the same call.
 
@@ -63,8 +60,8 @@ def tensor_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
 class _Affine:
     """x to x Wᵀ + b."""
 
-    weight: Tensor  # (out, in) float32, or bfloat16 in shared layers
-    bias: Tensor  # (out,), of the same dtype
+    weight: Tensor  # (out, in) float32
+    bias: Tensor  # (out,) float32
 
     def __call__(self, x: Tensor) -> Tensor:
         """(..., in) to (..., out)."""
@@ -120,36 +117,34 @@ class FoldedNetwork:
         return _chain(self.head, torch.relu_(x)) if self.head else x
 
 
-def fold(config: ModelConfig, tensors: Mapping[str, Tensor], precision: str | None = None) -> FoldedNetwork:
+def fold(config: ModelConfig, tensors: Mapping[str, Tensor]) -> FoldedNetwork:
     """Fold a trained network; later training of the network does not change the copy.
 
     Args:
         config: Its architecture.
         tensors: By the names of `tensor_shapes`. Batch norm is folded with its running statistics, as in evaluation.
-        precision: As `ModelConfig.precision`, which is the default.
     """
-    dtype = getattr(torch, config.precision if precision is None else precision)
     tensors = {name: value.detach().double() for name, value in tensors.items()}
     transform = None
     if config.tnet:
-        points = _folded(tensors, "features.transform.points")
         matrix = _Affine(*(tensors[f"features.transform.matrix.{name}"].float() for name in ("weight", "bias")))
-        transform = _shared(points, dtype), (*_folded(tensors, "features.transform.cloud"), matrix)
+        shared, rest = (_folded(tensors, f"features.transform.{part}") for part in ("points", "cloud"))
+        transform = shared, (*rest, matrix)
     scale, mean = tensors["target_scale"], tensors["target_mean"]
     output = (tensors["output.weight"] * scale[:, None]).float().contiguous()
     bias = (tensors["output.bias"] * scale + mean).float()
-    first, *rest = *_folded(tensors, "head"), _Affine(output, bias)
+    first, *head = *_folded(tensors, "head"), _Affine(output, bias)
     return FoldedNetwork(
         transform=transform,
-        trunk=_shared(_folded(tensors, "features.layers"), dtype),
+        trunk=_folded(tensors, "features.layers"),
         trunk_relu=config.trunk_relu,
         first=_Affine(first.weight[:, : config.feature_size].contiguous(), first.bias),
         first_grasp=first.weight[:, config.feature_size :].contiguous(),
-        head=tuple(rest),
+        head=tuple(head),
     )
 
 
-def _folded(tensors: Mapping[str, Tensor], prefix: str) -> list[_Affine]:
+def _folded(tensors: Mapping[str, Tensor], prefix: str) -> tuple[_Affine, ...]:
     """Consecutive layers, in float32, with their batch norms merged in double precision."""
     found: list[_Affine] = []
     while (name := f"{prefix}.{len(found)}.linear.weight") in tensors:
@@ -160,29 +155,18 @@ def _folded(tensors: Mapping[str, Tensor], prefix: str) -> list[_Affine]:
             scale = gain / torch.sqrt(variance + _EPSILON)
             weight, bias = weight * scale[:, None], (bias - mean) * scale + shift
         found.append(_Affine(weight.float().contiguous(), bias.float()))
-    return found
+    return tuple(found)
 
 
 def _pooled(layers: tuple[_Affine, ...], points: Tensor, *, relu: bool) -> Tensor:
     x, last = points, layers[-1]
     for layer in layers[:-1]:
-        x = torch.relu_(layer(x.to(layer.weight.dtype)))
-    if last.weight.dtype == torch.float32:
-        pooled = (x @ last.weight.T).amax(dim=0) + last.bias
-        return torch.relu_(pooled) if relu else pooled
-    values = last(x.to(last.weight.dtype))
-    if not relu:
-        return values.amax(dim=0).float()
-    # Numbers that are not negative are in the order of their bits, whose maximum is eight times as fast.
-    return torch.relu_(values.view(torch.int16).amax(dim=0).view(values.dtype)).float()
+        x = torch.relu_(layer(x))
+    pooled = (x @ last.weight.T).amax(dim=0) + last.bias
+    return torch.relu_(pooled) if relu else pooled
 
 
 def _chain(layers: tuple[_Affine, ...], x: Tensor) -> Tensor:
     for layer in layers[:-1]:
         x = torch.relu_(layer(x))
     return layers[-1](x)
-
-
-def _shared(layers: list[_Affine], dtype: torch.dtype) -> tuple[_Affine, ...]:
-    """Layers over the points, all but the first in a precision: that one has three inputs, which are positions."""
-    return (layers[0], *(_Affine(layer.weight.to(dtype), layer.bias.to(dtype)) for layer in layers[1:]))

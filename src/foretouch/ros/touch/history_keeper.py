@@ -61,7 +61,6 @@ class HistoryKeeper:
         read = self.history.tracker.evidence(self._now_ns())
         age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
         found = {"history.readings": str(read.readings), "history.age_s": age}
-        found |= {"history.set_aside": str(aside)} if (aside := self.history.tracker.set_aside) else {}
         found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
         kept = self.fault or "none: hand is empty, so that readings are forgotten when the node ends"
         found["history.file"] = str(self._file.path) if self._file else kept
@@ -82,7 +81,7 @@ class HistoryKeeper:
             history = file.read(model)
         except FileError as err:
             self._warn(f"history: {err}; renamed to {file.set_aside().name}")
-            history = file.read(model)  # one that was set aside before
+            history = None
         known = f"{history.tracker.evidence(self._now_ns()).readings} readings" if history else "does not exist yet"
         info(f"history: {file.path}: {known}")
         return history

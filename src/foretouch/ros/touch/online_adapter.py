@@ -173,8 +173,8 @@ class OnlineAdapter:
         """Add the touches that are complete by now to the history, and forget an object that was touched too long ago."""
         config, now_s = self._config(), time.monotonic()
         with self._keeper.lock:
-            if reason := self._history.keep_to_clock(self._now_ns()):
-                self._warn(f"history: {reason}")
+            if self._history.keep_to_clock(self._now_ns()):
+                self._warn("history: the clock was set back: readings that are ahead of it count as taken now")
             age_s = self._history.tracker.evidence(self._now_ns()).touch_age_s
             if age_s is not None and age_s > config.forget_after_s:
                 self._history.start_object()

@@ -67,9 +67,9 @@ class Predictor:
         self._switch_s = sys.getswitchinterval()
         # After so long, a thread gives way to another: Python's 5 ms may be the whole budget.
         sys.setswitchinterval(min(self._switch_s, 5e-4))
-        levels, times, state = load_warm(self.model)
+        levels, times = load_warm(self.model)
         around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
-        self.budget = LatencyBudget(budget_ms / 1e3, levels, times, state, around)
+        self.budget = LatencyBudget(budget_ms / 1e3, levels, times, around)
         for count in around:
             best = self.budget.affordable(count)
             name = best.name if best else f"none; the fastest is used, {levels[-1].name}"

@@ -170,20 +170,16 @@ def _label(sample: GraspSample) -> Float64:
 
 
 def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
-    """(T, M) predictions [counts] of some samples, each on the points and in the precision that prediction chooses."""
+    """(T, M) predictions [counts] of some samples, each on the points that prediction chooses."""
     import torch
 
     device = net.target_mean.device
     grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
-    rounded = net.folded() if net.config.precision != "float32" and device.type == "cpu" else None
     rows = []
     for i in index:
         one = np.array([i])
         points = torch.from_numpy(data.points(one, np.random.default_rng(SAMPLER_SEED))).to(device)
         grasp = None if grasps is None else grasps[one]
         with torch.inference_mode():
-            if rounded is None:
-                rows.append(net.counts(points, grasp))
-            else:
-                rows.append(rounded.regress(rounded.features(points[0]), torch.zeros(1, 0) if grasp is None else grasp))
+            rows.append(net.counts(points, grasp))
     return torch.cat(rows).cpu().numpy().astype(np.float64)

@@ -69,9 +69,9 @@ class TouchNet(nn.Module):
         net.load_state_dict(dict(tensors), assign=True)
         return net.eval()
 
-    def folded(self, precision: str | None = None) -> FoldedNetwork:
+    def folded(self) -> FoldedNetwork:
         """The network for prediction, as of now; see `foretouch.models.network.folding.fold`."""
-        return fold(self.config, self.state_dict(), precision)
+        return fold(self.config, self.state_dict())
 
     def forward(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
         """(B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""

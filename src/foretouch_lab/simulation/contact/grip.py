@@ -10,10 +10,9 @@ w about the midpoint m:
                 couple of an object that hangs beside the line;
     about a:    a·((c - m) x w) is left to the torsional friction of the pads.
 
-Each finger has its own contact and its own command. In a balanced grip the object hangs freely between
-them: it moves along the line of the contacts until the pushes cancel, up to the share of its weight
-that lies along that line. Commanded by depth, the sum of both depths is the hand's closing, and the common
-force is solved for; the balance is then exact and the closing holds to `_CLOSING_TOLERANCE`.
+The object hangs freely between the fingers: it moves along the line of the contacts until the pushes cancel, up to the
+share of its weight that lies along that line. Commanded by depth, the sum of both depths is the hand's closing, and the
+common force is solved for; the balance is then exact and the closing holds to `_CLOSING_TOLERANCE`.
 """
 
 import math
@@ -25,13 +24,7 @@ import numpy as np
 from foretouch.errors import ContactError, ConvergenceError
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.layer import solve_layer
-from foretouch_lab.simulation.contact.problem import (
-    Command,
-    ContactProblem,
-    ContactSolution,
-    ElasticLayer,
-    solve_winkler,
-)
+from foretouch_lab.simulation.contact.problem import Command, ContactProblem, ContactSolution, no_contact, solve_winkler
 
 _SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]] = {
     "winkler": solve_winkler,
@@ -42,27 +35,17 @@ LEVELS: Final = tuple(_SOLVERS)
 Grip = tuple[ContactSolution, ContactSolution]  # contacts of the finger at g1 and of the one at g2
 
 
-def choose_level(layers: Sequence[ElasticLayer]) -> tuple[str, str]:
-    """The level that `auto` stands for with these layers, the pad's first, and the reason.
-
-    The bed of springs is right for one thin layer, the skin on its core pressed on something rigid. Soft
-    objects are thick: their cells influence each other.
-    """
-    if len(layers) == 1 and not math.isinf(layers[0].thickness_m):
-        return "winkler", "the object is rigid: only the thin skin deforms"
-    return "layer", "the object deforms too"
-
-
 def solve_contact(problem: ContactProblem, command: Command, level: str = "auto") -> ContactSolution:
     """Solve one contact at `auto` or one of `LEVELS`.
 
+    The bed of springs is right for one thin layer, the skin on its core pressed on something rigid. Soft objects are thick:
+    their cells influence each other.
+
     Raises:
-        ContactError: If there is no such level, or the level refuses the problem.
+        ContactError: If the level refuses the problem.
     """
     if level == "auto":
-        level, _ = choose_level(problem.layers)
-    if level not in _SOLVERS:
-        raise ContactError(f"level: {level!r} is not one of auto, {', '.join(LEVELS)}")
+        level = "winkler" if len(problem.layers) == 1 else "layer"
     return _SOLVERS[level](problem, command)
 
 
@@ -78,14 +61,9 @@ def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> tuple
     Returns:
         How much more the second finger pushes than the first [N], and (2, 3) forces of the weight on both fingers across
         the line of the contacts [N].
-
-    Raises:
-        ContactError: If the contacts coincide or a value is not finite.
     """
     span = g2 - g1
     length = float(np.linalg.norm(span))
-    if not (np.isfinite([*weight_n, *g1, *g2, *centre]).all() and length > 0.0):
-        raise ContactError("statics: contacts coincide or a value is not finite")
     axis = span / length
     moment = np.cross(centre - (g1 + g2) / 2.0, weight_n)
     across = weight_n - (weight_n @ axis) * axis
@@ -94,57 +72,35 @@ def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> tuple
     return float(weight_n @ axis), np.stack([(across + couple) / 2.0, (across - couple) / 2.0])
 
 
-_BALANCE_TOLERANCE = 1e-3  # largest difference of two forces over the larger one that counts as balanced
 _CLOSING_TOLERANCE = 1e-5
 _MAX_STEPS = 40
 _STEEPEST = 64.0  # largest factor on the force in one step
 
 
-def solve_grip(
-    problems: Sequence[ContactProblem],
-    commands: Sequence[Command],
-    *,
-    balanced: bool,
-    axial_load_n: float = 0.0,
-    level: str = "auto",
-) -> Grip:
-    """Close both fingers on the object.
+def solve_grip(problems: Sequence[ContactProblem], command: Command, load_n: float, level: str = "auto") -> Grip:
+    """Close both fingers on the object, which is free to move along the line of the contacts.
 
     Args:
         problems: Of the finger at g1 and of the one at g2.
-        commands: For each; in a balanced grip both forces or both depths.
-        balanced: Whether the object is free to move along the line of the contacts.
-        axial_load_n: Balanced only: how much of the object's weight the second finger carries more than
-            the first (`weigh`). Half is taken from the first, half added to the second.
+        command: Of both; of a depth, each finger closes by it.
+        load_n: How much of the object's weight the second finger carries more than the first (`weigh`) [N]. Half is
+            taken from the first, half added to the second.
         level: Of the contact.
 
     Raises:
-        ContactError: If a balanced grip has commands that contradict each other, or its load opens a finger; or a
-            contact cannot be solved.
+        ContactError: If the load opens a finger, or a contact cannot be solved.
     """
-    if not balanced:
-        return _solve_both(problems, commands, level)
-    forces = sorted(c.force_n for c in commands if c.force_n is not None)
-    depths = [c.depth_m for c in commands if c.depth_m is not None]
-    if forces and depths:
-        raise ContactError("commands: a balanced grip needs two forces or two depths, not one of each")
-    if depths:
-        return _at_closing(problems, sum(depths), axial_load_n, level)
-    if forces[1] - forces[0] > _BALANCE_TOLERANCE * forces[1]:
-        raise ContactError(f"force_n: {forces[0]:g} and {forces[1]:g} N cannot balance on one object")
-    return _at_force(problems, (forces[0] + forces[1]) / 2.0, axial_load_n, level)
-
-
-def _solve_both(problems: Sequence[ContactProblem], commands: Sequence[Command], level: str) -> Grip:
-    first, second = (solve_contact(p, c, level) for p, c in zip(problems, commands, strict=True))
-    return first, second
+    if command.depth_m is not None:
+        return _at_closing(problems, 2.0 * command.depth_m, load_n, level)
+    return _at_force(problems, float(command.force_n or 0.0), load_n, level)
 
 
 def _at_force(problems: Sequence[ContactProblem], force: float, load: float, level: str) -> Grip:
     pushes = (force - load / 2.0, force + load / 2.0)
     if min(pushes) < 0.0:
         raise ContactError(f"axial_load_n: {load:g} N opens a grip of {force:g} N")
-    return _solve_both(problems, [Command(force_n=push) for push in pushes], level)
+    first, second = (solve_contact(p, Command(force_n=n), level) for p, n in zip(problems, pushes, strict=True))
+    return first, second
 
 
 def _at_closing(problems: Sequence[ContactProblem], closing: float, load: float, level: str) -> Grip:
@@ -153,10 +109,11 @@ def _at_closing(problems: Sequence[ContactProblem], closing: float, load: float,
     The depth grows as a power of the force, between F (flat) and √F, so that steps are taken on log F with
     the power of the last two tries, inside a bracket that they tighten.
     """
-    if closing <= 0.0:
-        return _solve_both(problems, [Command(depth_m=min(closing, 0.0))] * 2, level)
+    half = Command(depth_m=closing / 2.0)
+    if half.idle:
+        return no_contact(problems[0]), no_contact(problems[1])
     floor = abs(load) / 2.0
-    force = max(solve_contact(problems[0], Command(depth_m=closing / 2.0), level).force_n, floor * 1.01)
+    force = max(solve_contact(problems[0], half, level).force_n, floor * 1.01)
     low, high, power, last = floor, math.inf, 0.6, None
     for _ in range(_MAX_STEPS):
         grip = _at_force(problems, force, load, level)

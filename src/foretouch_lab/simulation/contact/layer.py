@@ -154,19 +154,11 @@ TOLERANCE = 1e-4  # change of the pressure in the last step over the force
 MAX_ITERATIONS = 300  # before a contact is refused
 
 
-def solve_layer(
-    problem: ContactProblem, command: Command, *, tolerance: float = TOLERANCE, max_iterations: int = MAX_ITERATIONS
-) -> ContactSolution:
+def solve_layer(problem: ContactProblem, command: Command) -> ContactSolution:
     """Press two bodies together, each cell influencing all others.
 
-    Args:
-        problem: Surfaces and layers.
-        command: A force or a depth.
-        tolerance: Largest change of the pressure in the last step over the force.
-        max_iterations: Steps before the contact is refused.
-
     Raises:
-        ConvergenceError: If it does not converge in `max_iterations`.
+        ConvergenceError: If it does not converge in `MAX_ITERATIONS`.
         ContactError: If a layer is compressed too far.
     """
     if command.idle:
@@ -175,19 +167,17 @@ def solve_layer(
     guess = _expected_pressure(problem, command)
     box = _box_around(guess)  # only the expected footprint and its margin may carry pressure at first
     pressure = np.zeros_like(gap)
-    pressure[box], depth, iterations, residual = _descend(
-        problem, command, gap[box], guess[box], tolerance, max_iterations
-    )
+    pressure[box], depth, iterations, residual = _descend(problem, command, gap[box], guess[box])
     displacement = _displacements(problem, pressure)
     overlap = depth - float((displacement.sum(axis=0) + gap).min())  # how far the surfaces still overlap anywhere
-    if residual >= tolerance or overlap > _OVERLAP * abs(depth):
+    if residual >= TOLERANCE or overlap > _OVERLAP * abs(depth):
         # The guess misled: from even pressure wherever both surfaces exist, which is slower and sure.
         even = np.isfinite(problem.gap) * (problem.contact_modulus_pa * 1e-3)
-        pressure, depth, more, residual = _descend(problem, command, gap, even, tolerance, max_iterations)
-        if residual >= tolerance:
+        pressure, depth, more, residual = _descend(problem, command, gap, even)
+        if residual >= TOLERANCE:
             raise ConvergenceError(
                 f"elastic layer: no convergence after {iterations + more} iterations on {gap.shape[0]}^2 cells, "
-                f"{np.count_nonzero(pressure)} of them in contact: residual {residual:.3g}, tolerance {tolerance:g}"
+                f"{np.count_nonzero(pressure)} of them in contact: residual {residual:.3g}, tolerance {TOLERANCE:g}"
             )
         displacement = _displacements(problem, pressure)
     refuse_overload(problem, displacement, depth)
@@ -238,7 +228,7 @@ def _stiffness(problem: ContactProblem, radius: Float64) -> Float64:
 
 
 def _descend(
-    problem: ContactProblem, command: Command, gap: Float64, start: Float64, tolerance: float, max_iterations: int
+    problem: ContactProblem, command: Command, gap: Float64, start: Float64
 ) -> tuple[Float64, float, int, float]:
     """Step until the tolerance is met or the iterations are spent: (N, N) pressure [Pa], depth [m], iterations and residual."""
     gap, start = np.ascontiguousarray(gap), np.ascontiguousarray(start)  # for the compiled function
@@ -249,7 +239,7 @@ def _descend(
         given = command.force_n / problem.cell_m2
         pressure = np.ascontiguousarray(start * (given / float(start.sum())))
     safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
-    limits = safe_length, tolerance, max_iterations
+    limits = safe_length, TOLERANCE, MAX_ITERATIONS
     n, by_force = gap.shape[0], int(command.force_n is not None)
     _layer_descent(gap, spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
     if not end[3]:

@@ -3,14 +3,13 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
 from foretouch.types import Float64, Grasp
-from foretouch_lab.simulation.contact.grip import LEVELS, choose_level, solve_grip, weigh
+from foretouch_lab.simulation.contact.grip import solve_grip, weigh
 from foretouch_lab.simulation.contact.pad import (
     ContactFrame,
     PadConfig,
@@ -25,7 +24,7 @@ from foretouch_lab.simulation.contact.problem import Command, ContactProblem, El
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
-from foretouch_lab.simulation.scene.objects import POISSON, ObjectConfig, SurfaceConfig
+from foretouch_lab.simulation.scene.objects import POISSON, RELIEF_M, ObjectConfig
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.solids import Body
 from foretouch_lab.simulation.world import object_index
@@ -90,7 +89,7 @@ def _execution_error(job: Job, state: SampleState) -> None:
         ContactFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
         for finger in (thumb, middle)
     )
-    state.targets = state.targets * max(0.0, 1.0 + rng.normal(0.0, TARGET_SHARE))
+    state.target = state.target * max(0.0, 1.0 + rng.normal(0.0, TARGET_SHARE))
 
 
 def _small_rotation(vector: Float64) -> Float64:
@@ -104,12 +103,9 @@ def _small_rotation(vector: Float64) -> Float64:
 
 
 def _targets(job: Job, state: SampleState) -> None:
-    """In a balanced grip both fingers aim at one number, since the object passes the force on."""
-    grasps, rng = job.scene.grasps, job.rng()
-    name = "force_n" if grasps.control == "force" else "depth_m"
-    fingers = [grasps.thumb] if grasps.middle is None else [grasps.thumb, grasps.middle]
-    drawn = [draw(rng, getattr(finger, name)) for finger in fingers]
-    state.targets = np.array([drawn[0], drawn[-1]])
+    """Both fingers aim at one number, since the object passes the force on."""
+    grasps = job.scene.grasps
+    state.target = draw(job.rng(), grasps.thumb.force_n if grasps.control == "force" else grasps.thumb.depth_m)
     state.axial_load_n, state.tangential_n = 0.0, np.zeros((2, 3))
 
 
@@ -209,7 +205,6 @@ def _relief(_job: Job, state: SampleState) -> None:
 
 def _surface(job: Job, state: SampleState) -> None:
     """Waves of random directions and phases, fixed to the object: two touches of one spot feel the same relief."""
-    surface: SurfaceConfig = job.settings
     body = state.bodies[0]
     rng = np.random.default_rng([job.scene.seed, object_index(job.scene, job.key.slot), body.variant])
     axes = rng.standard_normal((_WAVES, 3))
@@ -218,7 +213,7 @@ def _surface(job: Job, state: SampleState) -> None:
     waves = []
     for window, frame in zip(state.pads, state.touches, strict=True):
         points = (frame.points(window.x, window.y, 0.0) - body.position) @ body.rotation
-        waves.append(np.cos(points @ axes.T + phase).sum(axis=-1) * surface.relief_m * np.sqrt(2.0 / _WAVES))
+        waves.append(np.cos(points @ axes.T + phase).sum(axis=-1) * RELIEF_M * np.sqrt(2.0 / _WAVES))
     state.relief = state.relief + np.stack(waves)
 
 
@@ -227,17 +222,12 @@ def _weight(job: Job, state: SampleState) -> None:
     centre = body.position + (body.mesh.centroid * body.size) @ body.rotation.T
     thumb, middle = state.touches
     weight_n = np.array([0.0, 0.0, -(job.item.mass_kg or 0.0) * _GRAVITY_M_S2])
-    axial_n, state.tangential_n = weigh(weight_n, thumb.origin, middle.origin, centre)
-    if job.scene.grasps.balanced:
-        state.axial_load_n = axial_n
+    state.axial_load_n, state.tangential_n = weigh(weight_n, thumb.origin, middle.origin, centre)
 
 
-def _solve(level: str, job: Job, state: SampleState) -> None:
-    scene = job.scene
-    pairs, balanced = zip(state.pads, state.relief, strict=True), scene.grasps.balanced
-    problems = [contact_problem(job, pad, height) for pad, height in pairs]
-    commands = [command_of(scene, float(target)) for target in state.targets]
-    state.contacts = solve_grip(problems, commands, balanced=balanced, axial_load_n=state.axial_load_n, level=level)
+def _solve(job: Job, state: SampleState) -> None:
+    problems = [contact_problem(job, *each) for each in zip(state.pads, state.relief, strict=True)]
+    state.contacts = solve_grip(problems, command_of(job.scene, state.target), state.axial_load_n, job.scene.fidelity)
 
 
 def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[ElasticLayer, ...]:
@@ -258,13 +248,6 @@ def contact_problem(job: Job, window: PadWindow, behind: Float64) -> ContactProb
     return ContactProblem(gap_field(window.depth, -behind), pad_of(job).step_m, _layers_of(job.scene, job.item))
 
 
-def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:
-    if scene.fidelity != "auto":
-        return f"fidelity: {level}" if scene.fidelity == level else None
-    chosen, why = choose_level(_layers_of(scene, item))
-    return f"fidelity: auto ({why})" if chosen == level else None
-
-
 def _held(job: Job, state: SampleState) -> None:
     """Refuse a grasp out of which the object falls: where a tangential force exceeds Coulomb's limit."""
     across = np.linalg.norm(state.tangential_n, axis=1)
@@ -277,25 +260,15 @@ def _held(job: Job, state: SampleState) -> None:
 
 
 EFFECTS = (
-    Effect("grasp", _plan, "grasps", reads=("cloud", "pixels"), writes=("plan", "grasp")),
-    Effect("fingers", _fingers, "grasps", reads=("grasp",), writes=("fingers",)),
-    Effect("targets", _targets, "grasps", writes=("targets", "axial_load_n", "tangential_n")),
-    Effect("execution_error", _execution_error, "grasps.error", changes=("fingers", "targets"), again=True),
-    Effect("posture", _posture, "fingers", reads=("fingers",), writes=("postures",)),
-    Effect("first_touch", _first_touch, "fingers", reads=("bodies", "fingers", "postures"), writes=("pads", "touches")),
-    Effect("relief", _relief, "fingers", reads=("bodies", "pads", "touches"), writes=("relief",)),
-    Effect("surface", _surface, "objects.surface", reads=("bodies", "pads", "touches"), changes=("relief",)),
-    Effect("weight", _weight, "gravity", reads=("bodies", "touches"), changes=("axial_load_n", "tangential_n")),
-    *(
-        Effect(
-            f"contact_{level}",
-            partial(_solve, level),
-            partial(_needs_level, level),
-            reads=("pads", "relief", "targets", "axial_load_n"),
-            writes=("contacts",),
-            off=f"fidelity: no object calls for {level}",
-        )
-        for level in LEVELS
-    ),
-    Effect("held", _held, "gravity", reads=("tangential_n",), changes=("contacts",)),
+    Effect("grasp", _plan, "grasps"),
+    Effect("fingers", _fingers, "grasps"),
+    Effect("targets", _targets, "grasps"),
+    Effect("execution_error", _execution_error, "grasps.error", again=True),
+    Effect("posture", _posture, "fingers"),
+    Effect("first_touch", _first_touch, "fingers"),
+    Effect("relief", _relief, "fingers"),
+    Effect("surface", _surface, "objects.surface"),
+    Effect("weight", _weight, "gravity"),
+    Effect("contact", _solve, "fidelity"),
+    Effect("held", _held, "gravity"),
 )

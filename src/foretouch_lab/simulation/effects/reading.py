@@ -9,33 +9,14 @@ from foretouch.tactile import ELECTRODES
 from foretouch.tactile.messages.biotac import OTHERS
 from foretouch.types import Float64, Int64, Touch
 from foretouch.types.channels import Channels
+from foretouch_lab.simulation import fingertip
 from foretouch_lab.simulation.contact.grip import solve_contact
 from foretouch_lab.simulation.contact.pad import ContactFrame
 from foretouch_lab.simulation.contact.problem import Command, ContactSolution, skin_slopes, tractions
 from foretouch_lab.simulation.effects import campaign
 from foretouch_lab.simulation.effects.grasp import command_of, contact_problem, pad_of, surface_behind
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
-from foretouch_lab.simulation.fingertip import (
-    PAC_REST,
-    VIBRATION_CONTACT,
-    VIBRATION_NOISE,
-    VIBRATION_S,
-    VIBRATION_SLIP,
-    WANDER_COUNTS,
-    WANDER_S,
-    NoiseConfig,
-    creep,
-    ou_noise,
-    quantise,
-    read_contact,
-    scan,
-    slip_path,
-    temperature_drift,
-    warming,
-)
-from foretouch_lab.simulation.scene import SceneConfig
-from foretouch_lab.simulation.scene.fingers import DeadConfig, DriftConfig, TimelineConfig
-from foretouch_lab.simulation.scene.objects import ObjectConfig
+from foretouch_lab.simulation.scene.fingers import DeadConfig, TimelineConfig
 from foretouch_lab.simulation.scene.ranges import draw
 from foretouch_lab.simulation.world import SampleKey, World
 
@@ -66,7 +47,7 @@ def _reading(
     """(V,) values of the ideal fingertip k in contact with a surface that lies so far behind its tangent plane."""
     array, window = job.world.array, state.pads[k]
     if array is None:
-        return read_contact(pad_of(job), state.sensors[k], window, contact)
+        return fingertip.read_contact(pad_of(job), state.sensors[k], window, contact)
     if contact.force_n == 0.0:
         return np.asarray(array.rest[k])
     problem, friction = contact_problem(job, window, behind), job.item.friction
@@ -87,8 +68,16 @@ def _reading(
 
 
 def _tare_and_touch(_job: Job, state: SampleState) -> None:
-    state.times, state.load, state.hold_row = np.zeros(2), np.array([0.0, 1.0]), 1
-    state.series = state.readings.copy()
+    state.hold_row, (low, high) = 1, state.readings
+    start(state, np.zeros(2), np.array([0.0, 1.0]), low, high)
+
+
+def start(state: SampleState, times: Float64, load: Float64, low: Float64, high: Float64) -> None:
+    """Messages at times (T,) [s] that go from `low` to `high` (2, V) with the load (T,); nothing else is added yet."""
+    state.times, state.load = times, load
+    state.series = low + load[:, None, None] * (high - low)
+    state.others = np.zeros((len(load), 2, len(OTHERS)))
+    state.level = np.zeros((len(load), 2, 1 + ELECTRODES))
 
 
 def _timeline(job: Job, state: SampleState) -> None:
@@ -96,11 +85,9 @@ def _timeline(job: Job, state: SampleState) -> None:
     config: TimelineConfig = job.settings
     rest, close, hold = (max(1, round(s * config.rate_hz)) for s in (config.rest_s, config.close_s, config.hold_s))
     ramp = np.arange(1, close) / close
-    state.load = np.concatenate([np.zeros(rest), ramp, np.ones(hold), ramp[::-1], np.zeros(rest)])
-    state.times, state.slid = np.arange(len(state.load)) / config.rate_hz, np.zeros(len(state.load))
-    state.hold_row = rest + len(ramp) + hold - 1
-    low, high = state.readings
-    state.series = low + state.load[:, None, None] * (high - low)
+    load = np.concatenate([np.zeros(rest), ramp, np.ones(hold), ramp[::-1], np.zeros(rest)])
+    state.hold_row, (low, high) = rest + len(ramp) + hold - 1, state.readings
+    start(state, np.arange(len(load)) / config.rate_hz, load, low, high)
 
 
 def _rate_hz(job: Job) -> float:
@@ -115,8 +102,7 @@ def _slip(job: Job, state: SampleState) -> None:
     the path.
     """
     in_hold = state.load == 1.0
-    path = slip_path(int(np.count_nonzero(in_hold)), _rate_hz(job), job.rng())
-    state.slid[in_hold] = path
+    path = fingertip.slip_path(int(np.count_nonzero(in_hold)), _rate_hz(job), job.rng())
     if path[-1] == 0.0:
         return
     moved = np.stack([_reading_after_slip(job, state, k, float(path[-1])) for k in range(2)])
@@ -131,56 +117,35 @@ def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> 
     if length > 0.0:
         frame = replace(frame, origin=frame.origin - slid_m * across / length)
     behind = surface_behind(window, state.bodies[0], frame)
-    command = command_of(scene, float(state.targets[k]))
+    command = command_of(scene, state.target)
     contact = solve_contact(contact_problem(job, window, behind), command, scene.fidelity)
     return _reading(job, state, k, frame, behind, contact)
 
 
-def _others(_job: Job, state: SampleState) -> None:
-    state.others = np.zeros((len(state.times), 2, len(OTHERS)))
-
-
-def _needs_others(scene: SceneConfig, item: ObjectConfig) -> str | None:
-    return _VIBRATION.reason(scene, item) or campaign.FINGER_TEMPERATURE.reason(scene, item)
-
-
-def _vibration(job: Job, state: SampleState) -> None:
-    """First touch and release shake a fingertip, and so does each slip; the skin damps it."""
-    edges = np.diff(state.load > 0.0, prepend=False)
-    slips_m = np.maximum(np.diff(state.slid, prepend=0.0), 0.0)
-    struck = VIBRATION_CONTACT * edges + 1e3 * VIBRATION_SLIP * slips_m
-    kept = np.exp(-1.0 / (_rate_hz(job) * VIBRATION_S))
-    rng, swing = job.rng(), 0.0
-    for row, blow in zip(state.others, struck, strict=True):
-        swing = max(kept * swing, float(blow))
-        row[:, :2] = PAC_REST + np.hypot(VIBRATION_NOISE, swing) * rng.standard_normal((2, 2))
-
-
 def _creep(job: Job, state: SampleState) -> None:
-    state.series = creep(state.series, _rate_hz(job))
+    state.series = fingertip.creep(state.series, _rate_hz(job))
 
 
 def _drift(job: Job, state: SampleState) -> None:
     """Rows before contact are as old as the tare; the liquid has warmed on since."""
-    config: DriftConfig = job.settings
     rng = job.rng()
-    now, age = draw(rng, config.session_s), draw(rng, config.tare_age_s)
+    now, age = draw(rng, fingertip.SESSION_S), draw(rng, fingertip.TARE_AGE_S)
     first = int(np.argmax(state.load > 0.0))
     since = now + age + state.times - state.times[first]
     since[:first] -= age
-    state.series += drift_of(job.world, config, np.maximum(since, 0.0))
+    state.series += drift_of(job.world, np.maximum(since, 0.0))
 
 
-def drift_of(world: World, config: DriftConfig, since_s: Float64) -> Float64:
+def drift_of(world: World, since_s: Float64) -> Float64:
     """(T, 2, V) by how much readings have drifted at times (T,) since the sensors are on [s]."""
     if world.array is not None:
-        return np.asarray(warming(config.temperature, since_s)[:, None, None] * world.array.kelvin)
-    return np.asarray(temperature_drift(config.temperature, since_s)[:, None])
+        return np.asarray(fingertip.warming(since_s)[:, None, None] * world.array.kelvin)
+    return np.asarray(fingertip.temperature_drift(fingertip.warming(since_s))[:, None])
 
 
 def _crosstalk(job: Job, state: SampleState) -> None:
     assert job.world.array is not None  # noqa: S101  # the settings are of arrays alone
-    state.series = job.world.array.with_crosstalk(state.series, job.settings)
+    state.series = job.world.array.with_crosstalk(state.series)
 
 
 def _sessions(job: Job, state: SampleState) -> None:
@@ -196,21 +161,20 @@ def _sessions(job: Job, state: SampleState) -> None:
 
 
 def _noise(job: Job, state: SampleState) -> None:
-    config: NoiseConfig = job.settings
     rng, rows = job.rng(), len(state.series)
     if job.world.array:
         state.series += job.world.array.noise(rows, rng)
         return
-    slow = ou_noise(rows, 2 * ELECTRODES, WANDER_COUNTS, WANDER_S, _rate_hz(job), rng)
-    state.series[..., 1:] += config.electrode_counts * rng.standard_normal((rows, 2, ELECTRODES))
+    slow = fingertip.ou_noise(rows, 2 * ELECTRODES, fingertip.WANDER_COUNTS, fingertip.WANDER_S, _rate_hz(job), rng)
+    state.series[..., 1:] += fingertip.NOISE_ELECTRODE * rng.standard_normal((rows, 2, ELECTRODES))
     state.series[..., 1:] += slow.reshape(rows, 2, ELECTRODES)
-    state.series[..., 0] += config.pdc_counts * rng.standard_normal((rows, 2))
+    state.series[..., 0] += fingertip.NOISE_PDC * rng.standard_normal((rows, 2))
 
 
 def _scan(job: Job, state: SampleState) -> None:
     rng = job.rng()
     for finger in range(2):
-        state.series[:, finger, 1:] = scan(state.series[:, finger, 1:], rng)
+        state.series[:, finger, 1:] = fingertip.scan(state.series[:, finger, 1:], rng)
 
 
 def _dead(job: Job, state: SampleState) -> None:
@@ -222,7 +186,7 @@ def _dead(job: Job, state: SampleState) -> None:
 def _counts(job: Job, state: SampleState) -> None:
     """Round and clip; the touch is the last message of the hold, the tare the median of those before contact."""
     world = job.world
-    rows = world.array.quantise(state.series) if world.array else quantise(state.series)
+    rows = world.array.quantise(state.series) if world.array else fingertip.quantise(state.series)
     first = int(np.argmax(state.load > 0.0))
     state.touch = _touch(world.channels(), rows[state.hold_row])
     state.tare = _touch(world.channels(), np.median(rows[:first], axis=0))
@@ -235,48 +199,26 @@ def _touch(channels: Channels, fingers: Float64 | Int64) -> Touch:
     return Touch(values, channels)
 
 
-_TIMED = ("times", "load", "hold_row", "series")
-_VIBRATION = Effect(
-    "vibration", _vibration, "fingers.vibration", reads=("load", "slid"), changes=("others",), again=True
-)
-
 EFFECTS = (
-    Effect("sensors", _mounted, "fingers", writes=("sensors",)),
+    Effect("sensors", _mounted, "fingers"),
     *campaign.MOUNTING,
-    Effect(
-        "fingertip",
-        _ideal,
-        "fingers",
-        reads=("sensors", "fingers", "pads", "touches", "relief", "contacts", "tangential_n"),
-        writes=("readings",),
-    ),
+    Effect("fingertip", _ideal, "fingers"),
     Effect(
         "moments",
         _tare_and_touch,
         lambda scene, _item: "fingers" if scene.fingers.timeline is None else None,
-        reads=("readings",),
-        writes=_TIMED,
         off="fingers.timeline makes them",
     ),
-    Effect("timeline", _timeline, "fingers.timeline", reads=("readings",), writes=(*_TIMED, "slid")),
-    Effect("other_channels", _others, _needs_others, reads=("times",), writes=("others",), off="no PAC, TAC or TDC"),
+    Effect("timeline", _timeline, "fingers.timeline"),
     *campaign.DRIFT,
-    Effect(
-        "slip",
-        _slip,
-        "fingers.slip",
-        reads=("sensors", "readings", "bodies", "fingers", "touches", "pads", "targets", "tangential_n", "load"),
-        changes=("series", "slid"),
-        again=True,
-    ),
-    _VIBRATION,
-    Effect("crosstalk", _crosstalk, "fingers.crosstalk", changes=("series",)),
-    Effect("creep", _creep, "fingers.creep", changes=("series",)),
-    Effect("drift", _drift, "fingers.drift", reads=("times", "load"), changes=("series",), again=True),
-    Effect("sessions", _sessions, "fingers.sessions", changes=("series",)),
-    Effect("noise", _noise, "fingers.noise", changes=("series",), again=True),
-    Effect("scan_hold", _scan, "fingers.scan", changes=("series",), again=True),
-    Effect("dead_electrodes", _dead, "fingers.dead", changes=("series",)),
-    Effect("counts", _counts, "fingers", reads=("series", "load", "hold_row"), writes=("touch", "tare")),
+    Effect("slip", _slip, "fingers.slip", again=True),
+    Effect("crosstalk", _crosstalk, "fingers.crosstalk"),
+    Effect("creep", _creep, "fingers.creep"),
+    Effect("drift", _drift, "fingers.drift", again=True),
+    Effect("sessions", _sessions, "fingers.sessions"),
+    Effect("noise", _noise, "fingers.noise", again=True),
+    Effect("scan_hold", _scan, "fingers.scan", again=True),
+    Effect("dead_electrodes", _dead, "fingers.dead"),
+    Effect("counts", _counts, "fingers"),
     *campaign.TARES,
 )

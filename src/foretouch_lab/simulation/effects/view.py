@@ -8,20 +8,7 @@ import numpy as np
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import SimulationError
 from foretouch.types import Cloud, Float64
-from foretouch_lab.simulation.depth_scene import (
-    D415_BASELINE_M,
-    FIRST_OBJECT,
-    FLYING_SHARE,
-    GRAZING_DEG,
-    HOLE_SHARE,
-    TABLE,
-    CameraView,
-    Window,
-    add_flying_pixels,
-    add_stereo_noise,
-    stereo_shadow,
-    table_depth,
-)
+from foretouch_lab.simulation import depth_scene
 from foretouch_lab.simulation.engine import Effect, Job, SampleState
 from foretouch_lab.simulation.scene.objects import ClutterConfig, ObjectConfig
 from foretouch_lab.simulation.scene.ranges import draw
@@ -118,8 +105,8 @@ def _free_path(body: Body, other: Body, towards: Float64) -> float:
 
 def _object_window(job: Job, state: SampleState) -> None:
     view = job.world.view
-    if job.scene.camera.segmented is not None:  # which needs the table
-        _whole_window(job, state)
+    if job.scene.camera.segmented is not None:
+        _whole_window(job, state)  # segmentation needs the table
         return
     rows, columns = view.window(state.bodies[0].corners())
     if rows.start >= rows.stop or columns.start >= columns.stop:
@@ -134,11 +121,11 @@ def _whole_window(job: Job, state: SampleState) -> None:
 def _render(job: Job, state: SampleState) -> None:
     world, window = job.world, state.window
     rays = world.rays[window]
-    depth = table_depth(world.view, rays)
-    labels = np.where(np.isfinite(depth), TABLE, 0).astype(np.int32)
+    depth = depth_scene.table_depth(world.view, rays)
+    labels = np.where(np.isfinite(depth), depth_scene.TABLE, 0).astype(np.int32)
     flat_rays, flat_depth, flat_labels = rays.reshape(-1, 3), depth.reshape(-1), labels.reshape(-1)
     hits: list[Hits | None] = []
-    for label, body in enumerate(state.bodies, FIRST_OBJECT):
+    for label, body in enumerate(state.bodies, depth_scene.FIRST_OBJECT):
         if not _overlap(world.view, body.corners(), window):
             hits.append(None)
             continue
@@ -151,30 +138,33 @@ def _render(job: Job, state: SampleState) -> None:
     state.depth = depth.copy()
 
 
-def _normals(_job: Job, state: SampleState) -> None:
+def normals_of(state: SampleState) -> Float64:
+    """(h, w, 3), outward unit normals in the world; zero where no body is."""
     normals = np.zeros((*state.labels.shape, 3))
     flat, labels = normals.reshape(-1, 3), state.labels.reshape(-1)
-    for label, (body, hit) in enumerate(zip(state.bodies, state.hits, strict=True), FIRST_OBJECT):
+    for label, (body, hit) in enumerate(zip(state.bodies, state.hits, strict=True), depth_scene.FIRST_OBJECT):
         if hit is not None:
             seen = labels == label
             flat[seen] = body.world_normals(hit.normal[seen])
-    state.normals = normals
+    return normals
 
 
 def _flying_pixels(job: Job, state: SampleState) -> None:
     rng = job.rng()
-    flown = add_flying_pixels(state.depth, rng)
-    state.depth = np.where(rng.random(flown.shape) < FLYING_SHARE, flown, state.depth)
+    flown = depth_scene.add_flying_pixels(state.depth, rng)
+    state.depth = np.where(rng.random(flown.shape) < depth_scene.FLYING_SHARE, flown, state.depth)
 
 
 def _noise(job: Job, state: SampleState) -> None:
     config: DepthNoiseConfig = job.settings
-    at_1_m = config.sub_pixel / (job.world.view.matrix[0, 0] * D415_BASELINE_M)  # sigma_z = s z² / (f B)
-    state.depth = add_stereo_noise(state.depth, at_1_m, job.rng())
+    at_1_m = config.sub_pixel / (job.world.view.matrix[0, 0] * depth_scene.D415_BASELINE_M)  # sigma_z = s z² / (f B)
+    state.depth = depth_scene.add_stereo_noise(state.depth, at_1_m, job.rng())
 
 
 def _shadow(job: Job, state: SampleState) -> None:
-    state.depth = np.where(stereo_shadow(state.exact_depth, job.world.view.matrix[0, 0]), np.inf, state.depth)
+    state.depth = np.where(
+        depth_scene.stereo_shadow(state.exact_depth, job.world.view.matrix[0, 0]), np.inf, state.depth
+    )
 
 
 def _holes(job: Job, state: SampleState) -> None:
@@ -182,10 +172,10 @@ def _holes(job: Job, state: SampleState) -> None:
 
     # A spot is where the mean of white noise over its window is in the upper tail, which has the share asked for.
     spots = uniform_filter(job.rng().random(state.depth.shape), _SPOT_PX, mode="wrap")
-    hole = spots > np.quantile(spots, 1.0 - HOLE_SHARE)
+    hole = spots > np.quantile(spots, 1.0 - depth_scene.HOLE_SHARE)
     rays = job.world.rays[state.window]
-    facing = -np.einsum("ijk,ijk->ij", rays, state.normals) / np.linalg.norm(rays, axis=2)
-    hole |= (state.labels >= FIRST_OBJECT) & (facing < np.cos(np.radians(GRAZING_DEG)))
+    facing = -np.einsum("ijk,ijk->ij", rays, normals_of(state)) / np.linalg.norm(rays, axis=2)
+    hole |= (state.labels >= depth_scene.FIRST_OBJECT) & (facing < np.cos(np.radians(depth_scene.GRAZING_DEG)))
     state.depth = np.where(hole, np.inf, state.depth)
 
 
@@ -197,7 +187,7 @@ def _cloud(job: Job, state: SampleState) -> None:
     """By the labels of the ray caster."""
     view = job.world.view
     rows, columns = state.window
-    v, u = np.nonzero((state.labels == FIRST_OBJECT) & np.isfinite(state.depth))
+    v, u = np.nonzero((state.labels == depth_scene.FIRST_OBJECT) & np.isfinite(state.depth))
     if len(u) < _FEWEST_POINTS:
         raise SimulationError(
             f"{job.item.name}: {len(u)} points in view, fewer than {_FEWEST_POINTS}", "too_few_points"
@@ -223,7 +213,7 @@ def _segmented(job: Job, state: SampleState) -> None:
 def _colour(job: Job, state: SampleState) -> None:
     rows, columns = state.window
     v, u = np.divmod(state.pixels, job.world.view.width)
-    normal = state.normals[v - rows.start, u - columns.start]
+    normal = normals_of(state)[v - rows.start, u - columns.start]
     state.cloud = replace(state.cloud, rgb=(light(normal)[:, None] * np.asarray(job.settings)).astype(np.uint8))
 
 
@@ -232,7 +222,7 @@ def light(normal: Float64) -> Float64:
     return np.asarray(0.35 + 0.65 * np.abs(normal[..., 2]))
 
 
-def _overlap(view: CameraView, corners: Float64, window: Window) -> bool:
+def _overlap(view: depth_scene.CameraView, corners: Float64, window: depth_scene.Window) -> bool:
     return all(a.start < b.stop and b.start < a.stop for a, b in zip(window, view.window(corners), strict=True))
 
 
@@ -240,28 +230,21 @@ def _grown(span: slice, size: int) -> slice:
     return slice(max(0, span.start - _MARGIN_PX), min(size, span.stop + _MARGIN_PX))
 
 
-PLACING = (
-    Effect("object", _object, "objects", writes=("bodies",)),
-    Effect("clutter", _clutter, "clutter", changes=("bodies",)),
-)
+PLACING = (Effect("object", _object, "objects"), Effect("clutter", _clutter, "clutter"))
 _SEEING = (
-    Effect("window", _object_window, "camera", reads=("bodies",), writes=("window",)),
-    Effect("render", _render, "camera", reads=("bodies", "window"), writes=("exact_depth", "labels", "hits", "depth")),
-    Effect("normals", _normals, lambda *_: "holes or colour", reads=("bodies", "labels", "hits"), writes=("normals",)),
-    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels", changes=("depth",)),
-    Effect("depth_noise", _noise, "camera.noise", changes=("depth",)),
-    Effect("stereo_shadow", _shadow, "camera.stereo", reads=("exact_depth",), changes=("depth",)),
-    Effect("holes", _holes, "camera.holes", reads=("normals", "labels", "window"), changes=("depth",)),
-    Effect("depth_steps", _quantise, "camera.z_step_m", changes=("depth",)),
-    Effect("cloud", _cloud, "camera", reads=("depth", "labels", "window"), writes=("cloud", "pixels")),
-    Effect("segmentation", _segmented, "camera.segmented", reads=("depth",), changes=("cloud", "pixels")),
-    Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window"), changes=("cloud",)),
+    Effect("window", _object_window, "camera"),
+    Effect("render", _render, "camera"),
+    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels"),
+    Effect("depth_noise", _noise, "camera.noise"),
+    Effect("stereo_shadow", _shadow, "camera.stereo"),
+    Effect("holes", _holes, "camera.holes"),
+    Effect("depth_steps", _quantise, "camera.z_step_m"),
+    Effect("cloud", _cloud, "camera"),
+    Effect("segmentation", _segmented, "camera.segmented"),
+    Effect("colour", _colour, "objects.colour"),
 )
 
 EFFECTS = (*PLACING, *_SEEING)
 
 #: What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image.
-FRAME_EFFECTS = (
-    replace(_SEEING[0], run=_whole_window, reads=()),
-    *(replace(effect, again=True) for effect in _SEEING[1:-3]),
-)
+FRAME_EFFECTS = (replace(_SEEING[0], run=_whole_window), *(replace(effect, again=True) for effect in _SEEING[1:-3]))

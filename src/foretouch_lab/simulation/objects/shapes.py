@@ -66,7 +66,7 @@ def _can() -> TriangleMesh:
 
 def _box() -> TriangleMesh:
     """A carton."""
-    return _rounded_box((1.0, 1.0, 1.0), 0.025)
+    return _rounded_box(0.025)
 
 
 def _ball() -> TriangleMesh:
@@ -84,7 +84,7 @@ def _flat_ball() -> TriangleMesh:
 
 def _sponge() -> TriangleMesh:
     """A block with soft edges and a waist, its surface wavy at the scale of a fingertip."""
-    block = _rounded_box((1.0, 1.0, 1.0), 0.12, cells=40)
+    block = _rounded_box(0.12, cells=40)
     x, y, z = block.vertices.T
     waist = 1.0 - 0.10 * np.cos(np.pi * x) ** 2 * np.abs(2.0 * y) ** 3
     waves = 1.0 + 0.012 * np.sin(23.0 * x + 1.0) * np.sin(19.0 * y + 2.0) * np.sin(17.0 * z + 0.5)
@@ -127,22 +127,20 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
         variant: Member of the family `random`; the others have one.
 
     Raises:
-        SimulationError: If there is no such shape.
-        FileError: If the file cannot be used.
+        SimulationError: If the file has changed since its hash was made.
+        FileError: If it cannot be used.
     """
     if shape == "random":
         rng = np.random.default_rng([0x5EED, variant])
         mesh = (_superquadric, _vase, _blob)[rng.integers(3)](rng)
     elif shape in _BUILDERS:
         mesh = _BUILDERS[shape]()
-    elif ":" in shape:
+    else:
         sha256, _, path = shape.partition(":")
         mesh, found = read_mesh_file(path)
         if found != sha256:
             raise SimulationError(f"{path}: has changed since the scene was read", "mesh")
-    else:
-        raise SimulationError(f"shape: {shape!r} is not one of {', '.join(SHAPES)}", "mesh")
-    return mesh.in_unit_box().closed(f"{shape}[{variant}]")
+    return mesh.in_unit_box()
 
 
 def _capsule_radius(d: Float64, half_height: float, radius: float) -> Float64:
@@ -191,13 +189,32 @@ def _sphere_directions() -> Float64:
     return _sphere()[0]
 
 
-def _rounded_box(size: npt.ArrayLike, edge_radius: float, cells: int = 6) -> TriangleMesh:
-    """A box of edge lengths (3,), its edges and corners rounded, with so many cells across the flat part of a face."""
-    half = np.asarray(size, np.float64) / 2.0
-    points, faces = _cube_grid(half, edge_radius, cells)
-    core = np.clip(points, -(half - edge_radius), half - edge_radius)
+def _rounded_box(edge_radius: float, cells: int = 6) -> TriangleMesh:
+    """A unit cube, its edges and corners rounded, with so many cells across the flat part of a face."""
+    inner = 0.5 - edge_radius
+    # Equal angles on the rounding: tan spaces the grid so that normals turn by equal steps.
+    bend = inner + edge_radius * np.tan(np.linspace(0.0, np.pi / 4.0, _ROUNDING + 1)[1:])
+    line = np.concatenate([-bend[::-1], np.linspace(-inner, inner, cells + 1), bend])
+    u, v = (one.ravel() for one in np.meshgrid(line, line, indexing="ij"))
+    index = np.arange(len(u)).reshape(len(line), len(line))
+    quads = _quads(index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+    sides: list[Float64] = []
+    faces: list[Int64] = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            side = np.empty((len(u), 3))
+            side[:, axis], side[:, (axis + 1) % 3], side[:, (axis + 2) % 3] = sign * 0.5, u, v
+            faces.append(len(sides) * len(u) + (quads if sign > 0.0 else quads[:, ::-1]))
+            sides.append(side)
+    # Points of two sides that coincide within rounding become one.
+    points = np.concatenate(sides)
+    _, first, place = np.unique(
+        np.round(points / np.abs(points).max(), 9), axis=0, return_index=True, return_inverse=True
+    )
+    points, triangles = points[first], np.asarray(place.reshape(-1)[np.concatenate(faces)], np.int64)
+    core = np.clip(points, -inner, inner)
     outward = points - core
-    return TriangleMesh(core + edge_radius * outward / np.linalg.norm(outward, axis=1, keepdims=True), faces)
+    return TriangleMesh(core + edge_radius * outward / np.linalg.norm(outward, axis=1, keepdims=True), triangles)
 
 
 @lru_cache(maxsize=1)
@@ -235,36 +252,6 @@ def _halved(vertices: Float64, faces: Int64) -> _Surface:
     a, b, c = faces.T
     fine = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
     return np.concatenate([vertices, middle]), np.concatenate([np.stack(f, axis=1) for f in fine])
-
-
-def _cube_grid(half: Float64, edge_radius: float, cells: int) -> _Surface:
-    """Points on a box's six faces, denser towards the edges, merged where faces meet."""
-    lines = []
-    for h in half:
-        inner = h - edge_radius
-        # Equal angles on the rounding: tan spaces the grid so that normals turn by equal steps.
-        bend = inner + edge_radius * np.tan(np.linspace(0.0, np.pi / 4.0, _ROUNDING + 1)[1:])
-        lines.append(np.concatenate([-bend[::-1], np.linspace(-inner, inner, cells + 1), bend]))
-    points, faces, start = [], [], 0
-    for axis in range(3):
-        u, v = lines[(axis + 1) % 3], lines[(axis + 2) % 3]
-        index = np.arange(len(u) * len(v)).reshape(len(u), len(v))
-        quads = _quads(index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
-        for sign in (1.0, -1.0):
-            face = np.empty((len(u) * len(v), 3))
-            face[:, axis] = sign * half[axis]
-            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = (m.ravel() for m in np.meshgrid(u, v, indexing="ij"))
-            points.append(face)
-            faces.append(start + (quads if sign > 0.0 else quads[:, ::-1]))
-            start += len(face)
-    return _merged(np.concatenate(points), np.concatenate(faces))
-
-
-def _merged(points: Float64, faces: Int64) -> _Surface:
-    """Points that coincide within rounding become one."""
-    rounded = np.round(points / np.abs(points).max(), 9)
-    _, first, place = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    return points[first], np.asarray(place.reshape(-1)[faces], np.int64)
 
 
 def _quads(a: Int64, b: Int64, c: Int64, d: Int64) -> Int64:

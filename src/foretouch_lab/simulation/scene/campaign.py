@@ -6,8 +6,8 @@ from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch_lab.simulation.fingertip import TemperatureConfig
-from foretouch_lab.simulation.scene.ranges import RangedSettings
+from foretouch_lab.simulation.fingertip import BODY_KELVIN, WARMING_S
+from foretouch_lab.simulation.scene.ranges import Switch
 
 DAY_S: Final = 86400.0
 POWER_ON_S: Final = 120.0  # from power-on to the first grasp
@@ -17,6 +17,10 @@ CONTACT_S: Final = 20.0  # time constant with which a finger in contact takes th
 SLOPE_TH: Final = 0.75  # mean of the thumb's electrode counts per count of TDC
 SLOPE_MF: Final = 0.65  # the same of the middle finger
 SLOPE_SPREAD: Final = 0.15  # standard deviation of these slopes between electrodes
+# Sessions differ by more than the recorded ones (.65 K); the cooling in contact is within the differences of TDC between grasps.
+SESSION_KELVIN: Final = 1.0  # standard deviation of the temperature at power-on between sessions
+FINGER_KELVIN: Final = 0.2  # the same of each finger on its own
+OBJECT_KELVIN: Final = (-3.0, 0.0)  # temperature of an object minus that of the fingers, low and high
 
 CHANGE_S: Final = (60.0, 300.0)  # in addition where the object is changed, low and high
 
@@ -54,27 +58,18 @@ class ExchangeConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThermistorConfig(RangedSettings):
-    """The temperature of each finger, which its sensor sends as TDC and TAC, and which its electrodes follow.
+class WarmUpConfig(Settings):
+    """Warming after each power-on.
 
-    Slopes are those of the public recordings within a session. Sessions differ by more than the recorded ones (.65 K),
-    and the cooling in contact is an assumption within the differences of TDC between grasps (docs/scenes.md).
+    Attributes:
+        tdc: Each finger has a temperature, which its sensor sends as TDC and TAC, and which its electrodes follow, as in the recordings.
     """
 
-    session_kelvin: float = setting(
-        1.0, "Standard deviation of the temperature at power-on between sessions", bounds=(0.0, 50.0)
+    body_kelvin: float = setting(
+        BODY_KELVIN, "Rise of the liquid's temperature since power-on, in the end", bounds=(-1e3, 1e3)
     )
-    finger_kelvin: float = setting(0.2, "The same of each finger on its own", bounds=(0.0, 50.0))
-    object_kelvin: tuple[float, ...] = setting(
-        (-3.0, 0.0), "Temperature of an object minus that of the fingers, low and high", bounds=(-50.0, 50.0)
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class WarmUpConfig(TemperatureConfig):
-    """Warming after each power-on; with `tdc`, the electrodes follow TDC, and PDC does not, as in the recordings."""
-
-    tdc: ThermistorConfig | None = None
+    warming_s: float = setting(WARMING_S, "Time constant of the warming", bounds=(1e-3, 1e9))
+    tdc: Switch | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

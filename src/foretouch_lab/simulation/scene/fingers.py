@@ -10,9 +10,9 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import SceneGeoGraspConfig
 from foretouch.tactile.description import Sensor, load_sensor, require_two
 from foretouch_lab.simulation.contact.pad import PadConfig
-from foretouch_lab.simulation.fingertip import NoiseConfig, SimulatedFingerConfig, TemperatureConfig, ThumbConfig
+from foretouch_lab.simulation.fingertip import SimulatedFingerConfig, ThumbConfig
 from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch
-from foretouch_lab.simulation.taxels import CrosstalkConfig, TaxelConfig, require_channels
+from foretouch_lab.simulation.taxels import TaxelConfig, require_channels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,17 +38,6 @@ class TimelineConfig(Settings, read_only=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriftConfig(RangedSettings):
-    """Counts drift with the liquid's temperature, so a tare grows old."""
-
-    temperature: TemperatureConfig = TemperatureConfig()
-    session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-on, low and high", bounds=(0.0, 1e9))
-    tare_age_s: tuple[float, ...] = setting(
-        (2.0, 30.0), "Age of the tare at the touch, low and high", bounds=(0.0, 1e9)
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
 class DeadConfig(Settings):
     """Electrodes that have failed and read 0; the numbers are those of the layout, 1 to 24."""
 
@@ -59,10 +48,9 @@ class DeadConfig(Settings):
 # What fields are where the sensor is not an array of taxels, and where it is one: the others' groups are refused.
 _NO_TAXELS: Final[dict[str, tuple[Any, ...]]] = {"taxels": (None,), "crosstalk": (None,)}
 _TAXELS: Final[dict[str, tuple[Any, ...]]] = {
-    **dict.fromkeys(("vibration", "scan", "dead"), (None,)),
+    **dict.fromkeys(("scan", "dead"), (None,)),
     "thumb": (ThumbConfig(),),
     "middle": (SimulatedFingerConfig(),),
-    "noise": (None, NoiseConfig()),
     "pad.window_m": (PadConfig().window_m,),
 }
 
@@ -74,7 +62,9 @@ class FingersConfig(Settings):
     Attributes:
         creep: The skin relaxes under load within seconds.
         slip: The object slides over the skin during the hold.
-        vibration: PAC swings at first touch, release and slip; how much is an assumption, not a measurement.
+        drift: Counts drift with the liquid's temperature, so a tare grows old.
+        noise: Electrodes and PDC, or taxels, have white noise; electrodes wander besides.
+        crosstalk: Neighbours, and the other axes, of a taxel read a part of its force; how much is an assumption.
         sessions: Rest levels differ from object to object, each of which was recorded on another day.
         scan: Electrodes are sampled one after the other, so that a message repeats about eight of them.
 
@@ -89,14 +79,13 @@ class FingersConfig(Settings):
     thumb_posture: PostureConfig = PostureConfig()
     middle_posture: PostureConfig = PostureConfig()
     taxels: TaxelConfig | None = None
-    crosstalk: CrosstalkConfig | None = None
+    crosstalk: Switch | None = None
     timeline: TimelineConfig | None = None
     creep: Switch | None = None
     slip: Switch | None = None
-    vibration: Switch | None = None
-    drift: DriftConfig | None = None
+    drift: Switch | None = None
     sessions: Switch | None = None
-    noise: NoiseConfig | None = None
+    noise: Switch | None = None
     scan: Switch | None = None
     dead: DeadConfig | None = None
     hand: int = setting(
@@ -105,7 +94,7 @@ class FingersConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("creep", "slip", "vibration", "scan"):
+        for name in ("creep", "slip", "scan"):
             if self.timeline is None and getattr(self, name) is not None:
                 raise ConfigError(f"{name}: acts over time, but there is no timeline; give one")
         sensor = self.taxel_sensor()
@@ -130,12 +119,15 @@ class FingersConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class GraspTargetConfig(RangedSettings):
-    """What a finger's controller aims at, drawn uniformly; `control` decides which of the two counts."""
+    """What the fingers' controllers aim at, drawn uniformly; `control` decides which of the two counts.
 
-    force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high")
-    depth_m: tuple[float, ...] = setting((0.0005, 0.0015), "Closing beyond first touch, low and high")
+    The object is free to move between the fingers, so both get the same.
+    """
 
-    LOWEST = 0.0
+    force_n: tuple[float, ...] = setting((1.0, 3.0), "Normal force, low and high", bounds=(0.0, 1e4))
+    depth_m: tuple[float, ...] = setting(
+        (0.0005, 0.0015), "Closing beyond first touch, low and high", bounds=(0.0, 0.1)
+    )
 
 
 TARGET_SHARE = 0.1  # standard deviation of the force or depth that is reached, relative to its target
@@ -164,15 +156,4 @@ class GraspsConfig(Settings):
     max_width_m: float = setting(0.13, "Widest opening of the hand", bounds=(0.001, 0.5))
     control: str = setting("force", "Quantity that the hand controls", choices=("force", "depth"))
     thumb: GraspTargetConfig = GraspTargetConfig()
-    middle: GraspTargetConfig | None = None
-    balanced: bool = setting(
-        True, "Whether the object is free to move between the fingers, so that their forces balance"
-    )
     error: ExecutionErrorConfig | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.balanced and self.control == "force" and self.middle is not None:
-            raise ConfigError(
-                "middle: a target of its own, but balanced fingers share one force; leave it out or set balanced: false"
-            )

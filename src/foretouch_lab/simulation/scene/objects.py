@@ -18,6 +18,7 @@ from foretouch_lab.simulation.scene.ranges import RangedSettings, Switch, draw
 
 RESTS = ("upright", "side", "any")
 POISSON = 0.3  # Poisson's ratio of soft objects
+RELIEF_M = 2e-4  # standard deviation of the height of a fine relief
 MESH = "mesh"  # shape of an object whose surface comes from a file
 
 
@@ -35,17 +36,11 @@ class PoseConfig(RangedSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SurfaceConfig(Settings):
-    """Fine relief, too small for the mesh and the camera, but not for a fingertip."""
-
-    relief_m: float = setting(2e-4, "Standard deviation of the height", bounds=(0.0, 2e-3))
-
-
-@dataclass(frozen=True, kw_only=True)
 class ObjectConfig(Settings):
     """One kind of object. Without `young_pa` it is rigid.
 
-    With the shape `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
+    With `surface`, it has a fine relief, too small for the mesh and the camera, but not for a fingertip. With the shape
+    `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
     """
 
     name: str = setting("object", "Object name of the samples")
@@ -65,34 +60,29 @@ class ObjectConfig(Settings):
     thickness_m: float | None = setting(None, "Thickness of the soft layer on a rigid core", bounds=(1e-4, 0.5))
     friction: float = setting(0.783, "Coefficient of friction against the skin", bounds=(0.0, 3.0))
     mass_kg: float | None = setting(None, "Mass of the object; needed where the scene has gravity", minimum=0.0)
-    surface: SurfaceConfig | None = None
+    surface: Switch | None = None
     colour: tuple[int, ...] | None = setting(
         None, "Red, green and blue of the points; absent for a cloud without colours", bounds=(0, 255)
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._read_file()
+        if (self.shape == MESH) != bool(self.file):
+            raise ConfigError(f"{self.name}.file: is {'needed' if self.shape == MESH else 'only'} for the shape mesh")
+        if self.file:
+            self._read_file()
         if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
             file = f"{self.name}.file: {self.file}: " if self.file else ""
-            unit = "; it looks like millimetres: give size_m in metres" if max(self.size_m, default=0.0) >= 5.0 else ""
-            raise ConfigError(f"{file}size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m{unit}")
-        if self.young_pa is None and self.thickness_m is not None:
-            raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
-        if self.young_pa is not None and self.thickness_m is None:
-            raise ConfigError(f"{self.name}.young_pa: {self.young_pa:g} Pa of no layer; give thickness_m too")
+            raise ConfigError(f"{file}size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
+        if (self.young_pa is None) != (self.thickness_m is None):
+            raise ConfigError(f"{self.name}.young_pa: needs thickness_m, and thickness_m needs young_pa")
         if self.shape != "random" and (self.variants > 1 or self.first_variant > 0):
-            field = "variants" if self.variants > 1 else "first_variant"
-            raise ConfigError(f"{self.name}.{field}: {getattr(self, field)}, but the shape {self.shape} has one")
+            raise ConfigError(f"{self.name}.variants, first_variant: the shape {self.shape} has one variant")
         if self.colour is not None and len(self.colour) != 3:
             raise ConfigError(f"{self.name}.colour: {list(self.colour)} is not red, green and blue")
 
     def _read_file(self) -> None:
         """Check the mesh, and set its hash and its size where they are not given."""
-        if (self.shape == MESH) != bool(self.file):
-            raise ConfigError(f"{self.name}.file: is {'needed' if self.shape == MESH else 'only'} for the shape mesh")
-        if self.shape != MESH:
-            return
         try:
             mesh, sha256 = read_mesh_file(self.file)
         except FileError as err:
@@ -124,11 +114,9 @@ class ClutterConfig(RangedSettings):
 
     count: int = setting(4, "Number of other objects", bounds=(1, 20))
     distance_m: tuple[float, ...] = setting(
-        (0.1, 0.25), "Distance between the axes of object and clutter, low and high", bounds=(None, 10.0)
+        (0.1, 0.25), "Distance between the axes of object and clutter, low and high", bounds=(0.005, 10.0)
     )
     touching: Switch | None = None
-
-    LOWEST = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,17 +151,12 @@ class FamilyConfig(RangedSettings):
                 raise ConfigError(f"{name}: there is none")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Families(Settings):
-    """The key `families` of a scene file."""
-
-    families: tuple[FamilyConfig, ...] = ()
-
-
 def draw_families(families: Any, source: str) -> list[ObjectConfig]:
     """All objects of the families of a scene file, in order; the first k of a family do not depend on its count."""
-    drawn = _Families.from_mapping({"families": families}, source)
-    return [_member(family, k) for family in drawn.families for k in range(family.count)]
+    if not isinstance(families, list) or not all(isinstance(one, dict) for one in families):
+        raise ConfigError(f"{source}: families: is not a list of groups")
+    drawn = [FamilyConfig.from_mapping(one, f"{source}: families[{k}]") for k, one in enumerate(families)]
+    return [_member(family, k) for family in drawn for k in range(family.count)]
 
 
 def _member(family: FamilyConfig, number: int) -> ObjectConfig:

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What many groups of a scene share: ranges (low, high) to draw from, and groups without settings."""
 
-import math
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar
 
 import numpy as np
 
@@ -25,16 +23,12 @@ class RangedSettings(Settings):
         ConfigError: If one is not; names the field.
     """
 
-    LOWEST: ClassVar[float] = -math.inf  # what a range may contain
-
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in _ranges(type(self)):  # type: ignore[arg-type]  # a class is hashable
             value = getattr(self, name)
             if value is not None and (len(value) != 2 or value[0] > value[1]):
                 raise ConfigError(f"{name}: {list(value)} is not [low, high] with low <= high")
-            if value is not None and value[0] < self.LOWEST:
-                raise ConfigError(f"{name}: {value[0]} is below {self.LOWEST}")
 
 
 @cache

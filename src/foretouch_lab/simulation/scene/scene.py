@@ -33,9 +33,18 @@ from foretouch_lab.simulation.depth_scene import (
     TABLE_M,
     CameraView,
 )
-from foretouch_lab.simulation.scene.campaign import CONTACT_S, SLOPE_MF, SLOPE_SPREAD, SLOPE_TH, CampaignConfig
+from foretouch_lab.simulation.scene.campaign import (
+    CONTACT_S,
+    FINGER_KELVIN,
+    OBJECT_KELVIN,
+    SESSION_KELVIN,
+    SLOPE_MF,
+    SLOPE_SPREAD,
+    SLOPE_TH,
+    CampaignConfig,
+)
 from foretouch_lab.simulation.scene.fingers import TARGET_SHARE, FingersConfig, GraspsConfig
-from foretouch_lab.simulation.scene.objects import POISSON, ClutterConfig, ObjectConfig, draw_families
+from foretouch_lab.simulation.scene.objects import POISSON, RELIEF_M, ClutterConfig, ObjectConfig, draw_families
 from foretouch_lab.simulation.scene.ranges import Switch
 
 
@@ -115,7 +124,6 @@ class SceneConfig(Settings):
             raise ConfigError(f"objects: two have the name {max(names, key=names.count)}")
         for k, item in enumerate(self.objects):
             _require_in_view(self, item, f"objects[{k}] {item.name}")
-            _require_in_reach(self, item, f"objects[{k}] {item.name}")
             if self.gravity is not None and item.mass_kg is None:
                 raise ConfigError(f"objects[{k}] {item.name}.mass_kg: absent, but the scene has gravity")
         for name, instead in (("drift", "campaign.warm_up"), ("sessions", "campaign.drift")):
@@ -181,7 +189,7 @@ def _beside(source: str, group: Any, key: str) -> Any:
 
 
 def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
-    """The ball around the object must be in the image and over the table wherever the object may lie."""
+    """The ball around the object must be in the image wherever the object may lie."""
     radius = float(np.linalg.norm(item.size_m)) / 2.0 * (1.0 + item.size_spread)
     reach = (-radius, radius)
     ends = itertools.product(item.pose.x_m, item.pose.y_m, reach, reach, (0.0, 2.0 * radius))
@@ -193,91 +201,86 @@ def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
             f"{name}.pose: may lie outside of the view, which is {view.width}x{view.height} pixels "
             f"of {scene.camera.hfov_deg:g} degrees at {scene.camera.distance_m:g} m"
         )
-    if (np.abs([item.pose.x_m, item.pose.y_m]).max(axis=1) > TABLE_M / 2.0).any():
-        raise ConfigError(f"{name}.pose: may lie beside the table of {TABLE_M.tolist()} m")
 
 
-def _require_in_reach(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
-    narrowest = min(item.size_m) * (1.0 - item.size_spread)
-    if narrowest > scene.grasps.max_width_m:
-        raise ConfigError(
-            f"{name}.size_m: {narrowest:g} m at its narrowest, the hand opens {scene.grasps.max_width_m:g} m "
-            "(grasps.max_width_m)"
+def _grouped(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Groups by dotted names."""
+    groups: dict[str, Any] = {}
+    for name, value in flat.items():
+        *path, last = name.split(".")
+        group = groups
+        for key in path:
+            group = group.setdefault(key, {})
+        group[last] = value
+    return groups
+
+
+_CONSTANTS: Final = _grouped({
+    "objects.poisson": POISSON,
+    "objects.surface.relief_m": RELIEF_M,
+    "table.size_m": TABLE_M.tolist(),
+    "camera.noise.baseline_m": D415_BASELINE_M,
+    "camera.stereo.baseline_m": D415_BASELINE_M,
+    "camera.flying_pixels.share": FLYING_SHARE,
+    "camera.holes.share": HOLE_SHARE,
+    "camera.holes.grazing_deg": GRAZING_DEG,
+    "grasps.balanced": True,
+    "grasps.middle": None,
+    "grasps.error.target_share": TARGET_SHARE,
+    "fingers.pad.core_half_length_m": CORE_HALF_LENGTH_M,
+    "fingers.pad.core_radius_m": CORE_RADIUS_M,
+    "fingers.pad.poisson": pad.POISSON,
+    "fingers.pad.friction": 0.783,
+    "fingers.pad.soft_window_m": pad.SOFT_WINDOW_M,
+    "fingers.contact.tolerance": layer.TOLERANCE,
+    "fingers.contact.max_iterations": layer.MAX_ITERATIONS,
+    "fingers.contact.max_strain": problem.MAX_STRAIN,
+    "fingers.fingertip.electrodes.kernel_m": fingertip.KERNEL_M,
+    "fingers.fingertip.electrodes.thinning_m": fingertip.THINNING_M,
+    "fingers.fingertip.electrodes.bulge_area_m2": fingertip.BULGE_AREA_M2,
+    "fingers.fingertip.fluid.bottoming_m": fingertip.BOTTOMING_M,
+    "fingers.fingertip.fluid.saturation_m3": fingertip.SATURATION_M3,
+    "fingers.fingertip.fluid.span_counts": fingertip.PDC_SPAN,
+    "fingers.fingertip.fluid.rim_power": fingertip.RIM_POWER,
+    "fingers.fingertip.pdc_lowest": 0,
+    "fingers.fingertip.pdc_highest": FULL_SCALE,
+    **{
+        f"fingers.{finger}.{name}": value
+        for finger in ("thumb", "middle")
+        for name, value in (
+            ("pdc_gain", 1.0),
+            ("electrode_rest_spread", fingertip.REST_SPREAD),
+            ("electrode_gain", 1.0),
+            ("electrode_gain_spread", fingertip.GAIN_SPREAD),
         )
-
-
-_FINGER: Final = {
-    "pdc_gain": 1.0,
-    "electrode_rest_spread": fingertip.REST_SPREAD,
-    "electrode_gain": 1.0,
-    "electrode_gain_spread": fingertip.GAIN_SPREAD,
-}
-_CONSTANTS: Final[dict[str, Any]] = {
-    "objects": {"poisson": POISSON},
-    "table": {"size_m": TABLE_M.tolist()},
-    "camera": {
-        "noise": {"baseline_m": D415_BASELINE_M},
-        "stereo": {"baseline_m": D415_BASELINE_M},
-        "flying_pixels": {"share": FLYING_SHARE},
-        "holes": {"share": HOLE_SHARE, "grazing_deg": GRAZING_DEG},
     },
-    "grasps": {"error": {"target_share": TARGET_SHARE}},
-    "fingers": {
-        "pad": {
-            "core_half_length_m": CORE_HALF_LENGTH_M,
-            "core_radius_m": CORE_RADIUS_M,
-            "poisson": pad.POISSON,
-            "friction": 0.783,
-            "soft_window_m": pad.SOFT_WINDOW_M,
-        },
-        "contact": {
-            "tolerance": layer.TOLERANCE,
-            "max_iterations": layer.MAX_ITERATIONS,
-            "max_strain": problem.MAX_STRAIN,
-        },
-        "fingertip": {
-            "electrodes": {
-                "kernel_m": fingertip.KERNEL_M,
-                "thinning_m": fingertip.THINNING_M,
-                "bulge_area_m2": fingertip.BULGE_AREA_M2,
-            },
-            "fluid": {
-                "bottoming_m": fingertip.BOTTOMING_M,
-                "saturation_m3": fingertip.SATURATION_M3,
-                "span_counts": fingertip.PDC_SPAN,
-                "rim_power": fingertip.RIM_POWER,
-            },
-            "pdc_lowest": 0,
-            "pdc_highest": FULL_SCALE,
-        },
-        "thumb": _FINGER,
-        "middle": _FINGER,
-        "noise": {"wander_counts": fingertip.WANDER_COUNTS, "wander_s": fingertip.WANDER_S},
-        "dead": {"stuck_at": "low"},
-        "vibration": {
-            "noise_counts": fingertip.VIBRATION_NOISE,
-            "contact_counts": fingertip.VIBRATION_CONTACT,
-            "slip_counts_mm": fingertip.VIBRATION_SLIP,
-        },
-        "drift": {
-            "temperature": {
-                "electrode_counts_per_kelvin": fingertip.ELECTRODE_PER_KELVIN,
-                "pdc_counts_per_kelvin": fingertip.PDC_PER_KELVIN,
-            }
-        },
-    },
-    "campaign": {
-        "warm_up": {
-            "tdc": {"contact_s": CONTACT_S, "slope_th": SLOPE_TH, "slope_mf": SLOPE_MF, "slope_spread": SLOPE_SPREAD}
-        }
-    },
-}
+    "fingers.noise.electrode_counts": fingertip.NOISE_ELECTRODE,
+    "fingers.noise.pdc_counts": fingertip.NOISE_PDC,
+    "fingers.noise.wander_counts": fingertip.WANDER_COUNTS,
+    "fingers.noise.wander_s": fingertip.WANDER_S,
+    "fingers.dead.stuck_at": "low",
+    "fingers.crosstalk": taxels.CROSSTALK,
+    "fingers.taxels.full_scale_n": taxels.FULL_SCALE_N,
+    "fingers.drift.session_s": fingertip.SESSION_S,
+    "fingers.drift.tare_age_s": fingertip.TARE_AGE_S,
+    "fingers.drift.temperature.body_kelvin": fingertip.BODY_KELVIN,
+    "fingers.drift.temperature.warming_s": fingertip.WARMING_S,
+    "fingers.drift.temperature.electrode_counts_per_kelvin": fingertip.ELECTRODE_PER_KELVIN,
+    "fingers.drift.temperature.pdc_counts_per_kelvin": fingertip.PDC_PER_KELVIN,
+    "campaign.warm_up.tdc.session_kelvin": SESSION_KELVIN,
+    "campaign.warm_up.tdc.finger_kelvin": FINGER_KELVIN,
+    "campaign.warm_up.tdc.object_kelvin": OBJECT_KELVIN,
+    "campaign.warm_up.tdc.contact_s": CONTACT_S,
+    "campaign.warm_up.tdc.slope_th": SLOPE_TH,
+    "campaign.warm_up.tdc.slope_mf": SLOPE_MF,
+    "campaign.warm_up.tdc.slope_spread": SLOPE_SPREAD,
+})  # fmt: skip
 _TAXELS: Final = {
     name.lower(): getattr(taxels, name) for name in ("REST_SPREAD", "NOISE_N", "SESSION_N", "KELVIN_N")
 } | {"gain_spread": fingertip.GAIN_SPREAD, "steepest": problem.STEEPEST}
 # Settings that do not count at these values.
 _OFF: Final = {
-    **dict.fromkeys(("campaign", "sessions", "tdc", "vibration", "repeat_every", "segmented", "taxels", "crosstalk")),
+    **dict.fromkeys(("campaign", "sessions", "tdc", "repeat_every", "segmented", "taxels", "crosstalk")),
     "pdc_span": fingertip.PDC_SPAN,
     "method": "original",
     "flying_share": 1.0,

@@ -15,7 +15,6 @@ from foretouch_lab.learning.training.losses import (
 )
 
 F64 = torch.float64
-ZERO = torch.tensor(0.0)
 
 # Two samples, two features.
 L = torch.tensor([[1.0, 2.0], [3.0, 0.0]])

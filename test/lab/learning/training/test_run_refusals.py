@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from every_case import every_refusal
-from run_builders import BASE, MODEL, quiet, run_config, stop_after
+from run_builders import BASE, MODEL, quiet, run_config
 from safetensors.torch import load_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError
@@ -79,23 +79,6 @@ def test_a_loss_that_is_not_finite_leaves_the_state_before(data, tmp_path, monke
     whole = train_run(every, data, tmp_path / "whole", quiet)
     one, two = (load_file(card.with_suffix(".safetensors")) for card in (resumed, whole))
     assert all(torch.equal(one[key], two[key]) for key in one)
-
-
-def test_a_full_disk_later_keeps_log_and_state_and_the_run_goes_on(data, tmp_path, full_disk) -> None:
-    run = tmp_path / "run"
-    with pytest.raises(KeyboardInterrupt):
-        train_run(run_config(), data, run, stop_after(1))
-    before = contents(run)
-    rule = f"{STATE_FILE}: cannot be written, the one before is kept: No space left"
-    with full_disk(STATE_FILE), pytest.raises(FileError, match=rule):
-        train_run(run_config(), data, run, quiet, resume=True)
-    after = contents(run)
-    assert after[STATE_FILE] == before[STATE_FILE]
-    assert after[LOG_FILE].startswith(before[LOG_FILE])
-    whole = train_run(run_config(), data, tmp_path / "whole", quiet)
-    cut = train_run(run_config(), data, run, quiet, resume=True)
-    assert cut.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
-    assert (run / LOG_FILE).read_bytes() == (tmp_path / "whole" / LOG_FILE).read_bytes()
 
 
 def test_a_run_resumes_as_it_began_and_the_field_or_tensor_is_named(data, tmp_path) -> None:

@@ -65,16 +65,7 @@ def test_each_step_moves_its_own_network_alone_and_frozen_batch_mates_move_no_fe
         assert (trainer.net.features(other)[0] - trainer.net.features(points)[0]).abs().max() > 0.01
 
 
-def test_statistics_are_those_of_real_clouds_when_frozen_and_of_labelled_ones_per_source(data) -> None:
-    net = make(data, QUICK.replace(batch_size=10)).net
-    seen: list[torch.Tensor] = []
-    net.features.layers[0].linear.register_forward_hook(lambda _m, _i, out: seen.append(out.flatten(0, 1)))
-    with torch.no_grad():
-        for k in range(60):
-            net.features(torch.from_numpy(data.points(np.array([k]), np.random.default_rng(0), 24)))
-    norm, found = net.features.layers[0].norm, torch.cat(seen)
-    torch.testing.assert_close(norm.running_mean, found.mean(0), atol=0.02, rtol=0)
-    torch.testing.assert_close(norm.running_var, found.var(0), atol=0.01, rtol=0.15)
+def test_statistics_per_source_are_those_of_labelled_clouds_alone(data) -> None:
     config = QUICK.replace(batch_norm="per_source")
     one, two = make(data, config), make(data, config)
     strange = one._clouds(UNLABELLED[:5]) * 50.0
