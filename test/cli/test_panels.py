@@ -123,8 +123,9 @@ def test_a_session_is_whole_with_objects_the_last_grasp_dead_sensors_and_keys() 
         grasps={"cup": {"success": 40, "dropped": 2}, "can": {"success": 70, "failure": 16}, "sponge": {}},
     )
     session = SessionStatus(operator=state, last=(message(**BOUNDS), READINGS))
-    lines = RecordingKeys(lambda action, text: None).lines(Reply("success", True))
-    panel = record_panel(status, "foretouch record (Ctrl-C ends it)", session, lines)
+    keys = RecordingKeys(lambda action, text: f"{action} {text}")
+    keys.press("s")
+    panel = record_panel(status, "foretouch record (Ctrl-C ends it)", session, keys.lines(None))
     words = screen(panel, 80)
     assert {"117", "dropped:", "819", "paused,", "full", "frozen:", "no", "can/000128"} <= words
     assert {"success", "[q]uit", "PAUSED", "predicted", "read", "tare", "executed_grasp", "points", "sponge"} <= words
@@ -138,18 +139,19 @@ def test_a_session_is_whole_with_objects_the_last_grasp_dead_sensors_and_keys() 
 def test_keys_act_ask_and_quit_only_when_asked_twice() -> None:
     done = []
 
-    def act(action: str, text: str) -> None:
+    def act(action: str, text: str) -> str:
         if action == "drop":
             raise ConfigError("disk full")
         done.append((action, text))
+        return f"{action} {text}".strip()
 
     keys = RecordingKeys(act)
-    said = lambda: [str(line) for line in keys.lines(Reply("done", True))]  # noqa: E731
+    said = lambda: [str(line) for line in keys.lines(None)]  # noqa: E731
     assert said()[1] == "[o]bject [s]uccess [f]ailure [d]rop [r]elabel [n]ote [p]ause [u]ndo [q]uit"
     keys.press("ocuX\x7fp\nsd")
     assert done == [("object", "cup"), ("success", "")]
-    assert said()[0] == "done"
-    assert str(keys.lines(None)[0]) == "no key was pressed yet"
+    assert said()[0] == "not done: disk full"
+    assert str(keys.lines(Reply("later", True, 1e18))[0]) == "later"
     keys.press("rab")
     assert said()[0] == "object of the last grasp (Enter: the one on the table): ab▏"
     keys.press("\x1bqzq")

@@ -77,15 +77,16 @@ class RecordingKeys:
     """What the keys do: single letters act at once, those that need a text open a line to type it in.
 
     Args:
-        act: Does an action with a text; what became of it is among the replies of the session.
+        act: Does an action with a text.
 
     Attributes:
         quitted: Whether the session is to end.
     """
 
-    def __init__(self, act: Callable[[Action, str], object]) -> None:
+    def __init__(self, act: Callable[[Action, str], str]) -> None:
         self.quitted = False
         self._act = act
+        self._reply = Reply("", True, 0.0)
         self._typing: tuple[Action, str] | None = None  # the action, and what was typed so far
         self._asked = False  # whether to quit
 
@@ -96,16 +97,14 @@ class RecordingKeys:
                 self._press(character)
 
     def lines(self, latest: Reply | None) -> list[Text]:
-        """What is asked, or the latest reply of the session, and the keys."""
+        """The answer to the last key, or to an action that has waited if that is later, and the keys."""
         if self._typing is not None:
             action, text = self._typing
             return [Text(f"{KEYS[action[0]][1]}: {text}▏", "bold"), Text("Enter: done  Esc: cancel", "dim")]
-        text, done = ("no key was pressed yet", True) if latest is None else latest
-        if self._asked:
-            text, done = "press q again to end the recording, or any other key", True
+        reply = self._reply if latest is None or latest.at_s < self._reply.at_s else latest
         names = [*(action for action, _ in KEYS.values()), "quit"]
         keys = Text(" ").join(Text.assemble((f"[{name[0]}]", "bold"), name[1:]) for name in names)
-        return [Text(text, "bold green" if done else "bold red"), keys]
+        return [Text(reply.text or "no key was pressed yet", "bold green" if reply.done else "bold red"), keys]
 
     def _press(self, character: str) -> None:
         if self._typing is not None:
@@ -114,12 +113,15 @@ class RecordingKeys:
         asked, self._asked = self._asked, character == "q"
         if character == "q":
             self.quitted = asked
+            self._reply = Reply("press q again to end the recording, or any other key", True, time.monotonic())
         elif character in KEYS:
             action, question = KEYS[character]
             if question:
                 self._typing = action, ""
             else:
                 self._do(action, "")
+        elif asked:
+            self._reply = Reply("recording goes on", True, time.monotonic())
 
     def _type(self, character: str, action: Action, text: str) -> None:
         if character in "\r\n":
@@ -133,5 +135,8 @@ class RecordingKeys:
             self._typing = action, text + character
 
     def _do(self, action: Action, text: str) -> None:
-        with suppress(ForetouchError):
-            self._act(action, text)
+        try:
+            text, done = self._act(action, text), True
+        except ForetouchError as err:
+            text, done = f"not done: {err}", False
+        self._reply = Reply(text, done, time.monotonic())

@@ -37,6 +37,7 @@ class Reply(NamedTuple):
 
     text: str
     done: bool
+    at_s: float  # by `time.monotonic`
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,7 @@ class Operator:
         self._log = EditLog((*self._log.edits, edit))
 
     def _reply(self, text: str, *, done: bool = True) -> None:
-        self._replies.append(Reply(text, done))
+        self._replies.append(Reply(text, done, time.monotonic()))
 
 
 def _words(action: str, text: str) -> str:
