@@ -14,7 +14,8 @@ import numpy as np
 
 from foretouch.tactile.messages.table import TactileReader, TactileReading, stamp_ns
 
-FINGERS = ("thumb", "middle")
+def default_fingers(kind):
+    return "thumb", "middle"
 
 
 def make_reader(config):

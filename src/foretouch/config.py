@@ -105,12 +105,11 @@ def setting(
     unit: str = "",
     bounds: tuple[float | None, float | None] | None = None,
     minimum: float | None = None,
-    maximum: float | None = None,
     choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
     """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments); `bounds` are both limits."""
-    low, high = (minimum, maximum) if bounds is None else bounds
+    low, high = (minimum, None) if bounds is None else bounds
     limits = {"minimum": low, "maximum": high, "choices": choices, "read_only": read_only}
     return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})
 

@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedReader, FileIO
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
@@ -75,7 +75,7 @@ def open_regular(path: str | Path) -> BufferedReader:
     Raises:
         FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name.
     """
-    return os.fdopen(_descriptor(path, os.O_RDONLY), "rb")
+    return BufferedReader(FileIO(_descriptor(path, os.O_RDONLY)), _AHEAD)
 
 
 def open_own(path: Path, flags: int) -> int:
@@ -129,24 +129,23 @@ class FileBytes:
         self._file = open_regular(path)
         weakref.finalize(self, self._file.close)
         self._size = os.fstat(self._file.fileno()).st_size
-        self._near: tuple[int, bytes] = (0, b"")  # the last bytes that were read ahead, and their offset
 
     def __len__(self) -> int:
         return self._size
 
     def __getitem__(self, part: slice) -> bytes:
         start, end, _ = part.indices(self._size)
-        if end - start > _AHEAD:
-            return self._read(start, end)
-        at, near = self._near
-        if not at <= start <= end <= at + len(near):
-            at, near = self._near = start, self._read(start, min(start + _AHEAD, self._size))
-        return near[start - at : max(start, end) - at]
+        with _named(self.path):
+            self._file.seek(start)
+            found = self._file.read(max(0, end - start))
+        if len(found) < end - start:
+            raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(found)}")
+        return found
 
     def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
         """The bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
         for at in range(start, end, _BLOCK):
-            yield at, self._read(at, min(at + _BLOCK + overlap, end))
+            yield at, self[at : min(at + _BLOCK + overlap, end)]
 
     def crc32(self, start: int, end: int) -> int:
         """CRC-32 of the bytes between two offsets."""
@@ -159,16 +158,6 @@ class FileBytes:
         """Offsets between two others at which a pattern of at most `overlap` bytes matches."""
         for at, block in self.blocks(start, end, overlap):
             yield from (at + match.start() for match in pattern.finditer(block) if match.start() < _BLOCK)
-
-    def _read(self, start: int, end: int) -> bytes:
-        parts = []
-        while start < end:
-            with _named(self.path):
-                parts.append(os.pread(self._file.fileno(), end - start, start))
-            if not parts[-1]:
-                raise FileError(self.path, "was truncated while it was read", field=f"byte {start}")
-            start += len(parts[-1])
-        return b"".join(parts)
 
 
 def replace_files(contents: Mapping[Path, bytes]) -> None:
@@ -255,9 +244,7 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
     """
     with open_regular(path) as file, _named(path):
         size = os.fstat(file.fileno()).st_size
-        content: bytes | None = b"" if limit is not None and size > limit else file.read()
-    if content is None:  # some of the kernel's wait
-        raise FileError(path, "has no content now")
+        content = b"" if limit is not None and size > limit else file.read() or b""  # None of the kernel's that wait
     if limit is not None and (size := max(size, len(content))) > limit:  # those of the kernel have no size before
         raise FileError(path, f"{size} bytes exceed {limit}", field="size")
     return content

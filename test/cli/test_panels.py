@@ -20,7 +20,7 @@ from foretouch.cli.record import record_panel
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.conversions import grasp_to_msg
-from foretouch.ros.nodes.monitor import NodeView, View
+from foretouch.ros.nodes.monitor import View
 from foretouch.ros.recorder.operator import OperatorState, Reply
 from foretouch.ros.recorder.session import SessionStatus
 from foretouch.tactile import biotac_touch
@@ -73,7 +73,7 @@ def test_predicted_stands_against_read_whatever_else_there_is() -> None:
     for name in ("camera", "segmentation", "grasp", "touch_predictor", "hand", "markers"):
         values = {"state": "active", "rate_hz": "29.97", "received": "12345", "used": "12333", "dropped.late": "12"}
         values |= {"latency_ms.p50": "12.31", "latency_ms.p95": "145.63"}
-        view.nodes[f"/foretouch/{name}"] = NodeView(0, "", values)
+        view.nodes[f"/foretouch/{name}"] = 0, "", values
 
     def check(width: int) -> None:
         words = screen(live_panel(view, "foretouch run: recording (Ctrl-C to end)"), width)
@@ -87,7 +87,7 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     touched = message(reference="touches", evidence=Evidence(touches=3), flags=("unfamiliar",))
     view = View(last=TouchPredictionArray(predictions=[touched]))
     values = {"state": "active", "dropped.late": "12"}
-    view.nodes["/foretouch/touch_predictor"] = NodeView(1, "no camera", values)
+    view.nodes["/foretouch/touch_predictor"] = 1, "no camera", values
     text = printed(live_panel(view, "title"))
     assert "±" not in text, "without a calibration there is no half width"
     for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "12 late", "no camera"):

@@ -13,8 +13,7 @@ SOURCE = Path(foretouch.__file__).parents[1]
 OWN = (
     "tactile/channels.py",
     "tactile/readings.py",
-    "tactile/messages/biotac_",
-    "tactile/messages/tactile_state.py",
+    "tactile/messages/biotac.py",
     "cli/dataset.py",
     "dataset/importing.py",
     "dataset/vision2tactile.py",

@@ -15,7 +15,7 @@ from sensor_builders import SMALL, TAXELS, write_sensor
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile import BIOTAC_SP, ELECTRODES, FULL_SCALE, MODALITIES
 from foretouch.tactile.description import SensorConfig, load_sensor, sensor_files, sensor_of
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER, FINGERS, OTHERS
+from foretouch.tactile.messages.biotac import FINGER_ORDER, FINGERS, OTHERS
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "config" / "sensors"

@@ -20,7 +20,7 @@ from foretouch.tactile.description import Sensor
 
 if TYPE_CHECKING:
     from foretouch.dataset.pairing.cut import TouchCut
-    from foretouch.ros.nodes.monitor import NodeView, View
+    from foretouch.ros.nodes.monitor import View
     from foretouch_msgs.msg import TouchPrediction
 
 
@@ -37,16 +37,16 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
     answered = ", ".join(f"{count} {name}" for name, count in view.answers.most_common()) or waiting or "none yet"
     parts: list[RenderableType] = [Text(f"clouds answered: {answered}"), _nodes(view.nodes)]
     parts += [
-        Text(f"{_short(name)}: {one.message}", _LEVELS.get(one.level, ""))
-        for name, one in view.nodes.items()
-        if one.level
+        Text(f"{_short(name)}: {line}", _LEVELS.get(level, ""))
+        for name, (level, line, _) in view.nodes.items()
+        if level
     ]
     if view.executed is not None:
         parts.append(executed_table(*view.executed, view.sensor))
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions, view.sensor))
-    for name, node in view.nodes.items():
-        found = ", ".join(f"{count} {why}" for why, count in _dropped(node.values).items())
+    for name, (_, _, values) in view.nodes.items():
+        found = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
         parts += [Text(f"{_short(name)} dropped {found} in all")] * bool(found)
     parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
     return titled(title, parts)
@@ -64,13 +64,12 @@ def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> Tabl
     return make_table(columns, rows[:_SHOWN], title + more, live=True)
 
 
-def _nodes(nodes: Mapping[str, NodeView]) -> Table:
+def _nodes(nodes: Mapping[str, tuple[int, str, dict[str, str]]]) -> Table:
     rows: list[list[str | Text]] = []
-    for name, node in sorted(nodes.items(), key=lambda pair: _order(pair[0])):
-        values = node.values
+    for name, (level, _, values) in sorted(nodes.items(), key=lambda pair: _order(pair[0])):
         dropped = sum(_dropped(values).values()) or values.get("dropped", "")
         rows.append([
-            Text(_short(name), _LEVELS.get(node.level, "")),
+            Text(_short(name), _LEVELS.get(level, "")),
             values.get("phase" if values.get("state") == "active" and "phase" in values else "state", ""),
             _rounded(values.get("rate_hz", "")),
             *(values.get(key, "") for key in ("received", "used")),

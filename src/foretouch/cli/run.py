@@ -336,16 +336,16 @@ def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
-    message, readings = found.prediction, found.readings
+    scene, target, message, readings = found
     prediction = prediction_from_msg(message, sensor)
-    title = f"object {found.target.id}"
+    title = f"object {target.id}"
     if prediction.value is not None:
         first = ["before the first touch"] * (readings is not None and not message.touches)
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"
     read = {} if readings is None else {"rest": readings.tare, "read": readings.touch}
-    return DrawnGrasp(target=found.target, prediction=prediction, scene=found.scene, title=title, **read)
+    return DrawnGrasp(target=target, prediction=prediction, scene=scene, title=title, **read)
 
 
 def at_rest(readings: TouchCut | None) -> bool:

@@ -6,7 +6,6 @@
 
 import json
 import os
-import time
 from pathlib import Path
 from typing import Any, Final
 
@@ -73,47 +72,25 @@ def check_ros() -> None:
 
     It talks on this machine only, in a domain and a namespace of its own, so that a running robot is not disturbed.
     """
-    from foretouch.ros.runtime.environment import prepare_environment
+    from foretouch.ros.graph import Graph, call_service
 
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    prepare_environment()
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
-
-    from foretouch.ros.graph import make_nodes
-    from foretouch.ros.messages.clouds import cloud_to_msg
-    from foretouch.ros.messages.conversions import grasp_to_msg
-    from foretouch_msgs.msg import Status
-    from foretouch_msgs.srv import PredictTouch
-
-    rclpy.init(domain_id=60 + os.getpid() % 40)
+    os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(60 + os.getpid() % 40)}
     namespace = f"/foretouch_self_test_{os.getpid()}"
-    probe, executor = Node("probe", namespace=namespace), SingleThreadedExecutor()
-    (node,) = make_nodes("touch_predictor", namespace=namespace)
-    try:
-        executor.add_node(probe)
-        executor.add_node(node)
-        node.autostart()
-        client = probe.create_client(PredictTouch, "predict_touch")
+    with Graph({"touch_predictor": {}}, namespace=namespace, monitor=None) as graph:
+        graph.require_active()
+        from foretouch.ros.messages.clouds import cloud_to_msg
+        from foretouch.ros.messages.conversions import grasp_to_msg
+        from foretouch_msgs.msg import Status
+        from foretouch_msgs.srv import PredictTouch
+
         request = PredictTouch.Request(cloud=cloud_to_msg(exact_cloud()))
         request.grasps = [grasp_to_msg(exact_grasp()) for _ in range(2)]
         request.grasps[1].g1.x = 1e160
-        future = None
-        end = time.monotonic() + _ROS_PATIENCE_S
-        while future is None or not future.done():
-            if time.monotonic() > end:
-                raise ConfigError(f"predict_touch: nothing in {_ROS_PATIENCE_S:g} s")
-            executor.spin_once(timeout_sec=0.05)
-            if future is None and client.service_is_ready():
-                future = client.call_async(request)
-        found = [one.status for one in future.result().touch.predictions]
-        if found != [Status.OK, Status.BAD_GRASP] or node.internal_errors.counts():
-            raise ConfigError(f"predict_touch: statuses {found}, internal errors {dict(node.internal_errors.counts())}")
-    finally:
-        node.stop()
-        executor.shutdown(timeout_sec=1.0)
-        rclpy.try_shutdown()
+        answer = call_service(PredictTouch, f"{namespace}/predict_touch", request, _ROS_PATIENCE_S)
+        found = [one.status for one in answer.touch.predictions]
+        errors = graph.nodes["touch_predictor"].internal_errors.counts()
+        if found != [Status.OK, Status.BAD_GRASP] or errors:
+            raise ConfigError(f"predict_touch: statuses {found}, internal errors {dict(errors)}")
 
 
 if __name__ == "__main__":

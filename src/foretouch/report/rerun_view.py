@@ -39,6 +39,7 @@ _CURVES: Final = {
     "read": ("read", (90, 140, 255), 3.0),
 }  # label, colour and width
 _MAX_POINTS: Final = 60_000  # of a cloud; more make a file large and the view no better
+_SHOWN: Final = ("/scene/cloud", "/scene/objects", "/scene/table", "/scene/candidates", "/taxels")  # in some steps
 _AXIS_M: Final = 0.06
 _TABLE_MARGIN_M: Final = 0.05  # around what was seen
 
@@ -59,6 +60,11 @@ class ViewStep:
     tare: Touch | None = None  # reading without contact
     stamp_ns: int = 0  # time of the cloud [ns]; 0 if it is not known
     reason: str = ""  # why there is no prediction
+
+    @property
+    def value(self) -> Touch | None:
+        """The predicted touch, if there is one."""
+        return None if self.prediction is None else self.prediction.value
 
 
 def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor = BIOTAC_SP) -> int:
@@ -95,7 +101,6 @@ class _Writer:
     def __init__(self, rerun: Any, recording: Any, view: TaxelView) -> None:
         self._rr, self._to, self._view = rerun, recording, view
         self._steps: list[ViewStep] = []  # without their clouds
-        self._present: set[str] = set()
         self._seen = False  # whether any step has a cloud
         self._skin = skin_axes() if view.sensor.is_biotac else None  # semi-axes [m]
 
@@ -105,8 +110,13 @@ class _Writer:
         self._to.log("/scene", rr.ViewCoordinates.RDF, static=True)
         for number, step in enumerate(steps):
             self._begin(number, step)
+            fingers = list(map(_path, self._view.fingers))
+            moved = [f"{one}/taxels" for one in fingers] if step.grasp else ["/scene/hand", *fingers]
+            for path in (*_SHOWN, *moved):  # of the step before; a pose that is cleared and set at once is lost
+                self._to.log(path, rr.Clear(recursive=True))
             self._scene(step)
-            self._hand(step.grasp)
+            if step.grasp is not None:
+                self._hand(step.grasp)
             self._curves(step)
             self._to.log("/answer", rr.TextDocument(_text(step, self._view), media_type="text/markdown"))
             self._steps.append(replace(step, cloud=None, objects=None))
@@ -123,28 +133,21 @@ class _Writer:
         else:
             self._to.disable_timeline("time")
 
-    def _log(self, path: str, content: Any) -> None:
-        """Write what is at a path from this step on; None clears it with all below."""
-        if content is not None:
-            self._present.add(path)
-            self._to.log(path, content)
-        elif path in self._present:
-            self._present.remove(path)
-            self._to.log(path, self._rr.Clear(recursive=True))
-
     def _scene(self, step: ViewStep) -> None:
         rr = self._rr
         points, colours = _points(step.cloud)
-        self._seen |= len(points) > 0
-        self._log("/scene/cloud", rr.Points3D(points, colors=colours, radii=0.0008) if len(points) else None)
-        self._log("/scene/objects", self._boxes(step.objects) if step.objects else None)
-        table = None
+        if len(points):
+            self._seen = True
+            self._to.log("/scene/cloud", rr.Points3D(points, colors=colours, radii=0.0008))
+        if step.objects:
+            self._to.log("/scene/objects", self._boxes(step.objects))
         if step.table is not None and len(points):
-            corners = _table_corners(step.table, points)
-            table = rr.Mesh3D(vertex_positions=corners, triangle_indices=[(0, 1, 2), (0, 2, 3)], albedo_factor=_TABLE)
-        self._log("/scene/table", table)
-        lines = [[one.g1, one.g2] for one in step.candidates]
-        self._log("/scene/candidates", rr.LineStrips3D(lines, colors=_CANDIDATE, radii=0.0004) if lines else None)
+            corners, faces = _table_corners(step.table, points), [(0, 1, 2), (0, 2, 3)]
+            table = rr.Mesh3D(vertex_positions=corners, triangle_indices=faces, albedo_factor=_TABLE)
+            self._to.log("/scene/table", table)
+        if step.candidates:
+            lines = [[one.g1, one.g2] for one in step.candidates]
+            self._to.log("/scene/candidates", rr.LineStrips3D(lines, colors=_CANDIDATE, radii=0.0004))
 
     def _boxes(self, objects: Mapping[str, Cloud]) -> Any:
         bounds = [(one.xyz.min(axis=0), one.xyz.max(axis=0)) for one in objects.values()]
@@ -156,14 +159,10 @@ class _Writer:
             show_labels=len(bounds) > 1,
         )
 
-    def _hand(self, grasp: Grasp | None) -> None:
+    def _hand(self, grasp: Grasp) -> None:
         """The pose of the hand, and both fingertips with their skin at the contacts."""
         rr = self._rr
-        if grasp is None:
-            for path in ("/scene/hand", *map(_path, self._view.fingers)):
-                self._log(path, None)
-            return
-        self._log("/scene/hand", rr.Transform3D(translation=grasp.midpoint, mat3x3=grasp.rotation))
+        self._to.log("/scene/hand", rr.Transform3D(translation=grasp.midpoint, mat3x3=grasp.rotation))
         self._to.log("/scene/hand", rr.TransformAxes3D(_AXIS_M))
         ends = (np.stack([grasp.g1, grasp.g2]) - grasp.midpoint) @ grasp.rotation
         self._to.log("/scene/hand/line", rr.LineStrips3D([ends], radii=0.0006))
@@ -171,7 +170,7 @@ class _Writer:
         for finger, contact, colour in zip(self._view.fingers, (grasp.g1, grasp.g2), _COLOURS, strict=False):
             rotation, path = fingertip_rotation(grasp, contact), _path(finger)
             origin = contact + rotation @ [0.0, 0.0, depth]
-            self._log(path, rr.Transform3D(translation=origin, mat3x3=rotation))
+            self._to.log(path, rr.Transform3D(translation=origin, mat3x3=rotation))
             if self._skin is not None:
                 skin = rr.Ellipsoids3D(half_sizes=[self._skin], colors=colour, line_radii=0.0001)
                 self._to.log(f"{path}/skin", skin)
@@ -210,50 +209,41 @@ class _Writer:
         from matplotlib import colormaps
 
         view = self._view
-        touched = [(k, one) for k, one in enumerate(self._steps) if one.read is not None or one.prediction is not None]
-        tared = all(view.has_rest(one.tare) for _, one in touched)
+        rr, layout = self._rr, view.sensor.layout
+        tared = all(view.has_rest(one.tare) for one in self._steps if one.read or one.prediction)
         colours = colormaps["plasma" if tared else "viridis"]
+        flat = 1e3 * layout.unrolled * [1.0, -1.0]  # [mm], y down
+        beside = np.array([np.ptp(flat[:, 0]) + 8.0, 0.0])  # of what was read
+        radius = min(1.0, 10.0 / math.sqrt(view.sensor.size))  # [mm]
+        if self._skin is not None:
+            placed = layout.positions + LAYER_M * layout.normals
+        else:
+            placed = layout.positions @ layout.to_fingertip.T
+            placed = placed - [placed[:, 0].mean(), 0.0, placed[:, 2].min()]
         for finger, name in enumerate(view.sensor.channels.fingers[: len(_COLOURS)]):
-            dead, rows = ~view.sensor.valid[finger], []
-            for number, step in enumerate(self._steps):
-                value = None if step.prediction is None else step.prediction.value
-                for what, touch in (("predicted", value), ("read", step.read)):
-                    rest = step.tare if tared else None
-                    rows.append((number, what, None if touch is None else view.levels(touch.values, rest, finger)))
-            known = [one[~dead] for _, _, one in rows if one is not None]
+            dead = ~view.sensor.valid[finger]
+            rows = [
+                (number, what, view.levels(touch.values, one.tare if tared else None, finger))
+                for number, one in enumerate(self._steps)
+                for what, touch in (("predicted", one.value), ("read", one.read))
+                if touch is not None
+            ]
+            known = [levels[~dead] for _, _, levels in rows]
             low, high = np.nanpercentile(known, [1, 99]) if known else (0.0, 0.0)
             span = max(high - low, view.channel.resolution)
             for number, what, levels in rows:
                 self._begin(number, self._steps[number])
-                shades = None
-                if levels is not None:
-                    shades = colours(np.clip((np.nan_to_num(levels) - low) / span, 0.0, 1.0), bytes=True)
-                    shades[dead | np.isnan(levels)] = _DEAD
-                self._draw_taxels(name, finger, what, levels, shades)
-
-    def _draw_taxels(self, name: str, finger: int, what: str, levels: Float64 | None, shades: Any) -> None:
-        """Draw the taxels unrolled, and those of a prediction on the fingertip; nothing without levels."""
-        rr, view, layout = self._rr, self._view, self._view.sensor.layout
-        flat = 1e3 * layout.unrolled * [1.0, -1.0]  # [mm], y down
-        flat = flat + np.array([np.ptp(flat[:, 0]) + 8.0, 0.0]) * (what == "read")
-        radius = min(1.0, 10.0 / math.sqrt(view.sensor.size))  # [mm]
-        drawn = on_finger = None
-        if levels is not None:
-            texts = [view.channel.text(one) for one in levels]
-            drawn = rr.Points2D(flat, colors=shades, radii=radius, labels=texts, show_labels=False)
-            if self._skin is not None:
-                placed = layout.positions + LAYER_M * layout.normals
-            else:
-                placed = layout.positions @ layout.to_fingertip.T
-                placed = placed - [placed[:, 0].mean(), 0.0, placed[:, 2].min()]
-            on_finger = rr.Points3D(placed, colors=shades, radii=0.0012 * radius)
-        self._log(f"/taxels/{name}/{what}", drawn)
-        if what == "predicted":
-            self._log(f"{_path(view.fingers[finger])}/taxels", on_finger)
-        if levels is not None:
-            above = [[flat[:, 0].mean(), flat[:, 1].min() - 3.0]]
-            heading = rr.Points2D(above, radii=0.01, labels=[what], colors=_CANDIDATE)
-            self._to.log(f"/taxels/{name}/{what}_title", heading, static=True)
+                shades = colours(np.clip((np.nan_to_num(levels) - low) / span, 0.0, 1.0), bytes=True)
+                shades[dead | np.isnan(levels)] = _DEAD
+                places, texts = flat + beside * (what == "read"), [view.channel.text(one) for one in levels]
+                drawn = rr.Points2D(places, colors=shades, radii=radius, labels=texts, show_labels=False)
+                self._to.log(f"/taxels/{name}/{what}", drawn)
+                if what == "predicted":
+                    on_finger = rr.Points3D(placed, colors=shades, radii=0.0012 * radius)
+                    self._to.log(f"{_path(view.fingers[finger])}/taxels", on_finger)
+                above = [[places[:, 0].mean(), places[:, 1].min() - 3.0]]
+                heading = rr.Points2D(above, radii=0.01, labels=[what], colors=_CANDIDATE)
+                self._to.log(f"/taxels/{name}/{what}_title", heading, static=True)
 
 
 def _table_corners(table: Plane, points: Float32) -> Float64:
@@ -289,7 +279,7 @@ def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
 
 def _text(step: ViewStep, view: TaxelView) -> str:
     """The answer in Markdown."""
-    one, value = step.prediction, None if step.prediction is None else step.prediction.value
+    one, value = step.prediction, step.value
     lines = [f"**{step.name}**"]
     if step.grasp is not None:
         lines.append(f"grasp {1e3 * step.grasp.width_m:.0f} mm wide, {len(step.candidates)} other candidates")

@@ -42,7 +42,12 @@ def save_screenshot(recording: Path, path: Path) -> None:
             viewer.kill()
             viewer.wait()
         if not drawn.is_file():
-            raise _not_drawn(printed.read_text(encoding="utf-8", errors="replace"))
+            said = printed.read_text(encoding="utf-8", errors="replace")
+            if any(text in said for text in _NO_GRAPHICS):
+                raise MissingDependencyError(
+                    "--screenshot: Rerun finds no graphics driver (Vulkan): apt install libvulkan1 mesa-vulkan-drivers"
+                )
+            raise ForetouchError(f"--screenshot: Rerun has drawn nothing within {_SCREENSHOT_S:.0f} s")
         with system_errors(path):
             path.write_bytes(drawn.read_bytes())
 
@@ -98,12 +103,3 @@ def _viewer_environment() -> Iterator[dict[str, str]]:
         if done.returncode:
             raise ForetouchError("Rerun cannot turn its usage statistics off, so it is not started")
         yield environment
-
-
-def _not_drawn(output: str) -> ForetouchError:
-    """The error for a viewer that has drawn nothing, from what it printed."""
-    if any(text in output for text in _NO_GRAPHICS):
-        return MissingDependencyError(
-            "--screenshot: Rerun finds no graphics driver (Vulkan): apt install libvulkan1 mesa-vulkan-drivers"
-        )
-    return ForetouchError(f"--screenshot: Rerun has drawn nothing within {_SCREENSHOT_S:.0f} s")

@@ -64,25 +64,21 @@ class TaxelView:
         change = {-1: "drop", 0: "change", 1: "rise"}[one.contact]
         return f"{change} of {one.name} from rest [{one.unit}]" if from_rest else f"{one.name} [{one.unit}]"
 
-    def shares(self, values: Float64, rest: Touch | None, ranges: Ranges | None, finger: int) -> Float64:
+    def shares(self, values: Float64, rest: Touch | None, ranges: Ranges, finger: int) -> Float64:
         """(..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.
 
         Through its range where contact moves it in one direction from a measured rest level; else from rest, of the way to the farther
-        end of its range. Without ranges, relative to what all taxels of the touch show.
+        end of its range.
         """
-        columns, tared, sign = self.columns(finger), self.channel.tared, self.channel.contact
-        levels = np.array([self.levels(values, rest, k) for k in range(len(self.fingers))])
-        if ranges is not None and tared and (sign or rest is None):
-            shown, low, high = values[..., columns], ranges.low[columns], ranges.high[columns]
+        columns, sign = self.columns(finger), self.channel.contact
+        low, high = ranges.low[columns], ranges.high[columns]
+        if self.channel.tared and (sign or rest is None):
+            shown = values[..., columns]
             moved, span = high - shown if sign < 0 else shown - low, high - low
-        elif self.has_rest(rest):
-            moved, span = np.abs(levels[finger]), np.abs(levels).max(axis=(0, -1))[..., None]
-            if ranges is not None:
-                at_rest = self._at_rest(rest, finger)
-                span = np.maximum(np.abs(ranges.high[columns] - at_rest), np.abs(ranges.low[columns] - at_rest))
         else:
-            moved = levels[finger] - levels.min(axis=(0, -1))[..., None]
-            span = np.ptp(levels, axis=(0, -1))[..., None]
+            at_rest = self._at_rest(rest, finger)
+            moved = np.abs(self.levels(values, rest, finger))
+            span = np.maximum(np.abs(high - at_rest), np.abs(low - at_rest))
         share: Float64 = np.clip(moved / np.maximum(span, 1e-12), 0.0, 1.0)
         return share
 

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import new_figure, save
@@ -28,6 +27,7 @@ _ROW_INCH = 2.2  # height of a grasp
 _SCALE_INCH = 0.85  # height of the scale of colours
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
 _LINE = 140  # characters of a title
+_DOT = 100  # of few taxels [points squared]
 _FEW = 32  # taxels that are drawn at full size
 _TARGET_COLOUR = "#ff8000"
 
@@ -38,7 +38,7 @@ class DrawnGrasp:
 
     prediction: TouchPrediction  # a refused one is drawn without its taxels
     target: FoundObject | None = None  # the object; None draws neither scene nor contacts
-    scene: Cloud | None = None  # the whole cloud; None if there is only the object
+    scene: Cloud | None = None  # the whole cloud, drawn if it is organised; None if there is only the object
     rest: Touch | None = None  # reading without contact; taxels are then coloured by their change from it
     read: Touch | None = None  # reading of the executed grasp
     title: str = ""
@@ -53,10 +53,11 @@ def save_touch_picture(
     the file is created.
     """
     view = TaxelView(sensor)
-    # Finger, `predicted` or `read`, and touch of each panel of taxels; those of a finger are side by side.
+    tared = all(view.has_rest(one.rest) for one in grasps if one.read or one.prediction.value)
+    # Finger, `predicted` or `read`, touch and its levels in each panel of taxels; those of a finger are side by side.
     panels = [
         [
-            (finger, what, touch)
+            (finger, what, touch, view.levels(touch.values, grasp.rest if tared else None, finger))
             for finger in range(len(view.fingers))
             for what, touch in (("predicted", grasp.prediction.value), ("read", grasp.read))
             if touch is not None
@@ -66,9 +67,8 @@ def save_touch_picture(
     most = max(map(len, panels))
     left = [2.6, 1.9][not scenes :] if any(one.target for one in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
-    scale = TaxelScale(
-        view, [(touch, one.rest) for one, row in zip(grasps, panels, strict=True) for _, _, touch in row]
-    )
+    shown = [levels[sensor.valid[finger]] for row in panels for finger, _, _, levels in row]
+    colours, drawn, ringed = _colours(view, shown, tared=tared), None, False
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     seen = ""  # title of the last scene, which is not repeated
@@ -85,14 +85,17 @@ def save_touch_picture(
         for panel in (*unused, *(views if one.target is None else ())):
             panel.set_axis_off()
         inside = _inside(one)
-        for panel, (finger, what, touch) in zip(fingers, row, strict=True):
+        for panel, (finger, what, touch, levels) in zip(fingers, row, strict=True):
             outside = None if inside is None or what == "predicted" else ~inside[view.columns(finger)]
-            scale.draw(panel, touch, one.rest, finger, size=100, outside=outside)
+            ringed |= outside is not None and bool((outside & sensor.valid[finger]).any())
+            drawn = _draw_taxels(panel, view, finger, levels, outside, colours)
             scalars = view.scalars(finger, touch, one.prediction if what == "predicted" else None)
             title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
             panel.set_title(title, color=_FINGER_COLOURS[finger], fontsize=10)
-    if scale.drawn is not None:
-        scale.add_to(below, None)
+    if drawn is not None:
+        marks = "; ringed: outside of its 90 % interval" * ringed + "; hollow: dead" * bool(sensor.dead)
+        label = f"{view.label(from_rest=tared)}\nseen from outside, unrolled; up: towards the tip{marks}"
+        figure.colorbar(drawn, label=label, cax=below.subplots(), orientation="horizontal")
     return save(figure, Path(path), dpi=100)
 
 
@@ -121,11 +124,11 @@ def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor: Sensor = BIOTAC_SP) -> Path:
-    """Write one PNG with the contacts and the readings of samples, a row each, as `save_touch_picture` draws them."""
+    """Write one PNG with the readings of samples, and the contacts where there is a cloud, a row each, as `save_touch_picture` does."""
     rows = [
         DrawnGrasp(
             prediction=TouchPrediction(one.grasp, None),
-            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)),
+            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)) if one.cloud.size else None,
             rest=one.tare,
             read=one.touch,
             title=one.id,
@@ -135,99 +138,64 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor:
     return save_touch_picture(path, rows, sensor, scenes=False)
 
 
-class TaxelScale:
-    """Draws taxels, all of a page by one scale of colours: their change from rest where all touches have one.
+def _colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) -> dict[str, Any]:
+    """How matplotlib is to colour the levels of all valid taxels of a page, by one scale."""
+    known = np.concatenate([[], *levels])
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    colours = "magma_r" if tared else "viridis_r"  # both dark at the high end
+    if tared and not view.channel.contact:  # in both directions from rest
+        low, high, colours = -max(-low, high), max(-low, high), "PuOr"
+    return {"vmin": low, "vmax": high, "cmap": colours}
 
-    Args:
-        view: Of the sensor of all touches.
-        touches: Of the page, with their rest.
-    """
 
-    def __init__(self, view: TaxelView, touches: Sequence[tuple[Touch, Touch | None]]) -> None:
-        self.view = view
-        self._tared = all(view.has_rest(rest) for _, rest in touches)
-        levels = [
-            self._levels(*one, finger)[valid] for one in touches for finger, valid in enumerate(view.sensor.valid)
-        ]
-        known = np.concatenate([[], *levels])
-        self.limits = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        self.colours = "magma_r" if self._tared else "viridis_r"  # both dark at the high end
-        if self._tared and not view.channel.contact:  # in both directions from rest
-            largest = max(map(abs, self.limits))
-            self.limits, self.colours = (-largest, largest), "PuOr"
-        self.drawn: Any = None  # what a bar of colours is made for
-        self._ringed = False  # whether any taxel has a ring
-
-    def _levels(self, touch: Touch, rest: Touch | None, finger: int) -> Float64:
-        return self.view.levels(touch.values, rest if self._tared else None, finger)
-
-    def draw(
-        self, axes: Axes, touch: Touch, rest: Touch | None, finger: int, size: float, outside: Bool | None = None
-    ) -> None:
-        """Draw the taxels of one fingertip as `Layout.unrolled`, and a ring around some of them.
-
-        The size is that of a dot of few taxels [points squared].
-        """
-        sensor, (low, high), valid = self.view.sensor, self.limits, self.view.sensor.valid[finger]
-        across, along = sensor.layout.unrolled.T
-        few = sensor.size <= _FEW
-        size *= 1.0 if few else 2.0 * _FEW / sensor.size
-        levels = self._levels(touch, rest, finger)
-        style: dict[str, Any] = (
-            {"edgecolors": _FINGER_COLOURS[finger % len(_FINGER_COLOURS)]} if few else {"linewidths": 0.0}
-        )
-        style |= {"vmin": low, "vmax": high, "cmap": self.colours}
-        self.drawn = axes.scatter(across[valid], along[valid], s=size, c=levels[valid], **style)
-        hollow: dict[str, Any] = {"facecolors": "none", "linewidths": 1.3 if few else 0.5}
-        if not valid.all():
-            axes.scatter(across[~valid], along[~valid], s=size, edgecolors="grey", **hollow)
-        if outside is not None:
-            ringed = outside & valid
-            self._ringed |= bool(ringed.any())
-            axes.scatter(across[ringed], along[ringed], s=2.2 * size, edgecolors="black", **hollow)
-        axes.set(xticks=[], yticks=[])
-        axes.margins(0.15)
-
-    def add_to(self, figure: Figure | SubFigure, axes: Sequence[Axes] | None) -> None:
-        """Add the bar of colours below some axes, or alone to a figure without any."""
-        what = self.view.label(from_rest=self._tared)
-        rings = "; ringed: outside of its 90 % interval" * self._ringed
-        dead = "; hollow: dead" * bool(self.view.sensor.dead)
-        label = f"{what}\nseen from outside, unrolled; up: towards the tip{rings}{dead}"
-        own: dict[str, Any] = {"ax": axes, "location": "bottom", "shrink": 0.5, "aspect": 50}
-        if axes is None:
-            own = {"cax": figure.subplots(), "orientation": "horizontal"}
-        figure.colorbar(self.drawn, label=label, **own)
+def _draw_taxels(
+    axes: Axes, view: TaxelView, finger: int, levels: Float64, outside: Bool | None, colours: Mapping[str, Any]
+) -> Any:
+    """Draw the taxels of one fingertip as `Layout.unrolled`, and a ring around those `outside`; returns what is coloured."""
+    sensor, valid = view.sensor, view.sensor.valid[finger]
+    across, along = sensor.layout.unrolled.T
+    few = sensor.size <= _FEW
+    size = _DOT if few else 2.0 * _DOT * _FEW / sensor.size
+    edges: dict[str, Any] = (
+        {"edgecolors": _FINGER_COLOURS[finger % len(_FINGER_COLOURS)]} if few else {"linewidths": 0.0}
+    )
+    drawn = axes.scatter(across[valid], along[valid], s=size, c=levels[valid], **edges, **colours)
+    hollow: dict[str, Any] = {"facecolors": "none", "linewidths": 1.3 if few else 0.5}
+    if not valid.all():
+        axes.scatter(across[~valid], along[~valid], s=size, edgecolors="grey", **hollow)
+    if outside is not None:
+        ringed = outside & valid
+        axes.scatter(across[ringed], along[ringed], s=2.2 * size, edgecolors="black", **hollow)
+    axes.set(xticks=[], yticks=[])
+    axes.margins(0.15)
+    return drawn
 
 
 def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> None:
-    """Draw the scene from the camera, coloured by depth, with the outline of the target.
-
-    An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
-    """
-    if scene.organised and target.pixels is not None and target.image_shape is not None:
-        depth = scene.xyz[..., 2]
-        rows, columns = np.divmod(target.pixels, target.image_shape[1])
-        near, far = float(target.cloud.xyz[:, 2].min()), float(np.nanpercentile(depth, 99.9))
-        # Over less than 0.1 m, noise on a table would be all there is to see.
-        axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - 0.1), vmax=far)
-        inside = np.zeros(depth.shape)
-        inside[rows, columns] = 1.0
-        axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)
-        box = {"boxstyle": "round", "facecolor": "#202020", "edgecolor": _TARGET_COLOUR}
-        style: dict[str, Any] = {"textcoords": "offset points", "color": "white", "fontsize": 9, "ha": "center"}
-        axes.annotate(f"object {target.id}", (float(columns.mean()), float(rows.min())), (0, 8), bbox=box, **style)
-        axes.set(xlim=_around(columns, depth.shape[1]), ylim=_around(rows, depth.shape[0])[::-1], xticks=[], yticks=[])
-        axes.set_title(title, fontsize=10)
-    else:
-        points = _finite_subset(scene)
-        axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="cividis_r", linewidths=0)
-        _as_image(axes, title)
+    """Draw an organised scene as a depth image, with the outline of the target; of others there is no more than the object."""
+    if not scene.organised or target.pixels is None or target.image_shape is None:
+        axes.set_axis_off()
+        return
+    depth = scene.xyz[..., 2]
+    rows, columns = np.divmod(target.pixels, target.image_shape[1])
+    near, far = float(target.cloud.xyz[:, 2].min()), float(np.nanpercentile(depth, 99.9))
+    # Over less than 0.1 m, noise on a table would be all there is to see.
+    axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - 0.1), vmax=far)
+    inside = np.zeros(depth.shape)
+    inside[rows, columns] = 1.0
+    axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)
+    box = {"boxstyle": "round", "facecolor": "#202020", "edgecolor": _TARGET_COLOUR}
+    style: dict[str, Any] = {"textcoords": "offset points", "color": "white", "fontsize": 9, "ha": "center"}
+    axes.annotate(f"object {target.id}", (float(columns.mean()), float(rows.min())), (0, 8), bbox=box, **style)
+    axes.set(xlim=_around(columns, depth.shape[1]), ylim=_around(rows, depth.shape[0])[::-1], xticks=[], yticks=[])
+    axes.set_title(title, fontsize=10)
 
 
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
-    points = _finite_subset(target)
+    points = target.xyz.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)
     if not len(points):
         axes.set_axis_off()
         return
@@ -243,7 +211,13 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str])
         place, va = (0.97, "top") if k == upper else (0.03, "bottom")
         axes.text(0.5, place, name, va=va, color=colour, **style)  # within the axes, wherever the contact is
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
-    _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
+    axes.set_aspect("equal")
+    axes.invert_yaxis()
+    axes.set_xlabel("x [m]", fontsize=8)
+    axes.set_ylabel("y [m]", fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.locator_params(nbins=3)
+    axes.set_title(f"grasp, {1e3 * grasp.width_m:.0f} mm wide", fontsize=10)
 
 
 def _around(places: Any, size: int) -> tuple[float, float]:
@@ -251,20 +225,3 @@ def _around(places: Any, size: int) -> tuple[float, float]:
     low, high = float(places.min()), float(places.max())
     margin = 2.0 * (high - low)
     return max(low - margin, 0.0), min(high + margin, size - 1.0)
-
-
-def _finite_subset(cloud: Cloud) -> Float64:
-    points = cloud.xyz.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    step = max(1, len(points) // _MAX_POINTS)
-    return points[::step].astype(np.float64)
-
-
-def _as_image(axes: Axes, title: str) -> None:
-    axes.set_aspect("equal")
-    axes.invert_yaxis()
-    axes.set_xlabel("x [m]", fontsize=8)
-    axes.set_ylabel("y [m]", fontsize=8)
-    axes.tick_params(labelsize=8)
-    axes.locator_params(nbins=3)
-    axes.set_title(title, fontsize=10)

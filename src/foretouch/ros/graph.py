@@ -233,27 +233,36 @@ def node_class(name: str) -> Any:
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:
     """Call a service without arguments of a graph that runs elsewhere; returns whether it succeeded, and its message.
 
-    A `ForetouchError` if there is no such service or no answer within the time.
+    A `ForetouchError` as `call_service`.
     """
     namespace = _checked(namespace or NAMESPACE)
     start_rclpy([])
     import rclpy
     from std_srvs.srv import Trigger
 
-    name = f"{namespace.rstrip('/')}/{service}"
-    node = rclpy.create_node("caller", namespace=namespace)
     try:
-        client = node.create_client(Trigger, name)
-        if not client.wait_for_service(timeout_sec=wait_s):
-            raise ForetouchError(f"{name}: no such service within {wait_s:g} s: is the graph running?")
-        future = client.call_async(Trigger.Request())
-        rclpy.spin_until_future_complete(node, future, timeout_sec=wait_s)
-        if (answer := future.result()) is None:
-            raise ForetouchError(f"{name}: no answer within {wait_s:g} s")
+        answer = call_service(Trigger, f"{namespace.rstrip('/')}/{service}", Trigger.Request(), wait_s)
         return answer.success, answer.message
     finally:
-        node.destroy_node()
         rclpy.try_shutdown()
+
+
+def call_service(kind: Any, name: str, request: Any, wait_s: float) -> Any:
+    """The answer of a service; a `ForetouchError` if there is no such service or no answer within the time. rclpy is started."""
+    import rclpy
+
+    node = rclpy.create_node("caller", namespace=name.rpartition("/")[0])
+    try:
+        client = node.create_client(kind, name)
+        if not client.wait_for_service(timeout_sec=wait_s):
+            raise ForetouchError(f"{name}: no such service within {wait_s:g} s: is the graph running?")
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=wait_s)
+        if future.result() is None:
+            raise ForetouchError(f"{name}: no answer within {wait_s:g} s")
+        return future.result()
+    finally:
+        node.destroy_node()
 
 
 def _checked(namespace: str) -> str:

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.layout import nearest_valid
 from foretouch.types import AnyArray, Bool, Float64
 from foretouch.types.channels import Channels
 
@@ -69,6 +68,7 @@ def filled(readings: Float64, sensor: Sensor) -> Float64:
         shift = np.nansum(moved, axis=1) / np.maximum((~np.isnan(moved)).sum(axis=1), 1)
         found[:, own] = np.where(np.isnan(moved), mean[own] + shift[:, None], found[:, own])
     for columns, valid in zip(sensor.taxel_columns, sensor.valid, strict=True):
-        for index, nearest in nearest_valid(sensor.layout.positions, valid):
-            found[:, columns[index]] = found[:, columns[nearest]].mean(axis=1)
+        part = found.T[columns]  # (N, C, S)
+        sensor.layout.fill(part, valid)
+        found.T[columns] = part
     return found

@@ -2,7 +2,7 @@
 """Where the taxels of a sensor are: in an array, or by a CSV file with a line for each."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +11,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, FileError, quoted
 from foretouch.files import read_bytes
-from foretouch.types import Bool, Float64, Index
+from foretouch.types import Bool, Float64, Floating, Index
 
 COLUMNS: Final = ("index", "x", "y", "z", "nx", "ny", "nz")
 
@@ -55,6 +55,22 @@ class Layout:
             y = angle * (centred @ y) / (centred @ centred)  # the radius
         return np.column_stack([y, self.to_fingertip[0] @ self.positions.T])
 
+    def fill(self, values: Floating, valid: Bool) -> None:
+        """Give each taxel that is not valid the mean of the nearest valid ones, in (N, ...) values, as a dead pixel of a camera has."""
+        for index, nearest in _nearest_valid(self, valid.tobytes()):
+            values[index] = values[nearest].mean(axis=0, dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _nearest_valid(layout: Layout, valid: bytes) -> list[tuple[int, Index]]:
+    """The index of each taxel that is not valid, with those of the nearest valid ones."""
+    mask = np.frombuffer(valid, np.bool_)
+    usable, pairs = np.flatnonzero(mask), []
+    for index in np.flatnonzero(~mask).tolist():
+        distances = np.linalg.norm(layout.positions[usable] - layout.positions[index], axis=1)
+        pairs.append((index, usable[distances <= _AS_NEAR * distances.min()]))
+    return pairs
+
 
 @dataclass(frozen=True, kw_only=True)
 class ArrayConfig(Settings):
@@ -86,15 +102,6 @@ class ArrayConfig(Settings):
         positions = np.zeros((self.rows * self.cols, 3))
         positions[:, :2] = grid.reshape(-1, 2) * np.array(self.spacing or self.size) - self.offset
         return Layout(positions, np.tile((0.0, 0.0, 1.0), (len(positions), 1)))
-
-
-def nearest_valid(positions: Float64, valid: Bool) -> list[tuple[int, Index]]:
-    """The index of each taxel that is not valid, with those of the nearest valid ones, by the positions (N, 3)."""
-    usable, pairs = np.flatnonzero(valid), []
-    for index in np.flatnonzero(~valid).tolist():
-        distances = np.linalg.norm(positions[usable] - positions[index], axis=1)
-        pairs.append((index, usable[distances <= _AS_NEAR * distances.min()]))
-    return pairs
 
 
 def require_length(settings: Settings, length: int, *names: str) -> None:

@@ -18,7 +18,7 @@ from foretouch.ros.messages.tactile import tactile_class
 from foretouch.tactile import ELECTRODES
 from foretouch.tactile.description import STAMP_UNITS, Sensor
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER, OTHERS
+from foretouch.tactile.messages.biotac import FINGER_ORDER, OTHERS
 from foretouch.types import Float64
 from foretouch_msgs.msg import Biotac, BiotacAll
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.processes import one_thread_each, process_pool
-from foretouch.tactile.messages.biotac_all import FINGERS, OTHERS
+from foretouch.tactile.messages.biotac import FINGERS, OTHERS
 from foretouch.types import GraspSample
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import EffectPlan, Engine, SampleState

@@ -28,7 +28,6 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.description import ChannelConfig, Sensor
-from foretouch.tactile.layout import nearest_valid
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
 from foretouch_lab.simulation.fingertip import GAIN_SPREAD
@@ -171,10 +170,9 @@ class TaxelArray:
         whole = _each(["int" in one.dtype for one, _ in channels], channels)
         found = np.clip(np.where(whole, np.rint(series), series.astype(np.float32)), low, high)
         for finger, valid in enumerate(self.sensor.valid):
-            for index, nearest in nearest_valid(self.sensor.layout.positions, valid):
-                for _, part, of_taxels in self._parts:
-                    if of_taxels:
-                        found[:, finger, part.start + index] = found[:, finger, part.start + nearest].mean(axis=1)
+            for _, part, of_taxels in self._parts:
+                if of_taxels:
+                    self.sensor.layout.fill(found[:, finger, part].T, valid)
         return found
 
     @cached_property

@@ -10,7 +10,7 @@ from foretouch.pipeline import Pipeline
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import object_to_msg
 from foretouch.ros.messages.markers import object_markers, touch_markers
-from foretouch.tactile import P2_RANGES, biotac_touch
+from foretouch.tactile import P2_RANGES, Ranges, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ObjectArray
@@ -79,7 +79,9 @@ def test_electrodes_contacts_and_hand_axes_are_where_the_grasp_is_and_thumb_take
     flat = [marker for group in markers.values() for marker in group]
     assert len({(m.ns, m.id) for m in flat}) == len(flat)
     assert {m.header.frame_id for m in flat} == {"cam"}
-    assert not touch_markers(TouchPrediction(GRASP, None, status="refused"), HEADER, BIOTAC_VIEW, None).markers
+    assert not touch_markers(
+        TouchPrediction(GRASP, None, status="refused"), HEADER, BIOTAC_VIEW, P2_RANGES.ranges
+    ).markers
 
 
 def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest():
@@ -89,7 +91,8 @@ def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest(
     values[sensor.taxel_columns[0, 3, 2]] += 1000.0  # Z of the first finger
     values[sensor.taxel_columns[1, 7, 2]] -= 500.0
     values[sensor.taxel_columns[1, 8, 0]] += 5000.0  # X is not shown
-    found = by_name(touch_markers(TouchPrediction(GRASP, Touch(values, sensor.channels)), HEADER, view, None, rest))
+    ranges = Ranges(sensor.channels, ((29_000.0, 31_000.0),) * len(sensor.channels.modalities))
+    found = by_name(touch_markers(TouchPrediction(GRASP, Touch(values, sensor.channels)), HEADER, view, ranges, rest))
     thumb, finger = found["thumb"][0], found["FF"][0]
     np.testing.assert_allclose(points(thumb)[:, 0], 0.04, atol=1e-9)  # flat on the contact
     np.testing.assert_allclose(points(finger)[:, 0], -0.04, atol=1e-9)

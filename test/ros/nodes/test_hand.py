@@ -11,7 +11,7 @@ from sim_builders import SHORT, SPONGE, run, scene
 from std_srvs.srv import Trigger
 
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
+from foretouch.tactile.messages.biotac import FINGER_ORDER, finger_counts
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp
 from foretouch_lab.simulation.world import CAMERA_FRAME

@@ -17,7 +17,7 @@ from foretouch.models.budget import profile_scene
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg, prediction_from_msg
-from foretouch.ros.nodes.monitor import Drawable, MonitorNode
+from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.action import SampleGrasps
@@ -69,7 +69,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     for words in ("Z_TH", "Z_FF", "±", "last prediction (counts) by constant"):
         assert words in shown.get()
     target = FoundObject("1", profile_scene(1)[0], ASSUMED_TABLE)
-    _draw([Drawable(None, target, one)], str(tmp_path / "a.png"), sensor)
+    _draw([(None, target, one, None)], str(tmp_path / "a.png"), sensor)
     assert (tmp_path / "a.png").stat().st_size > 10_000
     (warning,) = [text for text in node.warnings() if "adapt" in text]
     assert "/rh/tactile: is of biotac_sp" in warning

@@ -15,7 +15,7 @@ from foretouch.ros.runtime.parameters import NodeSettings
 
 @dataclass(frozen=True, kw_only=True)
 class Inner(Settings):
-    depth: int = setting(3, "How deep", minimum=1, maximum=9)
+    depth: int = setting(3, "How deep", bounds=(1, 9))
 
 
 @dataclass(frozen=True, kw_only=True)

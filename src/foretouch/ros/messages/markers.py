@@ -49,7 +49,7 @@ def touch_markers(
     prediction: TouchPrediction,
     header: Header,
     view: TaxelView,
-    ranges: Ranges | None,
+    ranges: Ranges,
     rest: Touch | None = None,
     *,
     thumb_takes_g1: bool = True,
@@ -63,7 +63,7 @@ def touch_markers(
         prediction: In the frame of the header.
         header: Of all markers.
         view: Of the sensor.
-        ranges: Of the values; None for colours by the largest change.
+        ranges: Of the values.
         rest: Reading without contact, if it is known.
         thumb_takes_g1: Whether the first finger of the sensor is drawn at g1, else the second.
     """

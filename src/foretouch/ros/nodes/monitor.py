@@ -6,11 +6,11 @@ Its callbacks only store, under a lock; `view` gives a copy.
 
 import threading
 import time
-from collections import Counter, OrderedDict, deque
+from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -35,15 +35,6 @@ from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
 
-@dataclass(frozen=True)
-class NodeView:
-    """The last report of one node: level, one line, and its numbers by name."""
-
-    level: int
-    message: str
-    values: dict[str, str]
-
-
 @dataclass
 class View:
     """State of the graph at one moment."""
@@ -53,17 +44,13 @@ class View:
     reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
     last: TouchPredictionArray | None = None  # the last array
     executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
-    nodes: dict[str, NodeView] = field(default_factory=dict)  # last diagnostics by node name
+    nodes: dict[str, tuple[int, str, dict[str, str]]] = field(
+        default_factory=dict
+    )  # last level, line and numbers by node name
 
 
-@dataclass(frozen=True, eq=False)
-class Drawable:
-    """A prediction with its input."""
-
-    scene: Cloud | None  # the whole cloud, if it was received
-    target: FoundObject  # the object
-    prediction: TouchPrediction  # the prediction
-    readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
+Drawable: TypeAlias = tuple[Cloud | None, FoundObject, TouchPrediction, TouchCut | None]
+"""The whole cloud, if it was received; the object; its prediction; and the readings of the grasp, if it was executed."""
 
 
 def _is_unfamiliar(prediction: TouchPrediction) -> bool:
@@ -93,10 +80,10 @@ class MonitorNode(GuardedCallbacks, Node):
         self._view = View(sensor)
         self._on_touch, self._count = on_touch, count
         self._closed = False
-        self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._kept = 8 if hand is None else 32  # clouds: enough to find that of an answer, or of an executed grasp
-        self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
+        kept = 8 if hand is None else 32  # enough to find the cloud of an answer, or of an executed grasp
+        self._scenes: deque[PointCloud2] = deque(maxlen=kept)
+        self._objects: deque[PointCloud2] = deque(maxlen=kept)
+        self._drawable: deque[TouchPredictionArray] = deque(maxlen=kept)
         # The last by whether the model does not know the object, and whether it was touched before.
         self._executed: dict[tuple[bool, bool], Drawable] = {}
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(hand or TactileConfig()))
@@ -110,17 +97,15 @@ class MonitorNode(GuardedCallbacks, Node):
             self.create_subscription(ExecutedGrasp, EXECUTED_TOPIC, partial(self._assemble, "executed"), reliable)
             self.create_subscription(PointCloud2, CLOUD_TOPIC, self._receive_cloud, qos_profile_sensor_data, raw=True)
         if with_clouds:
-            for topic, kept in (("points", self._scenes), (CLOUD_TOPIC, self._objects)):
-                self.create_subscription(
-                    PointCloud2, topic, lambda message, kept=kept: self._keep(kept, message), qos_profile_sensor_data
-                )
+            for topic, clouds in (("points", self._scenes), (CLOUD_TOPIC, self._objects)):
+                self.create_subscription(PointCloud2, topic, partial(self._keep, clouds), qos_profile_sensor_data)
 
     def view(self) -> View:
         """A copy of the state."""
         with self._lock:
             view = self._view
-            counts = Counter(view.answers), Counter(view.reasons)
-            return View(view.sensor, *counts, view.last, view.executed, dict(view.nodes))
+            answers, reasons = Counter(view.answers), Counter(view.reasons)
+            return replace(view, answers=answers, reasons=reasons, nodes=dict(view.nodes))
 
     def close_view(self) -> View:
         """The state at the end: later answers are neither counted nor passed on."""
@@ -150,7 +135,10 @@ class MonitorNode(GuardedCallbacks, Node):
         """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
-            scene_message, object_message = self._scenes.get(stamp), self._objects.get(stamp)
+            scene_message, object_message = (
+                next((one for one in reversed(clouds) if stamp_ns(one.header.stamp) == stamp), None)
+                for clouds in (self._scenes, self._objects)
+            )
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
@@ -158,8 +146,8 @@ class MonitorNode(GuardedCallbacks, Node):
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
-        drawables = (Drawable(scene, one, prediction, readings) for one in found)
-        return next((one for one in drawables if one.target.id == prediction.grasp.object_id), None)
+        wanted = (one for one in found if one.id == prediction.grasp.object_id)
+        return next(((scene, one, prediction, readings) for one in wanted), None)
 
     def _receive_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
@@ -207,12 +195,8 @@ class MonitorNode(GuardedCallbacks, Node):
         with self._lock:
             for status in message.status:
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                self._view.nodes[status.name] = NodeView(
-                    level, status.message, {pair.key: pair.value for pair in status.values}
-                )
+                self._view.nodes[status.name] = level, status.message, {one.key: one.value for one in status.values}
 
-    def _keep(self, kept: OrderedDict[int, PointCloud2], message: PointCloud2) -> None:
+    def _keep(self, clouds: deque[PointCloud2], message: PointCloud2) -> None:
         with self._lock:
-            kept[stamp_ns(message.header.stamp)] = message
-            while len(kept) > self._kept:
-                kept.popitem(last=False)
+            clouds.append(message)

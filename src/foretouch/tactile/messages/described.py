@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 
 from foretouch.errors import ConfigError, TactileError, shown
-from foretouch.tactile.description import STAMP_UNITS, FingerConfig, Sensor
+from foretouch.tactile.description import STAMP_UNITS, Sensor
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.layout import nearest_valid
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Bool, Float64, Index
+from foretouch.types import Bool, Float64
 
 _FLOAT32 = float(np.finfo(np.float32).max)
-_KEPT = 64  # sets of valid taxels whose neighbours are kept
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
@@ -56,14 +54,19 @@ class SensorReader:
     def __init__(self, sensor: Sensor, fingers: Sequence[str] = ()) -> None:
         config = sensor.config
         self.sensor = sensor
-        self._fingers = [(one, FieldPath(one.field)) for one in config.chosen_fingers(fingers)]
-        self._values = [(FieldPath(one.field), *np.clip(one.limits, -_FLOAT32, _FLOAT32)) for one in config.values]
-        self._scalars = [(FieldPath(one.field), *one.limits) for one in config.scalars]
-        self._marks = [one.name in config.source.invalid for one in config.scalars]
+        self._fingers = [
+            (one.name, FieldPath(one.field), np.isin(np.arange(sensor.size), one.dead))
+            for one in config.chosen_fingers(fingers)
+        ]
+        self._values, self._scalars = (
+            [FieldPath(one.field) for one in part] for part in (config.values, config.scalars)
+        )
+        self._range = np.clip([one.limits for one in config.values], -_FLOAT32, _FLOAT32).T
+        self._marks = np.array([one.name in config.source.invalid for one in config.scalars], np.bool_)
+        self._mark_range = np.array([one.limits for one in config.scalars]).reshape(-1, 2).T
         self._stamp = FieldPath(config.source.stamp)
         self._predicted_scalars = np.array([one.predicted for one in config.scalars], np.bool_)
         self._predicted_values = np.array([one.predicted for one in config.values], np.bool_)
-        self._nearest: dict[bytes, list[tuple[int, Index]]] = {}  # valid taxels of each invalid one, by those that are
 
     def read(self, message: Any) -> TactileReading:
         """Decode a message; values of a finger that was not read are NaN.
@@ -75,11 +78,19 @@ class SensorReader:
         values = np.full((*size, len(self._values)), np.nan)
         scalars, valid = np.full((size[0], len(self._scalars)), np.nan), np.zeros(size, np.bool_)
         invalid: Counter[str] = Counter()
-        for number, (finger, path) in enumerate(self._fingers):
+        for number, (finger, path, dead) in enumerate(self._fingers):
             try:
-                self._read_finger(finger, path.get(message), values[number], scalars[number], valid[number], invalid)
+                content = path.get(message)
+                scalars[number] = [_numbers(one, content, 1)[0] for one in self._scalars]
+                if (self._marks & ~_within(scalars[number], self._mark_range)).any():
+                    invalid["not_read"] += size[1]
+                    continue
+                values[number] = np.transpose([_numbers(one, content, size[1]) for one in self._values])
             except TactileError as err:
-                raise TactileError(f"{self.sensor.config.name}: {finger.name}: {err}") from err
+                raise TactileError(f"{self.sensor.config.name}: {finger}: {err}") from err
+            inside = _within(values[number], self._range).all(axis=1)
+            valid[number] = inside & ~dead
+            invalid.update(dead=int(dead.sum()), out_of_range=int((~inside & ~dead).sum()))
         stamp = self._stamp_ns(message)
         with np.errstate(over="ignore"):  # what exceeds float32 is not valid
             sent, numbers = values.astype(np.float32), scalars.astype(np.float32)
@@ -90,38 +101,10 @@ class SensorReader:
             if 2 * np.count_nonzero(usable) <= len(usable):
                 sent[row], touched[row] = np.nan, np.nan
             elif not usable.all():
-                for index, nearest in self._nearest_of(usable):
-                    sent[row, index] = sent[row, nearest].mean(axis=0, dtype=np.float64)
+                self.sensor.layout.fill(sent[row], usable)
         counts = np.concatenate([touched.T.ravel(), sent[..., self._predicted_values].transpose(2, 0, 1).ravel()])
         reasons = {reason: count for reason, count in invalid.items() if count}
         return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), reasons)
-
-    def _nearest_of(self, valid: Bool) -> list[tuple[int, Index]]:
-        key = valid.tobytes()
-        if key not in self._nearest:
-            if len(self._nearest) == _KEPT:
-                self._nearest.clear()
-            self._nearest[key] = nearest_valid(self.sensor.layout.positions, valid)
-        return self._nearest[key]
-
-    def _read_finger(
-        self, finger: FingerConfig, content: Any, values: Float64, scalars: Float64, valid: Bool, invalid: Counter[str]
-    ) -> None:
-        marked = False
-        for column, (path, low, high) in enumerate(self._scalars):
-            (value,) = _numbers(path, content, 1)
-            scalars[column] = value
-            marked |= self._marks[column] and not low <= value <= high  # NaN is not either
-        if marked:
-            invalid["not_read"] += len(valid)
-            return
-        inside = np.ones(len(valid), np.bool_)
-        for column, (path, low, high) in enumerate(self._values):
-            values[:, column] = _numbers(path, content, len(valid))
-            inside &= (low <= values[:, column]) & (values[:, column] <= high)
-        dead = np.isin(np.arange(len(valid)), finger.dead)
-        valid[:] = inside & ~dead
-        invalid.update(dead=int(dead.sum()), out_of_range=int((~inside & ~dead).sum()))
 
     def _stamp_ns(self, message: Any) -> int | None:
         if not self._stamp.text:
@@ -136,6 +119,10 @@ class SensorReader:
             raise TactileError(f"{self._stamp.text}: {shown(found)} is not a time")
         whole = int(found // 1)
         return whole * unit_ns + round(float(found - whole) * unit_ns)
+
+
+def _within(values: Float64, limits: Float64) -> Bool:
+    return np.asarray((values >= limits[0]) & (values <= limits[1]), np.bool_)  # NaN is not
 
 
 def _numbers(path: FieldPath, content: Any, count: int) -> Float64:

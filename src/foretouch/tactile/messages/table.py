@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The supported types of tactile messages, and what every decoder of one gives.
 
-To support another type, add a module with `FINGERS` (default names of thumb and middle finger) and
+To support another type, add a module with `default_fingers(type)` (names of thumb and middle finger) and
 `make_reader(config)`, and a line to `TACTILE_TYPES`. The recorder, `dataset import`, the nodes and the help texts
 take the supported types from that table. Messages of a described sensor need neither (see `described`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -20,12 +20,10 @@ from foretouch.types import SECOND_NS, Float32
 from foretouch.types.channels import Channels
 
 #: Message type to the module that decodes it.
-TACTILE_TYPES: dict[str, str] = {
-    "foretouch_msgs/BiotacAll": "foretouch.tactile.messages.biotac_all",
-    "sr_robot_msgs/BiotacAll": "foretouch.tactile.messages.biotac_all",
-    "std_msgs/String": "foretouch.tactile.messages.biotac_csv",
-    "tactile_msgs/TactileState": "foretouch.tactile.messages.tactile_state",
-}
+TACTILE_TYPES: dict[str, str] = dict.fromkeys(
+    ("foretouch_msgs/BiotacAll", "sr_robot_msgs/BiotacAll", "std_msgs/String", "tactile_msgs/TactileState"),
+    "foretouch.tactile.messages.biotac",
+)
 
 #: Flag of samples whose messages carry no stamp: the time of reception is taken instead.
 ARRIVAL_STAMPED: Final = "arrival_stamped"
@@ -62,8 +60,10 @@ class TactileConfig(Settings, read_only=True):
     @property
     def fingers(self) -> tuple[str, str]:
         """Names of the fingers at g1 and g2 in the messages (raises as `described`)."""
-        module = import_module(TACTILE_TYPES[self.type])
-        thumb, middle = self.described.channels.fingers if self.sensor else module.FINGERS
+        if self.sensor:
+            thumb, middle = self.described.channels.fingers
+        else:
+            thumb, middle = import_module(TACTILE_TYPES[self.type]).default_fingers(self.type)
         return self.thumb or thumb, self.middle or middle
 
 
@@ -117,13 +117,6 @@ def make_reader(config: TactileConfig) -> TactileReader:
     module = "foretouch.tactile.messages.described" if config.sensor else TACTILE_TYPES[config.type]
     reader: TactileReader = import_module(module).make_reader(config)
     return reader
-
-
-def named_index(name: str, names: Sequence[str], setting_name: str) -> int:
-    """Index of a finger among the names that a type has; a `ConfigError` if the name is not one of them."""
-    if name not in names:
-        raise ConfigError(f"{setting_name}: {name!r} is not one of {', '.join(names)}")
-    return names.index(name)
 
 
 def stamp_ns(stamp: Any) -> int:

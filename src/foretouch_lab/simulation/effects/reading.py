@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from foretouch.tactile import ELECTRODES
-from foretouch.tactile.messages.biotac_all import OTHERS
+from foretouch.tactile.messages.biotac import OTHERS
 from foretouch.types import Float64, Int64, Touch
 from foretouch.types.channels import Channels
 from foretouch_lab.simulation import fingertip
