@@ -196,18 +196,22 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
 
 
 def _show(arguments: argparse.Namespace) -> int:
+    from foretouch.report.series_figure import save_series_sheet
     from foretouch.report.touch_figure import save_contact_sheet
 
     require_writable(arguments.out, *PICTURE_SUFFIXES)
     samples = open_samples(arguments.source)
     count = min(arguments.count, len(samples))
-    read = (samples.record(k * len(samples) // count).sample for k in range(count))
-    selected = [only_finite(one) for one in read if one.touch is not None or has_points(one)]
+    selected = [samples.record(k * len(samples) // count) for k in range(count)]
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     sensor = sensor_of_samples(samples)
-    save_contact_sheet(arguments.out, selected, sensor)
-    record = {"out": str(arguments.out), "samples": [one.id for one in selected], "dead_taxels": sensor.dead}
+    if any(has_points(one.sample) for one in selected):
+        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], sensor)
+    else:
+        title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+        save_series_sheet(arguments.out, selected, title, sensor)
+    record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
     return print_result("drawn", record, as_json=arguments.json)
 
 

@@ -68,7 +68,7 @@ def save_touch_picture(
     left = [2.6, 1.9][not scenes :] if any(one.target for one in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
     shown = [levels[sensor.valid[finger]] for row in panels for finger, _, _, levels in row]
-    colours, drawn, ringed = _colours(view, shown, tared=tared), None, False
+    colours, drawn, ringed = taxel_colours(view, shown, tared=tared), None, False
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     seen = ""  # title of the last scene, which is not repeated
@@ -88,7 +88,7 @@ def save_touch_picture(
         for panel, (finger, what, touch, levels) in zip(fingers, row, strict=True):
             outside = None if inside is None or what == "predicted" else ~inside[view.columns(finger)]
             ringed |= outside is not None and bool((outside & sensor.valid[finger]).any())
-            drawn = _draw_taxels(panel, view, finger, levels, outside, colours)
+            drawn = draw_taxels(panel, view, finger, levels, outside, colours)
             scalars = view.scalars(finger, touch, one.prediction if what == "predicted" else None)
             title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
             panel.set_title(title, color=_FINGER_COLOURS[finger], fontsize=10)
@@ -124,11 +124,11 @@ def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor: Sensor = BIOTAC_SP) -> Path:
-    """Write one PNG with the readings of samples, and the contacts where there is a cloud, a row each, as `save_touch_picture` does."""
+    """Write one PNG with the contacts and the readings of samples, a row each, as `save_touch_picture` draws them."""
     rows = [
         DrawnGrasp(
             prediction=TouchPrediction(one.grasp, None),
-            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)) if one.cloud.size else None,
+            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)),
             rest=one.tare,
             read=one.touch,
             title=one.id,
@@ -138,7 +138,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor:
     return save_touch_picture(path, rows, sensor, scenes=False)
 
 
-def _colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) -> dict[str, Any]:
+def taxel_colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) -> dict[str, Any]:
     """How matplotlib is to colour the levels of all valid taxels of a page, by one scale."""
     known = np.concatenate([[], *levels])
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
@@ -148,7 +148,7 @@ def _colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) -> dict
     return {"vmin": low, "vmax": high, "cmap": colours}
 
 
-def _draw_taxels(
+def draw_taxels(
     axes: Axes, view: TaxelView, finger: int, levels: Float64, outside: Bool | None, colours: Mapping[str, Any]
 ) -> Any:
     """Draw the taxels of one fingertip as `Layout.unrolled`, and a ring around those `outside`; returns what is coloured."""

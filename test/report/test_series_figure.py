@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings without a camera: their picture, their dead taxels, and what is exported of them."""
+"""Readings of grasps over time beside their outcome, and dead taxels in pictures, by what matplotlib is given to draw."""
 
 import json
 from dataclasses import replace
@@ -15,20 +15,60 @@ from foretouch.cli.main import main
 from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import open_samples, sensor_of_samples
+from foretouch.report import series_figure
+from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.types import Cloud
 
+DEAD = BIOTAC_SP.with_dead(np.arange(24) == np.array([[5], [99]]))
 
-def pressed(number: int) -> SampleRecord:
+
+def pressed(number: int, stuck: float | None = 800.0) -> SampleRecord:
     """Forty readings without a camera: rest, then every electrode of the thumb falls by ten times its number."""
     made, rng = record(number), np.random.default_rng(number)
     counts = 3000.0 + np.rint(rng.normal(0.0, 3.0, (40, 50)))
     counts[20:, 2:26] -= 10.0 * np.arange(24)
-    counts[:, 2 + 5] = 800.0
+    if stuck is not None:
+        counts[:, 2 + 5] = stuck
     stamps = 1_700_000_000_000_000_000 + 10**10 * number + 10_000_000 * np.arange(40)
     phases = np.where(np.arange(40) < 20, REST, HOLD).astype(np.uint8)
     series = TouchSeries(stamps, counts.astype(np.float32), phases)
     sample = replace(made.sample, cloud=Cloud(np.empty((0, 3), np.float32)), tare=None)
-    return replace(made, sample=sample, series=series, contact_ns=int(stamps[20]))
+    outcome = "failure" if number else "success"
+    return replace(made, sample=sample, series=series, outcome=outcome, contact_ns=int(stamps[20]))
+
+
+def drawn(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[Any]:
+    figures: list[Any] = []
+    monkeypatch.setattr(module, "save", lambda figure, path, **_: figures.append(figure) or path)
+    return figures
+
+
+def test_a_row_has_the_changes_from_rest_and_the_pads_with_dead_ones_hollow(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = drawn(monkeypatch, series_figure)
+    records = [pressed(number) for number in range(2)]
+    series_figure.save_series_sheet("a.png", records, "two", DEAD)
+    axes = figures[0].axes
+    assert len(axes) == 2 * 4 + 1  # and the scale
+    for number, one in enumerate(records):
+        over_time, other, thumb, middle = axes[4 * number : 4 * number + 4]
+        assert one.series is not None
+        counts = one.series.counts.astype(np.float64)
+        expected = np.median(counts[:20], axis=0) - counts
+        expected[:, 2 + 5] = np.nan
+        shown = np.ma.filled(over_time.collections[0].get_array(), np.nan).reshape(24, 40)
+        np.testing.assert_array_equal(shown, expected[:, 2:26].T)
+        np.testing.assert_array_equal(
+            np.ma.filled(other.collections[0].get_array(), np.nan).reshape(24, 40), expected[:, 26:].T
+        )
+        assert over_time.get_title(loc="left").endswith(": failure" if number else ": success")
+        hollow = [part for part in thumb.collections if not len(part.get_facecolors())]
+        assert [part.get_offsets().shape for part in hollow] == [(1, 2)]
+        np.testing.assert_array_equal(hollow[0].get_offsets()[0], BIOTAC_SP.layout.unrolled[5])
+        assert not [part for part in middle.collections if not len(part.get_facecolors())]
+        strongest = over_time.lines[0].get_xdata()[0]
+        assert strongest >= 0.0  # seconds from contact
+    colours = [axes[4 * number]._left_title.get_color() for number in range(2)]
+    assert colours[0] != colours[1]
 
 
 def test_a_recording_without_a_camera_is_drawn_and_its_dead_taxels_are_found(

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draw the readings of grasps, also of recordings without a camera: taxels over time, and both pads at the strongest reading."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from foretouch.dataset.record import REST, SampleRecord, TouchSeries, readings
+from foretouch.report.panels import new_figure, save
+from foretouch.report.taxel_view import TaxelView
+from foretouch.report.touch_figure import draw_taxels, taxel_colours
+from foretouch.tactile.dead_taxels import usable
+from foretouch.tactile.description import Sensor
+from foretouch.types import SECOND_NS, Float64, Touch
+
+_OUTCOMES: Final = {"success": "#1a7f37", "failure": "#c9252d", "unknown": "#404040"}
+_ROW_INCH: Final = 2.4  # height of a grasp
+
+
+def save_series_sheet(path: str | Path, records: Sequence[SampleRecord], title: str, sensor: Sensor) -> Path:
+    """Write one PNG with a row for each grasp that was read: what became of it, its taxels over time, and its pads.
+
+    Of a grasp of several readings, the pads are those of the reading that moved the taxels most. Dead taxels are left white over time, and
+    are hollow on the pads.
+    """
+    view = TaxelView(sensor)
+    grasps = [(one, series, _rest(one, series, view)) for one in records if (series := readings(one)) is not None]
+    levels = [_levels(series, rest, view) for _, series, rest in grasps]
+    strongest = [int(np.nanargmax(np.nanmax(np.abs(one), axis=(0, 2)))) for one in levels]
+    tared, fingers = all(view.has_rest(rest) for _, _, rest in grasps), len(view.fingers)
+    pads = [
+        [view.levels(series.counts[k].astype(np.float64), rest if tared else None, finger) for finger in range(fingers)]
+        for (_, series, rest), k in zip(grasps, strongest, strict=True)
+    ]
+    shown = [pad[sensor.valid[finger]] for row in pads for finger, pad in enumerate(row)]
+    colours = taxel_colours(view, shown, tared=tared)
+    figure = new_figure(5.2 * fingers, _ROW_INCH * len(grasps) + 1.3)
+    figure.suptitle(title)
+    widths = [2.0] * fingers + [1.0] * fingers
+    grid = figure.subplots(len(grasps), 2 * fingers, squeeze=False, width_ratios=widths)
+    for row, (one, series, _), found, k, pad in zip(grid, grasps, levels, strongest, pads, strict=True):
+        for finger, name in enumerate(view.fingers):
+            _draw_over_time(row[finger], one, series, found[finger], k, colours)
+            row[finger].set_ylabel(f"{name}, taxel", fontsize=8)
+            drawn: Any = draw_taxels(row[fingers + finger], view, finger, pad[finger], None, colours)
+            row[fingers + finger].set_title(name, fontsize=8)
+        row[0].set_title(f"{one.sample.id}: {one.outcome}", color=_OUTCOMES[one.outcome], fontsize=9, loc="left")
+    marks = "; hollow: dead" * bool(sensor.dead)
+    label = f"{view.label(from_rest=tared)}\nseen from outside, unrolled; up: towards the tip{marks}"
+    figure.colorbar(drawn, label=label, ax=list(grid.flat), location="bottom", shrink=0.5, aspect=50)
+    return save(figure, Path(path), dpi=100)
+
+
+def _rest(record: SampleRecord, series: TouchSeries, view: TaxelView) -> Touch | None:
+    """The tare, else the median of the readings at rest; None without either."""
+    at_rest = series.counts[series.phases == REST]
+    if record.sample.tare is None and len(at_rest):
+        return Touch(np.median(at_rest, axis=0).astype(np.float64), view.sensor.channels)
+    return record.sample.tare
+
+
+def _levels(series: TouchSeries, rest: Touch | None, view: TaxelView) -> Float64:
+    """(F, T, N) levels of the taxels, NaN where they cannot be used."""
+    values = usable(series.counts.astype(np.float64), view.sensor.channels, view.sensor.valid_values)
+    return np.array([view.levels(values, rest, finger) for finger in range(len(view.fingers))])
+
+
+def _draw_over_time(
+    axes: Axes, record: SampleRecord, series: TouchSeries, levels: Float64, strongest: int, colours: Mapping[str, Any]
+) -> None:
+    """Draw (T, N) levels by time from the first contact, or from the first reading, which the strongest reading divides."""
+    zero = record.contact_ns or series.stamps_ns[0]
+    seconds = (series.stamps_ns - zero) / SECOND_NS
+    if len(seconds) == 1:
+        seconds, levels = seconds + np.array([0.0, 1.0]), np.repeat(levels, 2, axis=0)
+        axes.set_xticks([])
+    axes.pcolormesh(seconds, np.arange(levels.shape[1]), np.ma.masked_invalid(levels.T), shading="nearest", **colours)
+    axes.axvline(seconds[strongest], color="black", linewidth=0.7, linestyle=":")
+    axes.set_xlabel("time from contact [s]" if record.contact_ns else "time [s]", fontsize=8)
+    axes.tick_params(labelsize=7)
