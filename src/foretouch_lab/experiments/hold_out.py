@@ -11,7 +11,7 @@ their effect.
 """
 
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from foretouch.report.panels import Rows
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
-from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, find_predictor
+from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, contact_predictor
 from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, score_table
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, MODEL, select, skill_tables, unique
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
@@ -33,6 +33,8 @@ from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 _OBJECT: Final = "object"  # the split that is tested after touches, too
+SHRINKAGE: Final = 2.0
+"""Variance of a single residual over that of the objects' offsets, in touches."""
 _CORRECTION: Final = f"after n touches, predictors without adaptation add n / (n + {SHRINKAGE:g}) of their mean residual, as does the mean"
 
 
@@ -92,27 +94,43 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
     samples, folds = _folds(split, data, cell.values["seed"])
     (fold,) = (one for one in folds if one.name == cell.values["part"])
     train, tested = fold.sides(samples)
-    labels = labels_of(train)
-    fitted = find_predictor(cell.values["predictor"], settings.training_fraction)(train, labels, cell.values["seed"])
-    everything, mean = fitted.predict(tested), labels.mean(axis=0)  # at once: some baselines are fitted in each call
+    labels, name, seed = labels_of(train), cell.values["predictor"], cell.values["seed"]
+    if name == MODEL:
+        fitted = contact_predictor(settings.training_fraction, train, labels, seed)
+        everything = fitted.predict(tested)
+    else:
+        everything = PREDICTORS[name](settings.training_fraction)(train, labels, tested, seed)
+    actual, mean = labels_of(tested), labels.mean(axis=0)
     if split != _OBJECT:
-        return error_rows(tested, everything, labels_of(tested), mean)
+        return error_rows(tested, everything, actual, mean)
+
+    def predict_after(touched: Indices, rest: Indices) -> Float64:
+        """(R, 50) predictions after touches."""
+        if name == MODEL:
+            return fitted.predict_after([tested[k] for k in touched], [tested[k] for k in rest])
+        return offset_corrected(everything, actual, touched)[rest]
+
     rows = []
     for count in settings.touches:
-        parts = list(_predict_draws(fitted, tested, count, settings)) if count else [(tested, everything)]
-        scored = [sample for part, _ in parts for sample in part]
-        errors = error_rows(scored, np.concatenate([found for _, found in parts]), labels_of(scored), mean)
+        scored, predicted = np.arange(len(tested)), everything
+        if count:  # for each draw, the grasps that were not touched
+            orders = touch_draws(tested[0].object, len(tested), max(settings.touches), settings.draws)
+            draws = [(order[:count], np.sort(order[count:])) for order in orders]
+            scored = np.concatenate([rest for _, rest in draws])
+            predicted = np.concatenate([predict_after(*draw) for draw in draws])
+        errors = error_rows([tested[k] for k in scored], predicted, actual[scored], mean)
         rows += [{"table": _table(count), "touches": count, **row} for row in errors]
     return rows
 
 
-def _predict_draws(
-    fitted: Any, samples: Sequence[GraspSample], count: int, settings: HoldOutSettings
-) -> Iterator[tuple[list[GraspSample], Float64]]:
-    """For each draw, the scored grasps and their predictions after touches of the others."""
-    for order in touch_draws(samples[0].object, len(samples), max(settings.touches), settings.draws):
-        touched, rest = ([samples[k] for k in side] for side in (order[:count], np.sort(order[count:])))
-        yield rest, fitted.predict_after(touched, rest)
+def offset_corrected(predicted: Float64, labels: Float64, touched: Indices) -> Float64:
+    """(S, D) predictions of grasps on one object with its offset, estimated from n touches of it [counts].
+
+    With residuals r_i = label - prediction of the touched grasps this adds n / (n + a) · mean r_i: the posterior mean of
+    the object's offset, where a is `SHRINKAGE`.
+    """
+    residuals = labels[touched] - predicted[touched]
+    return np.asarray(predicted + len(touched) / (len(touched) + SHRINKAGE) * residuals.mean(axis=0), np.float64)
 
 
 def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
