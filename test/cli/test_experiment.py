@@ -45,7 +45,6 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
     summary = tmp_path / "other/summary.md"
     sentence = "**2 of 3 cells are finished.** The tables contain these alone."
     assert sentence in summary.read_text()
-    summary.unlink()
     call("experiment", OWN, "-o", tmp_path / "other", "--redraw")
     assert sentence in summary.read_text()
 
