@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import DatasetError
 from foretouch.report.panels import Rows
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
@@ -57,13 +57,6 @@ class HoldOutSettings(Settings):
     touches: tuple[int, ...] = setting((0,), "Numbers of touches of the object, for unseen_object", bounds=(0, 1000))
     draws: int = setting(20, "Number of random draws of the touched grasps", bounds=(1, 1000))
     bootstrap: BootstrapConfig = BootstrapConfig()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("predictors", "seeds", "touches"):
-            values = getattr(self, name)
-            if not values or len(set(values)) != len(values):
-                raise ConfigError(f"{name}: {list(values)} must contain at least one value and no duplicates")
 
 
 def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], list[Fold]]:
@@ -111,7 +104,7 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
         return offset_corrected(everything, actual, touched)[rest]
 
     rows = []
-    for count in settings.touches:
+    for count in dict.fromkeys(settings.touches):
         scored, predicted = np.arange(len(tested)), everything
         if count:  # for each draw, the grasps that were not touched
             orders = touch_draws(tested[0].object, len(tested), max(settings.touches), settings.draws)
@@ -171,14 +164,13 @@ def _draw_touches(rows: Rows, folder: Path) -> list[Path]:
 
 
 def _experiment(
-    name: str, question: str, order: int, split: str, presets: Mapping[str, Mapping[str, Any]], **others: Any
+    name: str, question: str, split: str, presets: Mapping[str, Mapping[str, Any]], **others: Any
 ) -> Experiment:
     """One way to split."""
     return Experiment(
         name=name,
         question=question,
         module=__name__,
-        order=order,
         presets=presets,
         load=load,
         cells=partial(_cells, split),
@@ -211,21 +203,18 @@ EXPERIMENTS: Final = (
     _experiment(
         "cross_validation",
         "How accurate are predictions for other grasps of the same sessions?",
-        10,
         "random",
         _PRESETS,
     ),
     _experiment(
         "time_blocked",
         "How accurate are predictions for earlier or later grasps of the same objects?",
-        20,
         "time",
         _PRESETS,
     ),
     _experiment(
         "unseen_object",
         "How accurate are predictions on an object that was never touched, and after a few touches of it?",
-        40,
         "object",
         {
             "full": {**_TOUCHED, "predictors": _NEW_OBJECT},

@@ -198,7 +198,6 @@ EXPERIMENT = Experiment(
     name="p1_as_published",
     question="What does P1's network reach when it is trained, split, tested and scored as its public code does it?",
     module=__name__,
-    order=35,
     settings=P1Settings,
     presets={"full": {}, "smoke": {"epochs": 1}},
     load=load,

@@ -13,7 +13,7 @@ import pytest
 from every_case import every_case, every_refusal
 from own_experiments.counting import EXPERIMENT, CountingSettings
 
-from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
 from foretouch_lab.experiments import Cell, run_sweep
 from foretouch_lab.experiments.framework.manifest import read_results, write_results, write_summary
 from foretouch_lab.experiments.framework.sweep import run_cell
@@ -145,7 +145,7 @@ def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_pro
 
     def check(name: str, value: object) -> None:
         file.write_text(json.dumps({**whole, name: value}))
-        with pytest.raises(FileError, match=rf"manifest\.json: {name}[.:]"):
+        with pytest.raises(ForetouchError, match=rf"manifest\.json: {name}[.:]"):
             sweep(settings={"cells": 1}, resume=True)
 
     every_case([("sessions", 5), ("experiment", 1)], check)

@@ -69,7 +69,6 @@ class Experiment:
         resumable_settings: Settings that only select cells or change how rows are summarised. They may change when a
             sweep is resumed: finished cells are kept, such as hours of one predictor when another one is added.
         data_folder: Folder below FORETOUCH_DATA that is used without --data; None if there is no default.
-        order: Position in lists of experiments; equal ones are sorted by name.
         results: Name of the table's file.
     """
 
@@ -87,7 +86,6 @@ class Experiment:
     prepare: Callable[[Any, Path | None, Path], Path] = require_data
     resumable_settings: Sequence[str] = ()
     data_folder: str | None = None
-    order: int = 1000
     results: str = "results.csv"
 
     @property
@@ -125,8 +123,8 @@ class Experiment:
 
 
 def list_experiments() -> list[Experiment]:
-    """The experiments of this package, in order of lists."""
-    return sorted([one for module in _modules() for one in _held_by(module)], key=lambda one: (one.order, one.name))
+    """The experiments of this package, by name."""
+    return sorted([one for module in _modules() for one in _held_by(module)], key=lambda one: one.name)
 
 
 def find_experiment(name: str) -> Experiment:

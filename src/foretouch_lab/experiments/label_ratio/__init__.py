@@ -30,10 +30,10 @@ from foretouch_lab.experiments.label_ratio.training import (
     configured,
     error_row,
     load_labelled,
+    prepare_simulated,
     prepared,
     train_and_predict,
 )
-from foretouch_lab.experiments.shared.simulated_data import prepare_simulated
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.evaluation.baselines import geometry_trees
@@ -169,7 +169,6 @@ EXPERIMENT: Final = Experiment(
     name="label_ratio",
     question="Does an SR-GAN need fewer labels than a PointNet of the same size that is trained alike?",
     module=__name__,
-    order=110,
     settings=LabelRatioSettings,
     presets={
         "quick": {**_QUICK, **_RUNS, "ratios": [10, 50, 90]},

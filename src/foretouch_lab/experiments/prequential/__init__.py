@@ -123,7 +123,6 @@ EXPERIMENT = Experiment(
     name="prequential",
     question="What do vision, name, time, temperature, the hand's history and touches buy a robot at work?",
     module=__name__,
-    order=5,
     settings=PrequentialSettings,
     presets={
         "full": {},
