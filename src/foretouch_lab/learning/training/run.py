@@ -9,10 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from foretouch import __version__
-from foretouch.errors import ConfigError, DatasetError, ForetouchError
+from foretouch.errors import ConfigError, DatasetError
 from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
 from foretouch.tactile.description import named_taxels, with_sensor
@@ -71,11 +69,7 @@ def train_run(
     # The path of a dataset is no part of its identity.
     resolved = {**config.replace(data=None).to_mapping(), "data_sha256": data.sha256}
     folder.open(resolved, resume=resume)
-    try:
-        learner.fit(run=folder)
-    except ForetouchError:
-        folder.remove_unfinished()
-        raise
+    learner.fit(run=folder)
     skill = compare_splits(learner, SPLITS, report, workers) if config.release else {}
     facts = _facts(learner, data)
     calibration = None
@@ -217,16 +211,12 @@ def _limits(
         limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
     limits.append(guarantee(calibration))
     for split in skill:
-        ours = _mean(skill[split])
-        best, value = max(((name, _mean(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
+        ours = mean_skill(skill[split])
+        best, value = max(((name, mean_skill(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
         limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
         if ours <= 0.0:
             limits.append(f"Split {split}: no better than the training mean; do not rely on it there.")
     return limits
-
-
-def _mean(table: Mapping[str, Mapping[str, float]]) -> float:
-    return float(np.mean([row["skill"] for row in table.values()]))
 
 
 def _add_scores(card_path: Path, config: RunConfig, data: Dataset) -> dict[str, Any]:
