@@ -100,7 +100,7 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
     def predict_after(touched: Indices, rest: Indices) -> Float64:
         """(R, 50) predictions after touches."""
         if name == MODEL:
-            return fitted.predict_after([tested[k] for k in touched], [tested[k] for k in rest])
+            return fitted.predict_after([tested[k] for k in touched], [tested[k] for k in rest])[0]
         return offset_corrected(everything, actual, touched)[rest]
 
     rows = []

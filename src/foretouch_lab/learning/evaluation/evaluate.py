@@ -55,8 +55,7 @@ def evaluate_model(
         `cross_validation`. `unfamiliar`: how many of them the model flags as out of distribution, None of cross-validated ones. `excluded`: how many
         were left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None
         if its card does not list their hashes. `not_scored`: indices of the taxels that are dead in the training data or were not
-        read in all of these samples, by finger. `fitted_to_training`: whether the baselines were fitted to nothing else
-        than samples that it was trained on.
+        read in all of these samples, by finger.
 
     Raises:
         DatasetError: If the split tests no sample, a sample is unlabelled, or none is held out.
@@ -72,14 +71,12 @@ def evaluate_model(
     sensor = card_sensor(card, path)
     require_same(data.sensor.channels, sensor.channels, data.name)
     own = _own_samples(card, data, chosen)
-    fitted = _own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
     facts: dict[str, Any] = {
         "split": split,
         "scored": "training_samples" if training_scores and own is not None and own.any() else "held_out",
         "excluded": int((~kept).sum()),
         "same_data": None if own is None else bool(own.any()),
-        "fitted_to_training": fitted is not None and bool(fitted.all()),
     }
     if not kept.any():
         return {**facts, **_stored(card, str(model), split, parts[0].name)}

@@ -2,7 +2,6 @@
 """One training from settings to a model folder with weights, calibration and card, resumable at every epoch."""
 
 import re
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -114,7 +113,6 @@ def compare_splits(
     predictors = {MODEL: learner.predict_fold}
     predictors |= {name: partial(_predict_baseline, one, samples, labels, seed) for name, one in BASELINES.items()}
     for split in splits:
-        start = time.monotonic()
         condition = {"time": "known", "object": "new"}.get(split)  # whose folds are those of the calibration
         folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
         with fold_workers(workers) as run:
@@ -124,7 +122,6 @@ def compare_splits(
         for name, one in results[split].items():
             skills = {modality: round(row["skill"], 3) for modality, row in one.items()}
             report({"split": split, "who": name, "mean_skill": round(mean_skill(one), 3), "skill": skills})
-        report({"split": split, "seconds": round(time.monotonic() - start, 1)})
     return results
 
 
