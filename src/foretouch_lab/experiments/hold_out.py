@@ -201,10 +201,7 @@ _TOUCHED: Final[dict[str, Any]] = {
 
 EXPERIMENTS: Final = (
     _experiment(
-        "cross_validation",
-        "How accurate are predictions for other grasps of the same sessions?",
-        "random",
-        _PRESETS,
+        "cross_validation", "How accurate are predictions for other grasps of the same sessions?", "random", _PRESETS
     ),
     _experiment(
         "time_blocked",

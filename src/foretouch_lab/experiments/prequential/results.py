@@ -177,7 +177,9 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
                 where = chosen if name == ALL_OBJECTS else chosen & (recording.objects == name)
                 for modality in MODALITIES:
                     row: Row = {"sources": sources, "regime": regime, "object": name, "modality": modality}
-                    row |= interval_columns("skill", skill[modality]) | _interval_scores(scored, sources, modality, where)
+                    row |= interval_columns("skill", skill[modality]) | _interval_scores(
+                        scored, sources, modality, where
+                    )
                     if versus and name == ALL_OBJECTS:
                         row |= interval_columns("vs_constant", versus[modality])
                         row["vs_constant_verdict"] = versus[modality].verdict

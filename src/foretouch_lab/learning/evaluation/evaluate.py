@@ -18,8 +18,7 @@ from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch_lab.learning.data.dataset import Dataset
-from foretouch_lab.learning.data.folds import Indices
-from foretouch_lab.learning.data.splits import SplitPart
+from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
 from foretouch_lab.learning.evaluation.metrics import score
@@ -63,7 +62,7 @@ def evaluate_model(
         TactileError: If the dataset is of another sensor.
     """
     parts = data.parts(split)
-    chosen = np.concatenate([data.index(part.test) for part in parts])
+    chosen = np.concatenate([part.test for part in parts])
     if not len(chosen):
         raise DatasetError(f"{data.name}: the split tests no sample")
     path = find_card(model)
@@ -165,10 +164,10 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     return counts, half, 0, ranges
 
 
-def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:
+def _fitted(data: Dataset, parts: Sequence[Fold], baseline: Baseline, seed: int) -> Float64:
     """(S, D) predictions of a baseline for the test samples of each part, in order."""
     rows = []
     for part in parts:
-        train, test = ([data.filled[k] for k in data.index(ids)] for ids in (part.train, part.test))
+        train, test = part.sides(data.filled)
         rows.append(baseline(train, labels_of(train), test, seed))
     return np.concatenate(rows)

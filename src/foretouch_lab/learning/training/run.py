@@ -209,7 +209,9 @@ def _limits(
     limits.append(guarantee(calibration))
     for split in skill:
         ours = mean_skill(skill[split])
-        best, value = max(((name, mean_skill(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
+        best, value = max(
+            ((name, mean_skill(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1]
+        )
         limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
         if ours <= 0.0:
             limits.append(f"Split {split}: no better than the training mean; do not rely on it there.")

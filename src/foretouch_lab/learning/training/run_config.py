@@ -103,7 +103,9 @@ class RunConfig(Settings):
     @property
     def seed(self) -> int:
         """Seed of the method."""
-        own: TrainConfig | SrganConfig | ContactTrainingConfig = getattr(self, self.method.replace("supervised", "train"))
+        own: TrainConfig | SrganConfig | ContactTrainingConfig = getattr(
+            self, self.method.replace("supervised", "train")
+        )
         return own.seed
 
     def ranges(self, channels: Channels) -> Ranges:

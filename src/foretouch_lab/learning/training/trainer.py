@@ -24,7 +24,7 @@ from foretouch.types import Float64
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import TouchNet
-from foretouch_lab.learning.network.pointnet import InputTransform, Inputs, PointNetFeatures
+from foretouch_lab.learning.network.pointnet import Inputs, InputTransform, PointNetFeatures
 
 _LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
 _OPTIMISERS: Final[dict[str, type[torch.optim.Optimizer]]] = {

@@ -70,7 +70,7 @@ def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(dat
     assert set(result["scores"]) == {"model", "training_mean", "object_mean", "object_time_trees", "geometry_trees"}
     assert set(result["scores"]["model"]) == {"PDC_TH"}
     labels = labels_of(data.samples)
-    train, test = (labels[data.index(ids)] for ids in (part.train, part.test))
+    train, test = (labels[index] for index in (part.train, part.test))
     mean = np.tile(train.mean(0), (len(test), 1))
     assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(
         score(mean, test, mean, P2_RANGES.ranges)["PDC_TH"]["rmse"]
@@ -99,7 +99,9 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
     file = tmp_path / STATE_FILE
     with pytest.raises(FileError, match="No such file"):
         read_state(file)
-    write_state(file, {"a": torch.ones(300), "b": torch.zeros((), dtype=torch.bfloat16)}, {"epoch": 1, "x": 0.1, "log": []})
+    write_state(
+        file, {"a": torch.ones(300), "b": torch.zeros((), dtype=torch.bfloat16)}, {"epoch": 1, "x": 0.1, "log": []}
+    )
     read_state(file)
     content = bytearray(file.read_bytes())
     for at in (len(content) - 500, content.index(b"epoch") + 9):  # a bit of a weight; of the number of the epoch
