@@ -26,11 +26,11 @@ from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, contact_predictor
-from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, score_table
+from foretouch_lab.experiments.shared.scores import labelled, load, score_table
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, MODEL, select, skill_tables, unique
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold, Indices
-from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, error_rows
 
 _OBJECT: Final = "object"  # the split that is tested after touches, too
 SHRINKAGE: Final = 2.0
@@ -93,9 +93,9 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
         everything = fitted.predict(tested)
     else:
         everything = PREDICTORS[name](settings.training_fraction)(train, labels, tested, seed)
-    actual, mean = labels_of(tested), labels.mean(axis=0)
+    actual, mean, names = labels_of(tested), labels.mean(axis=0), [sample.object for sample in tested]
     if split != _OBJECT:
-        return error_rows(tested, everything, actual, mean)
+        return error_rows(names, everything, actual, mean)
 
     def predict_after(touched: Indices, rest: Indices) -> Float64:
         """(R, 50) predictions after touches."""
@@ -107,11 +107,11 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
     for count in dict.fromkeys(settings.touches):
         scored, predicted = np.arange(len(tested)), everything
         if count:  # for each draw, the grasps that were not touched
-            orders = touch_draws(tested[0].object, len(tested), max(settings.touches), settings.draws)
+            orders = touch_draws(names[0], len(tested), max(settings.touches), settings.draws)
             draws = [(order[:count], np.sort(order[count:])) for order in orders]
             scored = np.concatenate([rest for _, rest in draws])
             predicted = np.concatenate([predict_after(*draw) for draw in draws])
-        errors = error_rows([tested[k] for k in scored], predicted, actual[scored], mean)
+        errors = error_rows([names[k] for k in scored], predicted, actual[scored], mean)
         rows += [{"table": _table(count), "touches": count, **row} for row in errors]
     return rows
 

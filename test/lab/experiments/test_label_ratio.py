@@ -19,10 +19,9 @@ from foretouch_lab.experiments.label_ratio.training import (
     PointnetTrainer,
     PresampledSet,
     configured,
-    load_labelled,
     prepare_simulated,
 )
-from foretouch_lab.learning.data import Dataset
+from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 
@@ -45,7 +44,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(store: Path) -> Dataset:
-    return load_labelled(find_experiment("label_ratio").resolve("smoke", {}), store)
+    return load_dataset(store)
 
 
 def settings_of(preset: str = "smoke", **changes: Any) -> LabelRatioSettings:

@@ -29,11 +29,11 @@ from foretouch_lab.experiments.label_ratio.training import (
     SRGAN,
     configured,
     error_row,
-    load_labelled,
     prepare_simulated,
     prepared,
     train_and_predict,
 )
+from foretouch_lab.experiments.shared.scores import load
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.evaluation.baselines import geometry_trees
@@ -176,7 +176,7 @@ EXPERIMENT: Final = Experiment(
         "p2_as_printed": {"recipe": "P2", "readings": ["P2, contrast", "P2, batch_means", "P2, srgan"]},
         "smoke": {**_SMOKE, **_RUNS, "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
     },
-    load=load_labelled,
+    load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,

@@ -38,7 +38,7 @@ from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Float64, GraspSample, Integer
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.learning.data import Dataset, labels_of, load_dataset
+from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.training.losses import labeled_loss
@@ -112,14 +112,6 @@ def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
     return path
 
 
-def load_labelled(_settings: Any, path: Path) -> Dataset:
-    """Read a store of simulated grasps; a `DatasetError` for an unlabelled sample."""
-    data = load_dataset(path)
-    if unlabelled := [sample.id for sample in data.samples if sample.touch is None]:
-        raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
-    return data
-
-
 def prepared(data: Dataset, model: ModelConfig, count: int) -> PresampledSet:
     """All samples as input of a network, `count` points of each cloud; the clouds are prepared once per process."""
     return replace(_prepared(data, model.channels, model.metric_inputs, count), config=model)
@@ -155,7 +147,7 @@ def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> 
         clouds=tuple(clouds),
         cached_points=clouds,
         grasps=np.array([grasp for _, grasp in pairs]),
-        labels=np.array([sample.touch.values for sample in samples if sample.touch is not None]),
+        labels=labels_of(samples),
         lengths=np.zeros((len(samples), 0)),  # only needed in model cards, and no model is kept
         config=config,
         ids=tuple(sample.id for sample in samples),

@@ -163,7 +163,7 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     touches, reference = recording.touches(), other_objects_mean(recording)
     for regime, (low, high) in REGIMES.items():
         chosen = (touches >= low) & (touches <= high) & np.isfinite(recording.expected).all(axis=1)
-        names, known = recording.objects[chosen], (recording.readings[chosen], reference[chosen])
+        names, known = recording.objects[chosen].tolist(), (recording.readings[chosen], reference[chosen])
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
                 ObjectErrors.of_predictions(names, one.counts[sources][chosen], *known, BIOTAC)

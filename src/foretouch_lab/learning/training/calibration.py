@@ -24,7 +24,7 @@ from foretouch.models.calibration import Calibration, CalibrationGroup, tare_off
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
-from foretouch_lab.learning.data.folds import Fold, HoldOut, fold_workers, make_folds, object_folds, predict_folds
+from foretouch_lab.learning.data.folds import Fold, HoldOut, make_folds, object_folds, predict_folds
 from foretouch_lab.learning.prequential import TimedReadings
 from foretouch_lab.learning.training.tracker import fit_tracker
 
@@ -139,8 +139,7 @@ def calibrate_on_folds(
         DatasetError: If all samples are of one object.
     """
     conditions = calibration_folds(samples, seed)
-    with fold_workers(workers) as run:
-        predicted = {name: predict_folds(predict, folds, run) for name, (folds, _) in conditions.items()}
+    predicted = predict_folds({name: (predict, folds) for name, (folds, _) in conditions.items()}, workers)
     channels = channels_of(samples)
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])

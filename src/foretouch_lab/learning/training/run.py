@@ -15,7 +15,7 @@ from foretouch.models.card import card_text, read_card
 from foretouch.tactile.description import named_taxels, with_sensor
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.learning.data import Dataset, make_folds
-from foretouch_lab.learning.data.folds import SPLITS, Fold, fold_workers, predict_folds
+from foretouch_lab.learning.data.folds import SPLITS, Fold, predict_folds
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
 from foretouch_lab.learning.evaluation.evaluate import MODEL, evaluate_model
 from foretouch_lab.learning.evaluation.metrics import mean_skill, score
@@ -115,8 +115,7 @@ def compare_splits(
     for split in splits:
         condition = {"time": "known", "object": "new"}.get(split)  # whose folds are those of the calibration
         folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
-        with fold_workers(workers) as run:
-            predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
+        predicted = predict_folds({name: (predictor, folds) for name, predictor in predictors.items()}, workers)
         reference, valid = predicted[training_mean.__name__], learner.sensor.valid_values
         results[split] = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
         for name, one in results[split].items():
