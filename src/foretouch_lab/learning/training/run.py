@@ -184,6 +184,16 @@ def _release_facts(
     skill = {split: scores.pop(MODEL) for split, scores in rounded.items()}
     baselines = {name: {split: rounded[split][name] for split in rounded} for name in rounded[SPLITS[0]]}
     objects = [sample.object for sample in learner.samples]
+    limits = list(data.origin.get("limits", []))
+    if calibration["rest"] == GUESSED:
+        limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
+    limits.append(guarantee(calibration))
+    for split, ours in ((split, mean_skill(table)) for split, table in skill.items()):
+        best = max(baselines, key=lambda name: mean_skill(baselines[name][split]))
+        value = mean_skill(baselines[best][split])
+        limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
+        if ours <= 0.0:
+            limits.append(f"Split {split}: no better than the training mean; do not rely on it there.")
     return {
         "summary": f"{', '.join(learner.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
         "data": {
@@ -194,27 +204,8 @@ def _release_facts(
         "split": {**facts["split"], **_SPLIT_WORDS, "shipped": "trained on all samples"},
         "skill": skill,
         "baselines": baselines,
-        "limits": _limits(skill, baselines, data, calibration),
+        "limits": limits,
     }
-
-
-def _limits(
-    skill: Mapping[str, Any], baselines: Mapping[str, Any], data: Dataset, calibration: Mapping[str, Any]
-) -> list[str]:
-    """Known limits of the data, the guarantee of the intervals, and the skills beside the best baseline."""
-    limits = list(data.origin.get("limits", []))
-    if calibration["rest"] == GUESSED:
-        limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
-    limits.append(guarantee(calibration))
-    for split in skill:
-        ours = mean_skill(skill[split])
-        best, value = max(
-            ((name, mean_skill(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1]
-        )
-        limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
-        if ours <= 0.0:
-            limits.append(f"Split {split}: no better than the training mean; do not rely on it there.")
-    return limits
 
 
 def _add_scores(card_path: Path, config: RunConfig, data: Dataset) -> dict[str, Any]:
