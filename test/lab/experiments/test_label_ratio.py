@@ -133,7 +133,6 @@ def presampled() -> PresampledSet:
         labels=rng.normal(2000.0, 100.0, (24, 50)),
         lengths=np.zeros((24, 0)),
         config=MODEL,
-        ids=tuple(f"box/{k}" for k in range(24)),
     )
 
 
@@ -145,7 +144,7 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
         nets = []
         for kind in (PointnetTrainer, SrganTrainer):
             trainer = kind(presampled, np.arange(8), np.arange(8, 24), config)
-            while trainer.epoch < trainer.epochs:
+            while trainer.epoch < config.epochs:
                 trainer.run_epoch()
             assert trainer.epoch == 5
             nets.append(trainer.net)

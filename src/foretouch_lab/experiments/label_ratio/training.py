@@ -150,7 +150,6 @@ def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> 
         labels=labels_of(samples),
         lengths=np.zeros((len(samples), 0)),  # only needed in model cards, and no model is kept
         config=config,
-        ids=tuple(sample.id for sample in samples),
     )
 
 
@@ -214,7 +213,7 @@ def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganC
     """
     kind = PointnetTrainer if model == POINTNET else SrganTrainer
     trainer = kind(data, split.train, split.unlabelled, config)
-    return predict_set(trainer.train(), data, split.test), trainer.epochs * trainer.batch_count
+    return predict_set(trainer.train(), data, split.test), config.epochs * trainer.batch_count
 
 
 def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:

@@ -169,7 +169,7 @@ class NetworkLearner(Learner):
 
         def done(losses: dict[str, float]) -> None:
             if run is not None:
-                run.store(trainer, {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses})
+                run.store(trainer, {"epoch": trainer.epoch - 1, "epochs": trainer.config.epochs, "losses": losses})
 
         self._net = trainer.train(done)
         self.epochs = trainer.epoch

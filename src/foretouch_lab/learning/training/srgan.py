@@ -73,12 +73,12 @@ class SrganTrainer(Trainer):
         DatasetError: If there are fewer samples of either kind than one batch.
     """
 
+    config: SrganConfig
     generator: CloudGenerator
 
     def __init__(self, data: TrainingSet, labelled: Indices, unlabelled: Indices, config: SrganConfig) -> None:
         for kind, index in (("labelled ", labelled), ("unlabelled ", unlabelled)):
             self._require_batch(index, config.batch_size, kind)
-        self.config = config
         self._unlabelled = unlabelled
         super().__init__(data, labelled, config)
         if config.batch_norm == "frozen":

@@ -77,9 +77,7 @@ class TrainConfig(EpochsConfig):
 class SupervisedTrainer(Trainer):
     """Trains on labelled samples alone: the papers' PointNets and our own."""
 
-    def __init__(self, data: TrainingSet, index: Indices, config: TrainConfig) -> None:
-        self.config = config
-        super().__init__(data, index, config)
+    config: TrainConfig
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()

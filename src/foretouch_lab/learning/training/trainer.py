@@ -109,14 +109,13 @@ class Trainer(ABC):
 
     def __init__(self, data: TrainingSet, index: Indices, config: EpochsConfig) -> None:
         self._require_batch(index, config.batch_size)
+        self.config = config
         self.data = data
         self._labelled = index
         self.device = torch.device(config.resolved_device)
-        self.epochs = config.epochs
         self.epoch = 0
         self._randomness: dict[str, Tensor] = {}
         self.rng = np.random.default_rng(config.seed)
-        self._drawn_points = config.points
         whole, rest = divmod(len(index), config.batch_size)
         self.batch_count = whole + (1 if rest > 1 and config.partial_batches else 0)
         with self._own_randomness():
@@ -171,7 +170,7 @@ class Trainer(ABC):
 
     def train(self, done: Callable[[dict[str, float]], None] = lambda _: None) -> TouchNet:
         """Run the epochs that are left; `done` is called with the losses of each. Returns the network for prediction."""
-        while self.epoch < self.epochs:
+        while self.epoch < self.config.epochs:
             done(self.run_epoch())
         return self.net.cpu().eval()
 
@@ -245,7 +244,7 @@ class Trainer(ABC):
 
     def _inputs(self, batch: Indices) -> Inputs:
         """Points (B, N, C) of a batch, drawn again each time, and its grasps (B, G) where the network takes them."""
-        points = torch.from_numpy(self.data.points(batch, self.rng, self._drawn_points)).to(self.device)
+        points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points)).to(self.device)
         return points, self._grasp_inputs[batch].to(self.device) if self.data.config.use_grasp else None
 
     def _targets(self, batch: Indices) -> Tensor:
