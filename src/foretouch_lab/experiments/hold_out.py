@@ -26,7 +26,7 @@ from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, contact_predictor
-from foretouch_lab.experiments.shared.scores import labelled, load, score_table
+from foretouch_lab.experiments.shared.scores import labelled, score_table
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, MODEL, select, skill_tables, unique
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold, Indices
@@ -172,7 +172,6 @@ def _experiment(
         question=question,
         module=__name__,
         presets=presets,
-        load=load,
         cells=partial(_cells, split),
         run=partial(_run, split),
         tabulate=partial(_tabulate, split),

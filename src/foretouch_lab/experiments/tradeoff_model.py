@@ -20,7 +20,7 @@ from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud, Float64, Grasp, GraspSample
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area, times_text
-from foretouch_lab.experiments.shared.scores import labelled, load, skill_rows
+from foretouch_lab.experiments.shared.scores import labelled, skill_rows
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.baselines import object_mean
@@ -215,7 +215,6 @@ EXPERIMENT = make_area(
         "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
         "full": {"timing_s": 420.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
     },
-    load=load,
     summarise=_summarise,
     data_folder="vision2tactile",
     variants=VARIANTS,

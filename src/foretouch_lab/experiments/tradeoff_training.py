@@ -13,7 +13,7 @@ from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.predictors import network
-from foretouch_lab.experiments.shared.scores import labelled, load, skill_rows
+from foretouch_lab.experiments.shared.scores import labelled, skill_rows
 from foretouch_lab.experiments.tradeoff_model import described
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.evaluation.metrics import error_rows
@@ -158,7 +158,6 @@ EXPERIMENT = make_area(
     module=__name__,
     settings=TrainingSettings,
     presets={"small": {"skills": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
-    load=load,
     data_folder="vision2tactile",
     variants=VARIANTS,
     timed=_timed,

@@ -33,7 +33,6 @@ from foretouch_lab.experiments.label_ratio.training import (
     prepared,
     train_and_predict,
 )
-from foretouch_lab.experiments.shared.scores import load
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.evaluation.baselines import geometry_trees
@@ -176,7 +175,6 @@ EXPERIMENT: Final = Experiment(
         "p2_as_printed": {"recipe": "P2", "readings": ["P2, contrast", "P2, batch_means", "P2, srgan"]},
         "smoke": {**_SMOKE, **_RUNS, "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
     },
-    load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,

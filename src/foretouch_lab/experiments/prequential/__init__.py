@@ -32,7 +32,7 @@ from foretouch_lab.experiments.prequential.results import (
     tracker_parameters,
 )
 from foretouch_lab.experiments.shared.predictors import PREDICTORS
-from foretouch_lab.experiments.shared.scores import labelled, load
+from foretouch_lab.experiments.shared.scores import labelled
 from foretouch_lab.experiments.shared.tables import grouped
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.evaluation.baselines import Baseline
@@ -129,7 +129,6 @@ EXPERIMENT = Experiment(
         "quick": {"predictors": [CONSTANT]},
         "smoke": {"predictors": [CONSTANT], "bootstrap.draws": 200},
     },
-    load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,

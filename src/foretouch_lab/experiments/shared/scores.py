@@ -2,14 +2,12 @@
 """Squared errors of predictors by object, and the table of their skills with comparisons."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 
-from foretouch.config import Settings
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import GraspSample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped
-from foretouch_lab.learning.data import Dataset, load_dataset
+from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.evaluation.metrics import (
     MEAN,
     BootstrapConfig,
@@ -18,11 +16,6 @@ from foretouch_lab.learning.evaluation.metrics import (
     compare,
     skills,
 )
-
-
-def load(_settings: Settings, path: Path) -> Dataset:
-    """`load` of an experiment: the samples at a path (see `load_dataset`)."""
-    return load_dataset(path)
 
 
 def labelled(data: Dataset) -> list[GraspSample]:
