@@ -18,9 +18,9 @@ from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch_lab.learning.data.dataset import Dataset
-from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
-from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
+from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, predict_part, training_mean
 from foretouch_lab.learning.evaluation.metrics import score
 
 MODEL: Final = "model"
@@ -85,11 +85,15 @@ def evaluate_model(
     labels = labels_of(tested)
     valid = sensor.valid_values & ~np.isnan(labels).any(axis=0)
     labels = np.nan_to_num(labels)  # of taxels that are not scored
-    reference = _fitted(data, parts, training_mean, seed)[kept]
+
+    def fitted(baseline: Baseline) -> Float64:
+        return np.concatenate([predict_part(baseline, data.filled, seed, part) for part in parts])[kept]
+
+    reference = fitted(training_mean)
     # The columns that the model does not predict are not scored, but must be finite.
     modalities = [name for name, own in ranges.channels.modality_columns.items() if np.isfinite(counts[:, own]).all()]
     values = {MODEL: np.where(np.isnan(counts), reference, counts)}
-    values |= {name: _fitted(data, parts, baseline, seed)[kept] for name, baseline in baselines.items()}
+    values |= {name: fitted(baseline) for name, baseline in baselines.items()}
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for name, value in values.items():
         scored = score(value, labels, reference, ranges, modalities, valid)
@@ -162,12 +166,3 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     prepared = TrainingSet.build(samples, config)
     counts[:, ranges.channels.columns(config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
     return counts, half, 0, ranges
-
-
-def _fitted(data: Dataset, parts: Sequence[Fold], baseline: Baseline, seed: int) -> Float64:
-    """(S, D) predictions of a baseline for the test samples of each part, in order."""
-    rows = []
-    for part in parts:
-        train, test = part.sides(data.filled)
-        rows.append(baseline(train, labels_of(train), test, seed))
-    return np.concatenate(rows)

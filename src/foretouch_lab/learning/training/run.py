@@ -13,10 +13,9 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
 from foretouch.tactile.description import named_taxels, with_sensor
-from foretouch.types import Float64, GraspSample
 from foretouch_lab.learning.data import Dataset, make_folds
-from foretouch_lab.learning.data.folds import SPLITS, Fold, predict_folds
-from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
+from foretouch_lab.learning.data.folds import SPLITS, predict_folds
+from foretouch_lab.learning.evaluation.baselines import BASELINES, predict_part, training_mean
 from foretouch_lab.learning.evaluation.evaluate import MODEL, evaluate_model
 from foretouch_lab.learning.evaluation.metrics import mean_skill, score
 from foretouch_lab.learning.training.calibration import GUESSED, calibration_folds, guarantee
@@ -111,7 +110,7 @@ def compare_splits(
     samples, labels, seed = learner.samples, learner.labels, learner.config.seed
     ranges, results = learner.config.ranges(learner.sensor.channels), {}
     predictors = {MODEL: learner.predict_fold}
-    predictors |= {name: partial(_predict_baseline, one, samples, labels, seed) for name, one in BASELINES.items()}
+    predictors |= {name: partial(predict_part, one, samples, seed) for name, one in BASELINES.items()}
     for split in splits:
         condition = {"time": "known", "object": "new"}.get(split)  # whose folds are those of the calibration
         folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
@@ -122,14 +121,6 @@ def compare_splits(
             skills = {modality: round(row["skill"], 3) for modality, row in one.items()}
             report({"split": split, "who": name, "mean_skill": round(mean_skill(one), 3), "skill": skills})
     return results
-
-
-def _predict_baseline(
-    baseline: Baseline, samples: Sequence[GraspSample], labels: Float64, seed: int, fold: Fold
-) -> Float64:
-    """(T, D) predictions of the test side of a fold by a baseline that is fitted to the other [counts]."""
-    train, tested = fold.sides(samples)
-    return baseline(train, labels[fold.train], tested, seed)
 
 
 def make_learner(config: RunConfig, data: Dataset) -> Learner:
