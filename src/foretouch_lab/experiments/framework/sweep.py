@@ -8,10 +8,9 @@ cell with its reason. Each process has one thread, so that sums have a fixed ord
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
@@ -152,25 +151,30 @@ def _loaded(name: str, text: str, path: str, sha256: str) -> tuple[Experiment, A
 def in_processes(run: Callable[[Cell], Any], cells: Sequence[Cell], workers: int) -> Iterator[Outcome]:
     """Run cells in processes of this machine and yield each outcome as it arrives, as `ray_results` does.
 
-    If a process dies, the cells that were running are run again, each alone; one that kills its process again has failed.
+    If a process dies, the cells that were running are tried once more, each alone; one that kills its process again has
+    failed.
     """
-    queue, alone = deque(cells), 0  # how many at the front are run again
-    running: dict[Future[tuple[Any, str]], Cell] = {}
+    queue = deque(cells)
     with one_thread_each():
         while queue:
-            with process_pool(workers) as pool, suppress(BrokenProcessPool):
-                while queue or running:
-                    while queue and len(running) < (1 if alone else workers):  # so that few have to be run again
-                        running[pool.submit(outcome, run, queue[0])] = queue[0]
-                        queue.popleft()
-                    for done in wait(running, return_when=FIRST_COMPLETED).done:
-                        yield running[done], *done.result()
-                        del running[done]
-                        alone = max(alone - 1, 0)
-            if running and alone:
-                yield running.popitem()[1], None, DIED
-                alone -= 1
-            else:
-                queue.extendleft(reversed(running.values()))
-                alone = len(running)
-            running.clear()
+            suspects = yield from _until_broken(run, queue, workers)
+            for cell in suspects:
+                again = yield from _until_broken(run, deque([cell]), 1)
+                yield from ((failed, None, DIED) for failed in again)
+
+
+def _until_broken(run: Callable[[Cell], Any], queue: deque[Cell], workers: int) -> Generator[Outcome, None, list[Cell]]:
+    """Run cells until the queue is empty or a process dies; returns the cells that were running then."""
+    running: dict[Future[tuple[Any, str]], Cell] = {}
+    with process_pool(workers) as pool:
+        try:
+            while queue or running:
+                while queue and len(running) < workers:  # so that few have to be run again
+                    running[pool.submit(outcome, run, queue[0])] = queue[0]
+                    queue.popleft()
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running[done], *done.result()
+                    del running[done]
+        except BrokenProcessPool:
+            return list(running.values())
+    return []
