@@ -141,7 +141,7 @@ def draw_recorded() -> None:
     fold = make_folds(samples, "time", 0)[-1]
     train, test = ([samples[k] for k in index] for index in (fold.train, fold.test))
     model = ContactPredictor(train, labels_of(train), ContactTrainingConfig())
-    values, half = model.intervals_after([], test)
+    values, half = model.predict_after([], test)
     errors = np.abs(values - labels_of(test))[:, 2:].mean(axis=1)
     ranked = np.argsort(errors, kind="stable")
     drawn = []

@@ -24,7 +24,6 @@ from foretouch.report.panels import new_figure, save_small
 from foretouch.report.rerun_view import write_view
 from foretouch.ros.runtime.environment import stale_bytes
 from foretouch_lab.experiments.framework.manifest import open_folder, write_manifest
-from foretouch_lab.learning.training.run_folder import RunFolder
 
 
 def test_nothing_is_written_through_links_and_second_names_of_other_files(tmp_path: Path) -> None:
@@ -34,7 +33,6 @@ def test_nothing_is_written_through_links_and_second_names_of_other_files(tmp_pa
     cases = {
         "dataset/.lock": (dataset / ".lock", lambda: repair_dataset(dataset)),
         "dataset/edits.jsonl": (dataset / "edits.jsonl", lambda: drop(dataset, ["ball/000001"])),
-        "run/log.jsonl": (tmp_path / "log.jsonl", lambda: RunFolder(tmp_path).log({})),
         "run/x.part": (tmp_path / "x.part", lambda: replace_files({tmp_path / "x": b"new"})),
         "history.lock": (tmp_path / "h.lock", lambda: HistoryFile(tmp_path / "h", "right")),
         "view.rrd.part": (tmp_path / "view.rrd.part", lambda: write_view(tmp_path / "view.rrd", [], "x")),

@@ -62,7 +62,7 @@ def test_build_puts_splits_into_a_store_that_can_be_verified(call, dataset, tmp_
     assert (record["samples"], record["renumbered"]) == (16, 0)
     assert list(record["splits"]) == ["random", "object", "time", "labels"]
     book, _ = read_splits(tmp_path / "store")
-    assert {i for part in book["random"] for i in part.test} == {
+    assert {i for part in book["random"] for i in part["test"]} == {
         f"{name}/{k:06d}" for name, start in (("ball", 1), ("sponge", 9)) for k in range(start, start + 8)
     }
     assert call("dataset", "verify", tmp_path / "store").status == 0

@@ -45,7 +45,6 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
     summary = tmp_path / "other/summary.md"
     sentence = "**2 of 3 cells are finished.** The tables contain these alone."
     assert sentence in summary.read_text()
-    summary.unlink()
     call("experiment", OWN, "-o", tmp_path / "other", "--redraw")
     assert sentence in summary.read_text()
 
@@ -53,7 +52,7 @@ def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> N
 def test_mistakes_are_one_line_and_another_experiment_is_not_redrawn(call, tmp_path, numbers, monkeypatch) -> None:
     monkeypatch.delenv("FORETOUCH_DATA", raising=False)
     out = ["-o", tmp_path / "out"]
-    assert "'phrenology' is not one of prequential, cross_validation" in call("experiment", "phrenology", *out).err
+    assert "'phrenology' is not one of cross_validation, label_ratio" in call("experiment", "phrenology", *out).err
     assert "No module named" in call("experiment", "no.such", *out).err
     assert "contains no EXPERIMENT" in call("experiment", "foretouch.types", *out).err
     assert "-o DIR is required" in call("experiment", OWN).err

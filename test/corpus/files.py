@@ -276,16 +276,13 @@ def _run(folder: Path) -> Path:
 
     run = RunFolder(folder / "run")
     run.open(RUN, resume=False)
-    write_state(folder / "run" / "state.safetensors", {"x": torch.zeros(3)}, {"epoch": 1, "best": {}})
-    run.log({"epoch": 0})
+    write_state(folder / "run" / "state.safetensors", {"x": torch.zeros(3)}, {"epoch": 1, "log": [{"epoch": 0}]})
     return folder / "run"
 
 
 def _read_run(path: Path) -> None:
     run = RunFolder(path)
     run.open(RUN, resume=True)
-    run.keep_log(1)
-    run.log({"epoch": 1})
     write_state(path / "state.safetensors", *read_state(path / "state.safetensors"))
 
 

@@ -60,8 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def show_scores(result: Mapping[str, Any]) -> None:
     """Print a result of `evaluate_model` as a table: a row for the model and each baseline, by modality."""
-    own = result["fitted_to_training"]
-    mean = "training mean" if own else "mean of this dataset without the fold, which the model does not know"
     rows = []
     for key in result["scores"]["model"]:
         for name, by_modality in result["scores"].items():
@@ -73,12 +71,11 @@ def show_scores(result: Mapping[str, Any]) -> None:
                 f"{one['skill']:+.3f}",
                 inside,
             )
-            shown = name if own or name != "training_mean" else "dataset_mean"
-            rows.append([key if name == "model" else "", shown, *numbers])
+            rows.append([key if name == "model" else "", name, *numbers])
     unfamiliar = "" if result["unfamiliar"] is None else f"{result['unfamiliar']} flagged unfamiliar, "
     title = (
         f"{result['samples']} {_SCORED[result['scored']]}, {unfamiliar}split {result['split']}; "
-        f"rmse in the unit of the sensor; skill: 0 is the {mean}, 1 is perfect; inside: share of readings in the 90 % interval"
+        f"rmse in the unit of the sensor; skill: 0 is the mean of the split's training side, 1 is perfect; inside: share of readings in the 90 % interval"
     )
     # Short heads: on 80 columns, as in a pipe, longer ones would cut the names of the baselines.
     print_table(title, ["", "predictor", "rmse", "rmse / range", "skill", "inside"], rows)

@@ -107,7 +107,7 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
         "finished": result.finished,
         "failed": result.failures,
         "rows": len(result.rows),
-        "figures": _report(experiment, result.rows, arguments.out) if result.rows else [],
+        "figures": _report(experiment, result.rows, arguments.out, result.origin) if result.rows else [],
         "data_sha256": result.data_sha256,
         "path": str(arguments.out),
     }
@@ -138,9 +138,9 @@ def _redraw(experiment: Experiment, arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _report(experiment: Experiment, rows: Sequence[Row], out: Path) -> list[str]:
+def _report(experiment: Experiment, rows: Sequence[Row], out: Path, origin: Sequence[str] | None = None) -> list[str]:
     """Write tables and figures of the results; returns the names of the figures."""
-    write_summary(out, experiment, experiment.tables(rows))
+    write_summary(out, experiment, experiment.tables(rows), origin)
     return [path.name for path in experiment.draw(rows, out)]
 
 

@@ -90,15 +90,14 @@ def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) ->
     report = print_json if arguments.json else records.append
     compare_splits(make_learner(config, data), arguments.compare.split(","), report, arguments.workers)
     if records:
-        scored = [record for record in records if "skill" in record]
-        modalities = list(scored[0]["skill"])
+        modalities = list(records[0]["skill"])
         rows = [
             [
                 one["split"],
                 one["who"],
                 *(f"{skill:+.3f}" for skill in (one["mean_skill"], *map(one["skill"].get, modalities))),
             ]
-            for one in scored
+            for one in records
         ]
         title = f"skill on {data.name} by cross-validation: 0 is the training mean, 1 is perfect"
         print_table(title, ["split", "predictor", "mean", *modalities], rows)

@@ -11,7 +11,7 @@ their effect.
 """
 
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,19 +20,21 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import DatasetError
 from foretouch.report.panels import Rows
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
-from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, find_predictor
-from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, score_table
+from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, contact_predictor
+from foretouch_lab.experiments.shared.scores import labelled, score_table
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, MODEL, select, skill_tables, unique
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold, Indices
-from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, error_rows
 
 _OBJECT: Final = "object"  # the split that is tested after touches, too
+SHRINKAGE: Final = 2.0
+"""Variance of a single residual over that of the objects' offsets, in touches."""
 _CORRECTION: Final = f"after n touches, predictors without adaptation add n / (n + {SHRINKAGE:g}) of their mean residual, as does the mean"
 
 
@@ -55,13 +57,6 @@ class HoldOutSettings(Settings):
     touches: tuple[int, ...] = setting((0,), "Numbers of touches of the object, for unseen_object", bounds=(0, 1000))
     draws: int = setting(20, "Number of random draws of the touched grasps", bounds=(1, 1000))
     bootstrap: BootstrapConfig = BootstrapConfig()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("predictors", "seeds", "touches"):
-            values = getattr(self, name)
-            if not values or len(set(values)) != len(values):
-                raise ConfigError(f"{name}: {list(values)} must contain at least one value and no duplicates")
 
 
 def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], list[Fold]]:
@@ -92,27 +87,43 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
     samples, folds = _folds(split, data, cell.values["seed"])
     (fold,) = (one for one in folds if one.name == cell.values["part"])
     train, tested = fold.sides(samples)
-    labels = labels_of(train)
-    fitted = find_predictor(cell.values["predictor"], settings.training_fraction)(train, labels, cell.values["seed"])
-    everything, mean = fitted.predict(tested), labels.mean(axis=0)  # at once: some baselines are fitted in each call
+    labels, name, seed = labels_of(train), cell.values["predictor"], cell.values["seed"]
+    if name == MODEL:
+        fitted = contact_predictor(settings.training_fraction, train, labels, seed)
+        everything = fitted.predict(tested)
+    else:
+        everything = PREDICTORS[name](settings.training_fraction)(train, labels, tested, seed)
+    actual, mean, names = labels_of(tested), labels.mean(axis=0), [sample.object for sample in tested]
     if split != _OBJECT:
-        return error_rows(tested, everything, labels_of(tested), mean)
+        return error_rows(names, everything, actual, mean)
+
+    def predict_after(touched: Indices, rest: Indices) -> Float64:
+        """(R, 50) predictions after touches."""
+        if name == MODEL:
+            return fitted.predict_after([tested[k] for k in touched], [tested[k] for k in rest])[0]
+        return offset_corrected(everything, actual, touched)[rest]
+
     rows = []
-    for count in settings.touches:
-        parts = list(_predict_draws(fitted, tested, count, settings)) if count else [(tested, everything)]
-        scored = [sample for part, _ in parts for sample in part]
-        errors = error_rows(scored, np.concatenate([found for _, found in parts]), labels_of(scored), mean)
+    for count in dict.fromkeys(settings.touches):
+        scored, predicted = np.arange(len(tested)), everything
+        if count:  # for each draw, the grasps that were not touched
+            orders = touch_draws(names[0], len(tested), max(settings.touches), settings.draws)
+            draws = [(order[:count], np.sort(order[count:])) for order in orders]
+            scored = np.concatenate([rest for _, rest in draws])
+            predicted = np.concatenate([predict_after(*draw) for draw in draws])
+        errors = error_rows([names[k] for k in scored], predicted, actual[scored], mean)
         rows += [{"table": _table(count), "touches": count, **row} for row in errors]
     return rows
 
 
-def _predict_draws(
-    fitted: Any, samples: Sequence[GraspSample], count: int, settings: HoldOutSettings
-) -> Iterator[tuple[list[GraspSample], Float64]]:
-    """For each draw, the scored grasps and their predictions after touches of the others."""
-    for order in touch_draws(samples[0].object, len(samples), max(settings.touches), settings.draws):
-        touched, rest = ([samples[k] for k in side] for side in (order[:count], np.sort(order[count:])))
-        yield rest, fitted.predict_after(touched, rest)
+def offset_corrected(predicted: Float64, labels: Float64, touched: Indices) -> Float64:
+    """(S, D) predictions of grasps on one object with its offset, estimated from n touches of it [counts].
+
+    With residuals r_i = label - prediction of the touched grasps this adds n / (n + a) · mean r_i: the posterior mean of
+    the object's offset, where a is `SHRINKAGE`.
+    """
+    residuals = labels[touched] - predicted[touched]
+    return np.asarray(predicted + len(touched) / (len(touched) + SHRINKAGE) * residuals.mean(axis=0), np.float64)
 
 
 def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
@@ -153,16 +164,14 @@ def _draw_touches(rows: Rows, folder: Path) -> list[Path]:
 
 
 def _experiment(
-    name: str, question: str, order: int, split: str, presets: Mapping[str, Mapping[str, Any]], **others: Any
+    name: str, question: str, split: str, presets: Mapping[str, Mapping[str, Any]], **others: Any
 ) -> Experiment:
     """One way to split."""
     return Experiment(
         name=name,
         question=question,
         module=__name__,
-        order=order,
         presets=presets,
-        load=load,
         cells=partial(_cells, split),
         run=partial(_run, split),
         tabulate=partial(_tabulate, split),
@@ -191,23 +200,17 @@ _TOUCHED: Final[dict[str, Any]] = {
 
 EXPERIMENTS: Final = (
     _experiment(
-        "cross_validation",
-        "How accurate are predictions for other grasps of the same sessions?",
-        10,
-        "random",
-        _PRESETS,
+        "cross_validation", "How accurate are predictions for other grasps of the same sessions?", "random", _PRESETS
     ),
     _experiment(
         "time_blocked",
         "How accurate are predictions for earlier or later grasps of the same objects?",
-        20,
         "time",
         _PRESETS,
     ),
     _experiment(
         "unseen_object",
         "How accurate are predictions on an object that was never touched, and after a few touches of it?",
-        40,
         "object",
         {
             "full": {**_TOUCHED, "predictors": _NEW_OBJECT},

@@ -26,7 +26,7 @@ from foretouch.errors import DatasetError
 from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES
 from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch_lab.experiments.shared.scores import labelled, load
+from foretouch_lab.experiments.shared.scores import labelled
 from foretouch_lab.experiments.shared.tables import grouped, pivot, select, unique
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.data.folds import Fold, Indices
@@ -198,10 +198,8 @@ EXPERIMENT = Experiment(
     name="p1_as_published",
     question="What does P1's network reach when it is trained, split, tested and scored as its public code does it?",
     module=__name__,
-    order=35,
     settings=P1Settings,
     presets={"full": {}, "smoke": {"epochs": 1}},
-    load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,

@@ -20,10 +20,11 @@ from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud, Float64, Grasp, GraspSample
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area, times_text
-from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_rows
+from foretouch_lab.experiments.shared.scores import labelled, skill_rows
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.evaluation.baselines import object_mean
+from foretouch_lab.learning.evaluation.metrics import error_rows
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
@@ -74,7 +75,7 @@ def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str
     for fold in folds:
         train, test = fold.sides(samples)
         for name, predicted in _predictions(data, folds, fold):
-            rows = error_rows(test, predicted, labels_of(test), labels_of(train).mean(axis=0))
+            rows = error_rows([one.object for one in test], predicted, labels_of(test), labels_of(train).mean(axis=0))
             errors.setdefault(name, []).extend({"part": fold.name, **row} for row in rows)
     found = skill_rows(split, errors, settings.bootstrap)
     own = read_card(find_card(NETWORK))["skill"][split]
@@ -214,7 +215,6 @@ EXPERIMENT = make_area(
         "small": {"timing_s": 45.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
         "full": {"timing_s": 420.0, "pause_s": PAUSE_S, "requests": _REQUESTS},
     },
-    load=load,
     summarise=_summarise,
     data_folder="vision2tactile",
     variants=VARIANTS,

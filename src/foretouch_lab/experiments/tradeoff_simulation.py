@@ -135,7 +135,7 @@ def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[st
         return found
     finest = _samples(data.changed(variants[0]), 2 * settings.train)
     test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
-    names = np.array([one.id for one in test])  # each grasp counts alone
+    names = [one.id for one in test]  # each grasp counts alone
     for variant in variants:
         train = _samples(data.changed(variant), settings.train)
         predictor = ContactPredictor(train, labels_of(train), ContactTrainingConfig(trees=settings.trees))

@@ -13,9 +13,10 @@ from foretouch.types import Float64, GraspSample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.predictors import network
-from foretouch_lab.experiments.shared.scores import error_rows, labelled, load, skill_rows
+from foretouch_lab.experiments.shared.scores import labelled, skill_rows
 from foretouch_lab.experiments.tradeoff_model import described
 from foretouch_lab.learning.data import Dataset, labels_of, make_folds
+from foretouch_lab.learning.evaluation.metrics import error_rows
 from foretouch_lab.learning.training.contact import ContactTrainingConfig
 
 _SPLITS: Final = {
@@ -72,7 +73,9 @@ def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str
             predicted = _predict(variant.values, settings, data, chosen, test)
             rows += [
                 {"part": fold.name, **row}
-                for row in error_rows(test, predicted, labels_of(test), labels_of(train).mean(axis=0))
+                for row in error_rows(
+                    [one.object for one in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
+                )
             ]
         errors[variant.name] = rows
     hours = _robot_seconds(samples) / 3600.0
@@ -155,7 +158,6 @@ EXPERIMENT = make_area(
     module=__name__,
     settings=TrainingSettings,
     presets={"small": {"skills": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
-    load=load,
     data_folder="vision2tactile",
     variants=VARIANTS,
     timed=_timed,

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError, GraspError, ModelError
 from foretouch.models.calibration import Calibration, tare_offset
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import Level, SensorTracker
 from foretouch.tactile import tdc_of
 from foretouch.types import Bool, Float64, GraspSample, Index, Int64, Touch
@@ -177,13 +177,10 @@ def predict_after(calibration: Calibration, touched: TimedReadings, asked: Timed
     """
     tracker = SensorTracker(calibration.tracker_parameters)
     replay(tracker, touched)
-    counts, half = asked.expected.copy(), np.empty_like(asked.expected)
+    counts, half = np.empty((2, *asked.expected.shape))
     for k, stamp in enumerate(asked.stamps_ns.tolist()):
-        if tracker.touches:
-            level = tracker.level(stamp, known=asked.is_known(k), tdc=asked.tdc_before(k))
-            (counts[k],), (half[k],) = tracker.adapt(level, asked.expected[k : k + 1])
-        else:
-            half[k] = calibration.unread_half_widths["known" if asked.is_known(k) else "new"]
+        estimate = Estimate(asked.expected[k : k + 1], np.array([asked.is_known(k)]))
+        (counts[k],), (half[k],) = History(tracker, stamp, tdc=asked.tdc_before(k)).adapt(estimate)
     return counts, half
 
 

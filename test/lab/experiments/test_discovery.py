@@ -39,7 +39,7 @@ def test_every_experiment_is_found_by_its_name_without_matplotlib() -> None:
         assert find_experiment(one.name) is one
         assert find_experiment(f"{one.module}:{one.name}") is one
     for name in ("framework", "shared"):
-        with pytest.raises(ConfigError, match=f"{name!r} is not one of prequential, cross_validation, time_blocked"):
+        with pytest.raises(ConfigError, match=f"{name!r} is not one of cross_validation, label_ratio"):
             find_experiment(name)
     code = "import sys, foretouch_lab.experiments as e; e.list_experiments(); sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

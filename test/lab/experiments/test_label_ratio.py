@@ -19,10 +19,9 @@ from foretouch_lab.experiments.label_ratio.training import (
     PointnetTrainer,
     PresampledSet,
     configured,
-    load_labelled,
+    prepare_simulated,
 )
-from foretouch_lab.experiments.shared.simulated_data import simulate_store
-from foretouch_lab.learning.data import Dataset
+from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.learning.network.networks import GeneratorConfig
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 
@@ -40,12 +39,12 @@ TWO = {"ratios": [50, 90], "seeds": [0, 1]}
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate_store(SCENE, 80, tmp_path_factory.mktemp("deformables"))
+    return prepare_simulated(settings_of(samples=80), SCENE, tmp_path_factory.mktemp("deformables"))
 
 
 @pytest.fixture(scope="module")
 def data(store: Path) -> Dataset:
-    return load_labelled(find_experiment("label_ratio").resolve("smoke", {}), store)
+    return load_dataset(store)
 
 
 def settings_of(preset: str = "smoke", **changes: Any) -> LabelRatioSettings:
@@ -85,12 +84,12 @@ def test_settings_that_cannot_be_are_refused(data: Dataset, store: Path) -> None
 
 def test_a_store_is_made_once_and_refused_for_another_scene(tmp_path: Path, store: Path) -> None:
     clean = SCENE.with_name("clean.yaml")
-    path = simulate_store(clean, 3, tmp_path)
+    path = prepare_simulated(settings_of(samples=10), clean, tmp_path)
     before = (path / "manifest.json").stat().st_mtime_ns
-    assert simulate_store(clean, 3, tmp_path) == path
+    assert prepare_simulated(settings_of(samples=10), clean, tmp_path) == path
     assert (path / "manifest.json").stat().st_mtime_ns == before
     with pytest.raises(ConfigError, match="another scene or size"):
-        simulate_store(clean, 4, tmp_path)
+        prepare_simulated(settings_of(samples=11), clean, tmp_path)
     experiment = find_experiment("label_ratio")
     with pytest.raises(ConfigError, match="give --data a scene"):
         run_sweep(experiment, settings_of(), tmp_path / "out")
@@ -134,7 +133,6 @@ def presampled() -> PresampledSet:
         labels=rng.normal(2000.0, 100.0, (24, 50)),
         lengths=np.zeros((24, 0)),
         config=MODEL,
-        ids=tuple(f"box/{k}" for k in range(24)),
     )
 
 
@@ -146,7 +144,7 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
         nets = []
         for kind in (PointnetTrainer, SrganTrainer):
             trainer = kind(presampled, np.arange(8), np.arange(8, 24), config)
-            while trainer.epoch < trainer.epochs:
+            while trainer.epoch < config.epochs:
                 trainer.run_epoch()
             assert trainer.epoch == 5
             nets.append(trainer.net)

@@ -13,11 +13,11 @@ from foretouch_lab.experiments import find_experiment
 from foretouch_lab.experiments.framework.manifest import read_results, write_results
 from foretouch_lab.experiments.prequential import expected_before, recording_without
 from foretouch_lab.experiments.prequential.results import CONSTANT, EVERYTHING
-from foretouch_lab.experiments.shared.predictors import find_predictor
+from foretouch_lab.experiments.shared.predictors import PREDICTORS
 from foretouch_lab.experiments.shared.tables import select, unique
 from foretouch_lab.learning.data import labels_of
 
-MEAN = find_predictor(CONSTANT)
+MEAN = PREDICTORS[CONSTANT](1.0)
 
 
 def test_predictions_know_neither_the_object_nor_that_of_the_reading_and_nothing_later() -> None:

@@ -13,7 +13,7 @@ import pytest
 from every_case import every_case, every_refusal
 from own_experiments.counting import EXPERIMENT, CountingSettings
 
-from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
 from foretouch_lab.experiments import Cell, run_sweep
 from foretouch_lab.experiments.framework.manifest import read_results, write_results, write_summary
 from foretouch_lab.experiments.framework.sweep import run_cell
@@ -145,10 +145,10 @@ def test_a_damaged_manifest_is_refused_by_file_and_field(sweep, out, in_this_pro
 
     def check(name: str, value: object) -> None:
         file.write_text(json.dumps({**whole, name: value}))
-        with pytest.raises(FileError, match=rf"manifest\.json: {name}[.:]"):
+        with pytest.raises(ForetouchError, match=rf"manifest\.json: {name}[.:]"):
             sweep(settings={"cells": 1}, resume=True)
 
-    every_case([("sessions", 5), ("cells", {"all": "1"})], check)
+    every_case([("sessions", 5), ("experiment", 1)], check)
 
 
 def test_results_are_rounded_and_read_back_as_they_were(tmp_path) -> None:
@@ -162,7 +162,8 @@ def test_results_are_rounded_and_read_back_as_they_were(tmp_path) -> None:
 
 
 def test_summary_states_how_results_were_made_also_without_the_manifest(sweep, out, numbers, in_this_process) -> None:
-    write_summary(out, EXPERIMENT, EXPERIMENT.tables(sweep(settings={"cells": 2, "broken": (5,)}).rows))
+    result = sweep(settings={"cells": 2, "broken": (5,)})
+    write_summary(out, EXPERIMENT, EXPERIMENT.tables(result.rows), result.origin)
     text = (out / "summary.md").read_text()
     assert "`foretouch experiment counting cells=2 'broken=[5]'`; foretouch" in text
     assert f"sha256 of the data `{hashlib.sha256(numbers.read_bytes()).hexdigest()[:16]}`" in text

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, none_of
+from foretouch_lab.learning.data import load_dataset
 
 _PACKAGE: Final = "foretouch_lab.experiments"
 
@@ -58,7 +59,7 @@ class Experiment:
         settings: Class of its settings.
         presets: By name, the settings that differ from the defaults; `full` is what is reported.
         load: (settings, path of the data) to the data, whose `sha256` is the hash of their content; called once in each
-            process.
+            process. By default `load_dataset`.
         cells: All tasks, in a fixed order.
         run: Rows of one cell. Pure: no file, no clock, no global randomness.
         tabulate: Rows of the finished cells, each with its cell's values and in order of the cells, to `results.csv`.
@@ -69,7 +70,6 @@ class Experiment:
         resumable_settings: Settings that only select cells or change how rows are summarised. They may change when a
             sweep is resumed: finished cells are kept, such as hours of one predictor when another one is added.
         data_folder: Folder below FORETOUCH_DATA that is used without --data; None if there is no default.
-        order: Position in lists of experiments; equal ones are sorted by name.
         results: Name of the table's file.
     """
 
@@ -78,16 +78,15 @@ class Experiment:
     module: str
     settings: type[Settings]
     presets: Mapping[str, Mapping[str, Any]]
-    load: Callable[[Any, Path], Any]
     cells: Callable[[Any, Any], Sequence[Cell]]
     run: Callable[[Cell, Any, Any], list[Row]]
     tabulate: Callable[[Any, Sequence[Row]], list[Row]]
     summarise: Callable[[Sequence[Row]], Sequence[Table]]
     figure: Callable[[Sequence[Row], Path], list[Path]] | None = None
     prepare: Callable[[Any, Path | None, Path], Path] = require_data
+    load: Callable[[Any, Path], Any] = lambda _settings, path: load_dataset(path)
     resumable_settings: Sequence[str] = ()
     data_folder: str | None = None
-    order: int = 1000
     results: str = "results.csv"
 
     @property
@@ -125,8 +124,8 @@ class Experiment:
 
 
 def list_experiments() -> list[Experiment]:
-    """The experiments of this package, in order of lists."""
-    return sorted([one for module in _modules() for one in _held_by(module)], key=lambda one: (one.order, one.name))
+    """The experiments of this package, by name."""
+    return sorted([one for module in _modules() for one in _held_by(module)], key=lambda one: one.name)
 
 
 def find_experiment(name: str) -> Experiment:

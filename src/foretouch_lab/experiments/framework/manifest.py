@@ -7,7 +7,7 @@ DIR/results.csv        table of all rows
 DIR/summary.md         how the results were made, and tables for a reader
 
 To publish results, leave out manifest and cells: `summary.md` states what a reader needs of them, and keeps it when it
-is written again.
+is drawn again.
 """
 
 import csv
@@ -20,13 +20,14 @@ import shlex
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
-from foretouch.files import COUNT, TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
+from foretouch.files import TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
 from foretouch.models.timing import cpu_name
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 
@@ -73,7 +74,7 @@ def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = 
         raise FileError(cells, "is a link, and nothing is written through links")
     with system_errors(out):
         if file.exists():
-            manifest = _read_manifest(file)
+            manifest = require_schema(file, read_json(file), {"sessions": list})
             _require_same({name: manifest.get(name) for name in fixed}, fixed, file, resumable)
         elif out.exists() and {path.name for path in out.iterdir()} - {_CELLS}:
             raise FileError(out, f"already exists and contains no {MANIFEST_FILE}")
@@ -84,7 +85,7 @@ def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = 
 def require_experiment(out: Path, name: str) -> None:
     """Raise `ConfigError` for the folder of another experiment; one without a manifest is accepted."""
     file = out / MANIFEST_FILE
-    if file.exists() and (found := _read_manifest(file).get("experiment")) != name:
+    if file.exists() and (found := require_schema(file, read_json(file), dict).get("experiment")) != name:
         raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
 
 
@@ -148,35 +149,41 @@ def read_results(path: Path) -> list[Row]:
         raise FileError(path, str(err)) from err
 
 
-def write_summary(out: Path, experiment: Experiment, tables: Sequence[Table]) -> None:
+def write_summary(
+    out: Path, experiment: Experiment, tables: Sequence[Table], origin: Sequence[str] | None = None
+) -> None:
     """Write `summary.md`: the question, how the results were made and which cells they lack, tables and their notes.
 
+    Args:
+        out: Folder of the sweep.
+        experiment: The experiment.
+        tables: Its tables.
+        origin: Lines on how the results were made (see `origin_of`); by default those that were written before.
+
     Raises:
-        FileError: If it cannot be written, or the manifest is damaged.
+        FileError: If it cannot be written.
     """
-    lines = [f"# {experiment.question}", "", *_origin(out, experiment)]
+    file = out / SUMMARY_FILE
+    if origin is None:
+        before = file.read_text(encoding="utf-8").splitlines()[2:] if file.exists() else []
+        origin = list(takewhile(lambda line: not line.startswith("## "), before))
+    lines = [f"# {experiment.question}", "", *origin]
     for table in tables:
         lines += [f"## {table.title}", ""]
         if table.rows:
             header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
             lines += [*(f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]), ""]
         lines += [*(f"- {note}" for note in table.notes), *[""] * bool(table.notes)]
-    write_text(out / SUMMARY_FILE, "\n".join(lines[:-1]) + "\n")
+    write_text(file, "\n".join(lines[:-1]) + "\n")
 
 
-def _origin(out: Path, experiment: Experiment) -> list[str]:
-    """Lines on the command, version, data and missing cells, by the manifest; without one, those written before."""
-    file, written = out / MANIFEST_FILE, out / SUMMARY_FILE
-    if not file.exists():
-        before = written.read_text(encoding="utf-8").splitlines()[2:] if written.exists() else []
-        return before[: next((k for k, line in enumerate(before) if line.startswith("## ")), len(before))]
-    manifest, lines = _read_manifest(file), []
-    for session in manifest["sessions"][-1:]:
-        version = f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}"
-        data = f"{session['cpu']}; sha256 of the data `{manifest['data']['sha256'][:16]}`"
-        lines += [f"`{_command(manifest, experiment)}`; {version}, {data}", ""]
-    cells = manifest.get("cells", {})
-    if cells and cells["finished"] != cells["all"]:
+def origin_of(manifest: Mapping[str, Any], experiment: Experiment) -> list[str]:
+    """Lines on the command, version, data and missing cells of a sweep."""
+    session, cells = manifest["sessions"][-1], manifest["cells"]
+    version = f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}"
+    data = f"{session['cpu']}; sha256 of the data `{manifest['data']['sha256'][:16]}`"
+    lines = [f"`{_command(manifest, experiment)}`; {version}, {data}", ""]
+    if cells["finished"] != cells["all"]:
         finished = f"**{cells['finished']} of {cells['all']} cells are finished.**"
         lines += [f"{finished} The tables contain these alone.", ""]
     return lines
@@ -184,7 +191,7 @@ def _origin(out: Path, experiment: Experiment) -> list[str]:
 
 def _command(manifest: Mapping[str, Any], experiment: Experiment) -> str:
     """Command of a sweep with the settings that differ from those of its preset."""
-    preset = manifest.get("preset", "")
+    preset = manifest["preset"]
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
     usual = flattened(json.loads(json.dumps(base.to_mapping())))
     changed = {name: value for name, value in flattened(manifest["settings"]).items() if value != usual.get(name)}
@@ -206,21 +213,6 @@ def _cell_file(out: Path, cell: Cell) -> Path:
     if not _KEY.fullmatch(cell.key):
         raise ConfigError(f"cell: {cell.key!r} is not a valid file name")
     return out / _CELLS / f"{cell.key}.json"
-
-
-_SCHEMA: Final = {
-    "sessions": [{"foretouch": str, "git": (str, type(None)), "started": str, "cpu": str}],
-    "experiment?": str,
-    "preset?": str,
-    "settings?": dict,
-    "data?": {"sha256": str},
-    "cells?": {"all": COUNT, "finished": COUNT, "failed": dict},
-}
-
-
-def _read_manifest(file: Path) -> dict[str, Any]:
-    manifest: dict[str, Any] = require_schema(file, read_json(file), _SCHEMA)
-    return manifest
 
 
 def _require_same(old: Mapping[str, Any], new: Mapping[str, Any], file: Path, resumable: Sequence[str]) -> None:

@@ -37,6 +37,7 @@ class SweepResult:
     finished: int = 0  # number of cells in the table
     failures: dict[str, str] = field(default_factory=dict)  # reasons of failed cells by key
     data_sha256: str = ""  # hash of the data
+    origin: list[str] = field(default_factory=list)  # lines of `summary.md` on how the results were made
 
 
 def run_sweep(
@@ -107,6 +108,7 @@ def run_sweep(
         result.rows = manifests.write_results(out, rows, experiment.results)
         manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
         manifests.write_manifest(out, manifest)
+        result.origin = manifests.origin_of(manifest, experiment)
     except OSError as err:
         raise FileError(out, err.strerror or str(err)) from err
     return result

@@ -178,7 +178,7 @@ def make_area(
             del found[row["variant"]]["measured"]
         return list(found.values())
 
-    given = {"settings": TradeoffSettings, "summarise": lambda _: (), "results": "tradeoff.csv", "order": 900, **others}
+    given = {"settings": TradeoffSettings, "summarise": lambda _: (), "results": "tradeoff.csv", **others}
     timing = ("skills", "timing_s", "pause_s", "requests")
     return Area(cells=cells, run=run, tabulate=tabulate, panels=panels, resumable_settings=timing, **given)
 

@@ -29,11 +29,10 @@ from foretouch_lab.experiments.label_ratio.training import (
     SRGAN,
     configured,
     error_row,
-    load_labelled,
+    prepare_simulated,
     prepared,
     train_and_predict,
 )
-from foretouch_lab.experiments.shared.simulated_data import prepare_simulated
 from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.splits import RATIOS
 from foretouch_lab.learning.evaluation.baselines import geometry_trees
@@ -169,7 +168,6 @@ EXPERIMENT: Final = Experiment(
     name="label_ratio",
     question="Does an SR-GAN need fewer labels than a PointNet of the same size that is trained alike?",
     module=__name__,
-    order=110,
     settings=LabelRatioSettings,
     presets={
         "quick": {**_QUICK, **_RUNS, "ratios": [10, 50, 90]},
@@ -177,7 +175,6 @@ EXPERIMENT: Final = Experiment(
         "p2_as_printed": {"recipe": "P2", "readings": ["P2, contrast", "P2, batch_means", "P2, srgan"]},
         "smoke": {**_SMOKE, **_RUNS, "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
     },
-    load=load_labelled,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,

@@ -30,18 +30,22 @@ import numpy as np
 import torch
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
+from foretouch.dataset.store import Store, is_store
 from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float32, Float64, GraspSample, Integer
+from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.experiments.framework.experiment import Row
-from foretouch_lab.learning.data import Dataset, labels_of, load_dataset
+from foretouch_lab.learning.data import Dataset, labels_of
 from foretouch_lab.learning.data.folds import Fold
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.training.losses import labeled_loss
 from foretouch_lab.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch_lab.learning.training.trainer import shuffled_batches
+from foretouch_lab.simulation.scene import load_scene
+from foretouch_lab.simulation.simulate import Simulation
 
 POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"
@@ -83,12 +87,29 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 READINGS: Final = tuple(f"{variant}, batch 0.001" for variant in ("batch_means", "as_printed", "srgan"))
 
 
-def load_labelled(_settings: Any, path: Path) -> Dataset:
-    """Read a store of simulated grasps; a `DatasetError` for an unlabelled sample."""
-    data = load_dataset(path)
-    if unlabelled := [sample.id for sample in data.samples if sample.touch is None]:
-        raise DatasetError(f"{path}: {unlabelled[0]}: touch: is not labelled")
-    return data
+def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
+    """`prepare` of the experiment: `--data` is a store, or a scene (YAML), whose first samples are simulated to a store once.
+
+    The store lies beside the folder of the sweep, in `<DIR>.data`; it is needed again only to resume.
+
+    Raises:
+        ConfigError: If `source` is neither, or the store there is of another scene or size.
+    """
+    if source is None or (source.is_dir() and not is_store(source)):
+        rule = "is neither a scene (.yaml) nor a store; give --data a scene, such as config/scenes/deformables.yaml"
+        raise ConfigError(f"--data: {source or 'nothing'}: {rule}")
+    if is_store(source):
+        return source
+    scene, path = load_scene(source), Path(f"{out.absolute()}.data") / source.stem
+    if not is_store(path):
+        about = {"scene": scene.to_mapping(), "scene_sha256": scene.sha256()}
+        with StoreWriter(path, about, scene.fingers.taxel_sensor()) as writer:
+            for sample in Simulation(scene).samples(settings.samples):
+                writer.write(sample)
+    store = Store(path)
+    if len(store) != settings.samples or store.manifest.get("about", {}).get("scene_sha256") != scene.sha256():
+        raise ConfigError(f"{path}: contains {len(store)} samples of another scene or size; remove it")
+    return path
 
 
 def prepared(data: Dataset, model: ModelConfig, count: int) -> PresampledSet:
@@ -126,10 +147,9 @@ def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> 
         clouds=tuple(clouds),
         cached_points=clouds,
         grasps=np.array([grasp for _, grasp in pairs]),
-        labels=np.array([sample.touch.values for sample in samples if sample.touch is not None]),
+        labels=labels_of(samples),
         lengths=np.zeros((len(samples), 0)),  # only needed in model cards, and no model is kept
         config=config,
-        ids=tuple(sample.id for sample in samples),
     )
 
 
@@ -176,7 +196,7 @@ class PointnetTrainer(SrganTrainer):
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self._set_mode()
         for batch in shuffled_batches(self._labelled, self.config.batch_size, self.rng):
-            error = self.net(self._clouds(batch), self._grasps(batch)) - self.net.to_scaled(self._labels[batch])
+            error = self.net(*self._inputs(batch)) - self._targets(batch)
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
             self.step("net", loss)
             yield {"labeled": float(loss.detach())}
@@ -193,7 +213,7 @@ def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganC
     """
     kind = PointnetTrainer if model == POINTNET else SrganTrainer
     trainer = kind(data, split.train, split.unlabelled, config)
-    return predict_set(trainer.train(), data, split.test), trainer.epochs * trainer.batch_count
+    return predict_set(trainer.train(), data, split.test), config.epochs * trainer.batch_count
 
 
 def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:

@@ -31,10 +31,11 @@ from foretouch_lab.experiments.prequential.results import (
     summarise_prequential,
     tracker_parameters,
 )
-from foretouch_lab.experiments.shared.predictors import PREDICTORS, Fit, find_predictor
-from foretouch_lab.experiments.shared.scores import labelled, load
+from foretouch_lab.experiments.shared.predictors import PREDICTORS
+from foretouch_lab.experiments.shared.scores import labelled
 from foretouch_lab.experiments.shared.tables import grouped
 from foretouch_lab.learning.data import Dataset, labels_of
+from foretouch_lab.learning.evaluation.baselines import Baseline
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 from foretouch_lab.learning.prequential import TimedReadings
 from foretouch_lab.learning.training.calibration import rest_level
@@ -70,7 +71,7 @@ def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     """Readings of each run on the object, and predictions from each of the sources, but for the very first run."""
     samples, target = ordered(data), cell.values["name"]
-    fit = find_predictor(cell.values["predictor"], settings.training_fraction)
+    fit = PREDICTORS[cell.values["predictor"]](settings.training_fraction)
     whole = recording_without(samples, target, fit)
     parameters, runs, rows = tracker_parameters(whole.take(whole.objects != target)), whole.runs(), []
     for run in np.unique(runs[whole.objects == target]).tolist():
@@ -83,7 +84,7 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     return rows
 
 
-def recording_without(samples: Sequence[GraspSample], target: str, fit: Fit) -> TimedReadings:
+def recording_without(samples: Sequence[GraspSample], target: str, fit: Baseline) -> TimedReadings:
     """All readings with predictions that know neither the object of the reading nor the target."""
     names, labels = np.array([sample.object for sample in samples]), labels_of(samples)
     expected = np.empty_like(labels)
@@ -93,13 +94,13 @@ def recording_without(samples: Sequence[GraspSample], target: str, fit: Fit) -> 
     return TimedReadings.of_samples(samples, labels, expected, rest).ordered()
 
 
-def _predicted(samples: Sequence[GraspSample], train: Any, tested: Any, fit: Fit) -> Float64:
+def _predicted(samples: Sequence[GraspSample], train: Any, tested: Any, fit: Baseline) -> Float64:
     """(T, 50) predictions of the samples of a mask, by a fit to those of another one."""
     known, asked = (list(compress(samples, mask)) for mask in (train, tested))
-    return fit(known, labels_of(known), _SEED).predict(asked)
+    return fit(known, labels_of(known), asked, _SEED)
 
 
-def expected_before(samples: Sequence[GraspSample], shown: Any, past: Any, fit: Fit) -> Float64:
+def expected_before(samples: Sequence[GraspSample], shown: Any, past: Any, fit: Baseline) -> Float64:
     """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it.
 
     `shown` and `past` are masks of the samples in order of time: up to the end of the run, and before it.
@@ -122,14 +123,12 @@ EXPERIMENT = Experiment(
     name="prequential",
     question="What do vision, name, time, temperature, the hand's history and touches buy a robot at work?",
     module=__name__,
-    order=5,
     settings=PrequentialSettings,
     presets={
         "full": {},
         "quick": {"predictors": [CONSTANT]},
         "smoke": {"predictors": [CONSTANT], "bootstrap.draws": 200},
     },
-    load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,

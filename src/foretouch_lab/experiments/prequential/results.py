@@ -2,20 +2,19 @@
 """Scores of the sources of knowledge, as rows, tables and a figure."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import MISS_RATE, SensorTracker
 from foretouch.report.panels import Rows
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
-from foretouch.types import Bool, Float64, Int64
+from foretouch.types import Bool, Float64
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch_lab.experiments.shared.scores import interval_columns
@@ -30,7 +29,7 @@ from foretouch_lab.experiments.shared.tables import (
     with_notes,
 )
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
-from foretouch_lab.learning.prequential import TimedReadings, replay
+from foretouch_lab.learning.prequential import TimedReadings, other_objects_mean, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch_lab.learning.training.tracker import fit_tracker
 
@@ -65,31 +64,23 @@ _COLUMNS: Final = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class _Scored:
+class _Scored(NamedTuple):
     """Readings of all runs by one predictor, and predictions of them from each of the sources."""
 
-    objects: npt.NDArray[np.str_]  # (S,) names
-    readings: Float64  # (S, 50) [counts]
-    touches: Int64  # (S,) touches of the object in its run before
-    reference: Float64  # (S, 50) mean of all readings of the other objects [counts]
+    recording: TimedReadings  # with the predictions by vision alone
     counts: dict[str, Float64]  # by sources, (S, 50); NaN in the first run [counts]
     half: dict[str, Float64]  # by sources, (S, 50) half widths of those with intervals [counts]
 
-    @classmethod
-    def of_rows(cls, rows: Sequence[Row]) -> Self:
-        """From the rows of all runs, in order of time."""
-        numbers = [len(row["readings"]) for row in rows]
-        objects = np.repeat([row["name"] for row in rows], numbers).astype(np.str_)
-        readings = np.concatenate([row["readings"] for row in rows])
-        touches = np.concatenate([np.arange(number) for number in numbers])
-        reference = np.empty_like(readings)
-        for name in np.unique(objects):
-            reference[objects == name] = readings[objects != name].mean(axis=0)
-        unknown = np.full((numbers[0], readings.shape[1]), np.nan)
-        found = ({name: np.concatenate([unknown, *(row[what][name] for row in rows[1:])]) for name in rows[-1][what]}
-                 for what in ("counts", "half"))  # fmt: skip
-        return cls(objects, readings, touches, reference, *found)
+
+def _joined(rows: Sequence[Row]) -> _Scored:
+    """From the rows of all runs."""
+    rows = sorted(rows, key=lambda row: row["run"])
+    numbers, readings = [len(row["readings"]) for row in rows], np.concatenate([row["readings"] for row in rows])
+    objects, runs = (np.repeat([row[key] for row in rows], numbers) for key in ("name", "run"))
+    unknown = np.full((numbers[0], readings.shape[1]), np.nan)
+    counts, half = ({name: np.concatenate([unknown, *(row[what][name] for row in rows[1:])]) for name in rows[-1][what]}
+                    for what in ("counts", "half"))  # fmt: skip
+    return _Scored(TimedReadings(runs, objects.astype(np.str_), readings, counts[NOTHING]), counts, half)
 
 
 def score_sources(found: Mapping[str, Sequence[Row]], config: BootstrapConfig) -> list[Row]:
@@ -99,8 +90,7 @@ def score_sources(found: Mapping[str, Sequence[Row]], config: BootstrapConfig) -
         found: By name of a predictor by vision, the rows of its cells; those of a predictor that lacks a run are left out.
         config: Configuration of the bootstrap.
     """
-    complete = {name: rows for name, rows in found.items() if len(rows) == rows[0]["runs"]}
-    scored = {name: _Scored.of_rows(sorted(rows, key=lambda row: row["run"])) for name, rows in complete.items()}
+    scored = {name: _joined(rows) for name, rows in found.items() if len(rows) == rows[0]["runs"]}
     rows = [
         {"vision": name} | row for name, one in scored.items() for row in _score_rows(one, scored.get(CONSTANT), config)
     ]
@@ -169,29 +159,31 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     `constant` is the predictor without vision, which the others are compared with.
     """
     rows: list[Row] = []
+    recording = scored.recording
+    touches, reference = recording.touches(), other_objects_mean(recording)
     for regime, (low, high) in REGIMES.items():
-        chosen = (scored.touches >= low) & (scored.touches <= high) & np.isfinite(scored.counts[NOTHING]).all(axis=1)
-        names, readings, reference = scored.objects[chosen], scored.readings[chosen], scored.reference[chosen]
+        chosen = (touches >= low) & (touches <= high) & np.isfinite(recording.expected).all(axis=1)
+        names, known = recording.objects[chosen].tolist(), (recording.readings[chosen], reference[chosen])
         for sources in (one for one in SOURCES if one in scored.counts):
             errors, without = (
-                ObjectErrors.of_predictions(names, one.counts[sources][chosen], readings, reference, BIOTAC)
+                ObjectErrors.of_predictions(names, one.counts[sources][chosen], *known, BIOTAC)
                 for one in (scored, constant or scored)
             )
-            found = skills(errors, config)
+            found = {ALL_OBJECTS: skills(errors, config)}
+            if regime == "later" and sources == EVERYTHING:
+                found |= {name: skills(errors.only(name), config) for name in errors.objects}
             versus = None if constant is None or constant is scored else compare(errors, without, config)
-            place: Row = {"sources": sources, "regime": regime}
-            for modality in MODALITIES:
-                row = {**place, "object": ALL_OBJECTS, "modality": modality}
-                row |= interval_columns("skill", found[modality])
-                if versus:
-                    row |= interval_columns("vs_constant", versus[modality])
-                    row["vs_constant_verdict"] = versus[modality].verdict
-                rows.append(row | _interval_scores(scored, sources, modality, chosen))
-            for name in errors.objects if regime == "later" and sources == EVERYTHING else ():
-                skill, where = skills(errors.only(name), config), chosen & (scored.objects == name)
+            for name, skill in found.items():
+                where = chosen if name == ALL_OBJECTS else chosen & (recording.objects == name)
                 for modality in MODALITIES:
-                    row = {**place, "object": name, "modality": modality, "skill": skill[modality].value}
-                    rows.append(row | _interval_scores(scored, sources, modality, where))
+                    row: Row = {"sources": sources, "regime": regime, "object": name, "modality": modality}
+                    row |= interval_columns("skill", skill[modality]) | _interval_scores(
+                        scored, sources, modality, where
+                    )
+                    if versus and name == ALL_OBJECTS:
+                        row |= interval_columns("vs_constant", versus[modality])
+                        row["vs_constant_verdict"] = versus[modality].verdict
+                    rows.append(row)
     return rows
 
 
@@ -205,7 +197,7 @@ def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: Bool)
     if sources in scored.half:
         rows = np.ix_(chosen, BIOTAC.columns([modality]))
         half = scored.half[sources][rows]
-        beyond = np.abs(scored.readings[rows] - scored.counts[sources][rows]) - half
+        beyond = np.abs(scored.recording.readings[rows] - scored.counts[sources][rows]) - half
         score = 2.0 * half + 2.0 / MISS_RATE * np.maximum(beyond, 0.0)
         result |= {"coverage": float((beyond <= 0.0).mean()), "half_width": float(half.mean())}
         result["interval_score"] = float(score.mean())

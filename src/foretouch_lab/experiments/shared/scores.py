@@ -2,17 +2,12 @@
 """Squared errors of predictors by object, and the table of their skills with comparisons."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 
-import numpy as np
-
-from foretouch.config import Settings
-from foretouch.errors import DatasetError
 from foretouch.tactile import BIOTAC, MODALITIES
-from foretouch.types import Float64, GraspSample
+from foretouch.types import GraspSample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped
-from foretouch_lab.learning.data import Dataset, load_dataset
+from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.evaluation.metrics import (
     MEAN,
     BootstrapConfig,
@@ -23,33 +18,9 @@ from foretouch_lab.learning.evaluation.metrics import (
 )
 
 
-def load(_settings: Settings, path: Path) -> Dataset:
-    """`load` of an experiment: the samples at a path (see `load_dataset`)."""
-    return load_dataset(path)
-
-
 def labelled(data: Dataset) -> list[GraspSample]:
     """Samples that have a touch, in order."""
     return [sample for sample in data.samples if sample.touch is not None]
-
-
-def error_rows(tested: Sequence[GraspSample], predicted: Float64, labels: Float64, mean: Float64) -> list[Row]:
-    """Sums of squared errors, one row per object, as `ObjectErrors` adds them up.
-
-    Args:
-        tested: (S,) test samples.
-        predicted: (S, 50) predictions [counts].
-        labels: (S, 50) labels [counts].
-        mean: (50,) mean of the training labels, the reference of the skill [counts].
-
-    Raises:
-        DatasetError: If a prediction is not finite or missing.
-    """
-    if predicted.shape != labels.shape or not np.isfinite(predicted).all():
-        raise DatasetError(f"predictions: shape {predicted.shape} or a value that is not finite")
-    found = ObjectErrors.of_predictions(np.array([sample.object for sample in tested]), predicted, labels, mean, BIOTAC)
-    sums = zip(found.objects, found.counts, found.squared.tolist(), found.reference.tolist(), strict=True)
-    return [{"object": name, "count": int(n), "squared": own, "reference": base} for name, n, own, base in sums]
 
 
 def score_table(

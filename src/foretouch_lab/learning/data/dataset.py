@@ -2,7 +2,7 @@
 """A dataset: its samples, their hash, and the parts that a model is trained and tested on."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +20,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, GraspSample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import Fold, Indices
-from foretouch_lab.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
+from foretouch_lab.learning.data.splits import SIDES, SPLITS_FILE, make_splits, parse_splits, read_splits
 from foretouch_lab.learning.prequential import with_readings
 
 _VISION2TACTILE: Final = {
@@ -52,7 +52,7 @@ class Dataset:
     name: str
     samples: tuple[GraspSample, ...]
     sha256: str
-    splits: dict[str, list[SplitPart]]
+    splits: dict[str, list[Fold]]
     aliases: tuple[str, ...] = ()
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class Dataset:
                     samples[k] = with_readings(samples[k], **{name: Touch(new, touch.channels)})
         return tuple(samples)
 
-    def parts(self, split: str) -> list[SplitPart]:
+    def parts(self, split: str) -> list[Fold]:
         """The parts of a split.
 
         Args:
@@ -102,18 +102,6 @@ class Dataset:
         """`sample_hash` of the samples with these indices."""
         return [sample_hash(self.samples[k]) for k in index]
 
-    def index(self, ids: Sequence[str]) -> Indices:
-        """(S,) indices of the samples with these ids, in order of the ids.
-
-        Raises:
-            DatasetError: If a sample does not exist.
-        """
-        position = {sample.id: k for k, sample in enumerate(self.samples)}
-        missing = [name for name in ids if name not in position]
-        if missing:
-            raise DatasetError(f"{self.name}: {missing[0]}: is in the split and not among the samples")
-        return np.array([position[name] for name in ids], np.intp)
-
     def partition(self, split: str | None) -> Fold:
         """Split the samples for one training.
 
@@ -123,19 +111,17 @@ class Dataset:
         Raises:
             DatasetError: If the dataset has no such split, the split has several parts, or no training sample is labelled.
         """
-        train = np.array([k for k, sample in enumerate(self.samples) if sample.touch is not None], np.intp)
-        unlabelled = np.setdiff1d(np.arange(len(self.samples), dtype=np.intp), train)
-        test = np.empty(0, np.intp)
         if split is not None:
             parts = self.parts(split)
             if len(parts) != 1:
                 raise DatasetError(
                     f"{self.name}: split: {split!r} has {len(parts)} parts; choose one: {split}/{parts[0].name}"
                 )
-            train, test, unlabelled = (self.index(ids) for ids in (parts[0].train, parts[0].test, parts[0].unlabelled))
+            return parts[0]
+        train = np.array([k for k, sample in enumerate(self.samples) if sample.touch is not None], np.intp)
         if not len(train):
             raise DatasetError(f"{self.name}: no sample to learn from is labelled")
-        return Fold(np.sort(train), test, unlabelled=unlabelled)
+        return Fold(train, np.empty(0, np.intp), unlabelled=np.setdiff1d(np.arange(len(self.samples)), train))
 
 
 class LazySample(GraspSample):
@@ -195,7 +181,9 @@ def load_dataset(path: str | Path) -> Dataset:
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
-    splits, omitted = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
+    parts, omitted = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
+    places = {one.id: k for k, one in enumerate(samples)}
+    splits = {kind: [_fold(part, places) for part in parts[kind]] for kind in parts}
     public = opened.kind == "vision2tactile"
     origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
     aliases = (folder_sha256(path),) if public else ()
@@ -204,6 +192,14 @@ def load_dataset(path: str | Path) -> Dataset:
     ]
     hashed, sensor = content.hexdigest(), with_dead_taxels(opened.sensor, np.array(labels)) if labels else opened.sensor
     return Dataset(path.name, tuple(samples), hashed, splits, aliases, omitted, origin, sensor)
+
+
+def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
+    """A part of `splits.json`, from the place of each sample by its id."""
+    if unknown := [one for side in SIDES for one in part.get(side, ()) if one not in places]:
+        raise DatasetError(f"split {part['name']}: {unknown[0]}: is not among the samples")
+    train, test, unlabelled = (np.array([places[one] for one in part.get(side, ())], np.intp) for side in SIDES)
+    return Fold(np.sort(train), test, part["name"], unlabelled)
 
 
 def _simulated(store: Store) -> dict[str, Any]:

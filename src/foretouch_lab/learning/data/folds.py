@@ -11,9 +11,10 @@ Three splits answer three questions:
   object was recorded on different days.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -52,25 +53,24 @@ HoldOut = Callable[[Fold], Float64]
 """Fits to the training side of a fold and returns (T, D) predictions of its test side [counts]."""
 
 
-Mapper = Callable[[HoldOut, Sequence[Fold]], Iterator[Float64]]
+def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: int = 1) -> dict[str, Float64]:
+    """By name, (S, D) held-out predictions: each sample's is from the one fold that tests it [counts].
 
-
-def predict_folds(predict: HoldOut, folds: Sequence[Fold], run: Mapper = map) -> Float64:
-    """(S, D) held-out predictions: each sample's is from the one fold that tests it [counts]."""
-    rows = np.concatenate(list(run(predict, folds)))
-    result = np.empty_like(rows)
-    result[np.concatenate([fold.test for fold in folds])] = rows
+    With several workers, folds run in processes of one thread each; the results are the same.
+    """
+    parts = zip(*[(predict, fold) for predict, folds in jobs.values() for fold in folds], strict=True)
+    with process_pool(workers, _one_thread) if workers > 1 else nullcontext() as pool:
+        found = iter(list(map(_predict, *parts) if pool is None else pool.map(_predict, *parts)))
+    result = {}
+    for name, (_, folds) in jobs.items():
+        rows = np.concatenate(list(islice(found, len(folds))))
+        result[name] = np.empty_like(rows)
+        result[name][np.concatenate([fold.test for fold in folds])] = rows
     return result
 
 
-@contextmanager
-def fold_workers(workers: int) -> Iterator[Mapper]:
-    """A mapper for `predict_folds` that runs folds in several processes of one thread each; results are the same."""
-    if workers == 1:
-        yield map
-        return
-    with process_pool(workers, _one_thread) as pool:
-        yield pool.map
+def _predict(predict: HoldOut, fold: Fold) -> Float64:
+    return predict(fold)
 
 
 def _one_thread() -> None:

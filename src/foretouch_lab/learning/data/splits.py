@@ -11,8 +11,8 @@ Unlabelled samples are in no fold; they are listed with the unlabelled part of e
 """
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -29,29 +29,14 @@ _KINDS: Final = ("random", "object", "time", "labels")  # in this order, which s
 _TEST_PER_OBJECT: Final = 200  # of P2's 1000
 _TEST_SHARE: Final = 0.2
 _VERSION: Final = 1
-_PART: Final = {"name": str, "train?": [str], "test?": [str], "unlabelled?": [str]}
+SIDES: Final = ("train", "test", "unlabelled")
+"""Of a part: samples to learn from with their labels, to test on, and to learn from without their labels."""
+
+_PART: Final = {"name": str, **{f"{side}?": [str] for side in SIDES}}
 
 
-@dataclass(frozen=True)
-class SplitPart:
-    """One partition of the samples, by id."""
-
-    name: str  # such as "random 0" or "T30"
-    train: tuple[str, ...]
-    test: tuple[str, ...]
-    unlabelled: tuple[str, ...] = ()  # samples to train on without their labels
-
-    def __post_init__(self) -> None:
-        """Raise `DatasetError`, with the split and an id, if an id is in two parts."""
-        seen: set[str] = set()
-        for side in (self.train, self.test, self.unlabelled):
-            both = seen.intersection(side)
-            if both or len(set(side)) != len(side):
-                raise DatasetError(f"split {self.name}: {min(both or side)} is listed twice")
-            seen.update(side)
-
-
-DatasetSplits: TypeAlias = tuple[dict[str, list[SplitPart]], dict[str, str]]
+DatasetSplits: TypeAlias = tuple[dict[str, list[dict[str, Any]]], dict[str, str]]
+"""By kind its parts, by ids as in `splits.json`; and why there are too few samples for a kind."""
 
 
 def _label_ratios(
@@ -90,7 +75,7 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
     omitted: dict[str, str] = {}
     for number, kind in enumerate(_KINDS):
         try:
-            splits[kind] = [_plain(part) for part in _parts(kind, samples, np.random.default_rng([seed, number]))]
+            splits[kind] = list(_parts(kind, samples, np.random.default_rng([seed, number])))
         except DatasetError as err:
             omitted[kind] = str(err)
     content = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
@@ -98,7 +83,7 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
 
 
 def read_splits(path: str | Path) -> DatasetSplits:
-    """Read the splits of a dataset, or those of a `splits.json`: by kind its parts; and why there are too few samples for a kind.
+    """Read the splits of a dataset, or those of a `splits.json`.
 
     Raises:
         FileError: If there is no such file, it is damaged or of another version, or an id is in two parts.
@@ -117,37 +102,29 @@ def parse_splits(text: bytes, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     kinds, omitted = content["splits"], content.get("omitted", {})
     require_schema(file, kinds, {kind: [_PART] for kind in kinds}, "splits")
     require_schema(file, omitted, dict.fromkeys(omitted, str), "omitted")
-    try:
-        return {kind: [_part(entry) for entry in entries] for kind, entries in kinds.items()}, omitted
-    except DatasetError as err:
-        raise FileError(file, str(err)) from err
+    for part in (part for parts in kinds.values() for part in parts):
+        ids = Counter(one for side in SIDES for one in part.get(side, ()))
+        if twice := [one for one, count in ids.items() if count > 1]:
+            raise FileError(file, f"split {shown(part['name'])}: {shown(min(twice))} is listed twice")
+    return kinds, omitted
 
 
-def _parts(kind: str, samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
+def _parts(kind: str, samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     labelled = [sample for sample in samples if sample.labelled]
     if not labelled:
         raise DatasetError("no sample is labelled")
     groups = [sample.object for sample in labelled]
+
+    def ids(index: Indices) -> list[str]:
+        return [labelled[k].id for k in index]
+
     if kind == "labels":
-        never = tuple(sample.id for sample in samples if not sample.labelled)
-        test, parts = _label_ratios(groups, rng)
-        for name, (train, without) in parts.items():
-            yield SplitPart(name, _ids(labelled, train), _ids(labelled, test), _ids(labelled, without) + never)
+        never = [sample.id for sample in samples if not sample.labelled]
+        test, ratios = _label_ratios(groups, rng)
+        for name, (train, without) in ratios.items():
+            unlabelled = {"unlabelled": found} if (found := ids(without) + never) else {}
+            yield {"name": name, "train": ids(train), "test": ids(test), **unlabelled}
         return
     by_fives = kind == "object" and len(set(groups)) >= FOLDS
-    folds = group_folds(groups, FOLDS, rng) if by_fives else make_folds(labelled, kind, rng)
-    for fold in folds:
-        yield SplitPart(fold.name, _ids(labelled, fold.train), _ids(labelled, fold.test))
-
-
-def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:
-    return tuple(samples[int(k)].id for k in index)
-
-
-def _plain(part: SplitPart) -> dict[str, Any]:
-    unlabelled = {"unlabelled": list(part.unlabelled)} if part.unlabelled else {}
-    return {"name": part.name, "train": list(part.train), "test": list(part.test), **unlabelled}
-
-
-def _part(entry: Any) -> SplitPart:
-    return SplitPart(entry["name"], *(tuple(entry.get(side, ())) for side in ("train", "test", "unlabelled")))
+    for fold in group_folds(groups, FOLDS, rng) if by_fives else make_folds(labelled, kind, rng):
+        yield {"name": fold.name, "train": ids(fold.train), "test": ids(fold.test)}

@@ -93,7 +93,6 @@ class TrainingSet:
     labels: Float64  # (S, D) float64 [counts]; NaN for an unlabelled sample
     lengths: Float64  # (S, 5) float64 [m], for the range check of the card
     config: ModelConfig  # the network configuration
-    ids: tuple[str, ...]  # (S,) ids of the samples
 
     @classmethod
     def build(cls, samples: Sequence[GraspSample], config: ModelConfig, *, unlabelled: bool = False) -> TrainingSet:
@@ -119,8 +118,7 @@ class TrainingSet:
             clouds.append(points)
             grasps.append(grasp)
             lengths.append(length)
-        ids = tuple(sample.id for sample in samples)
-        return cls(clouds, np.array(grasps), np.array(labels), np.array(lengths), config, ids)
+        return cls(clouds, np.array(grasps), np.array(labels), np.array(lengths), config)
 
     def __len__(self) -> int:
         return len(self.clouds)

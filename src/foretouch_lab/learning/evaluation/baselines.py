@@ -12,6 +12,8 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from foretouch.types import Float64, GraspSample
+from foretouch_lab.learning.data import labels_of
+from foretouch_lab.learning.data.folds import Fold
 
 _CONTACT_RADIUS_M: Final = 0.02  # about the size of a fingertip's pad
 
@@ -119,6 +121,12 @@ def clock(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSam
 
 def _level(one: Float64, other: Float64) -> Float64:
     return np.asarray(np.exp(-np.abs(one[:, None] - other) / _MEMORY_DAYS), np.float64)
+
+
+def predict_part(baseline: Baseline, samples: Sequence[GraspSample], seed: int, fold: Fold) -> Float64:
+    """(T, D) predictions of the test side of a fold by a baseline that is fitted to its training side [counts]."""
+    train, test = fold.sides(samples)
+    return baseline(train, labels_of(train), test, seed)
 
 
 BASELINES: Final[dict[str, Baseline]] = {

@@ -19,9 +19,8 @@ from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch_lab.learning.data.dataset import Dataset
 from foretouch_lab.learning.data.folds import Indices
-from foretouch_lab.learning.data.splits import SplitPart
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
-from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
+from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, predict_part, training_mean
 from foretouch_lab.learning.evaluation.metrics import score
 
 MODEL: Final = "model"
@@ -55,8 +54,7 @@ def evaluate_model(
         `cross_validation`. `unfamiliar`: how many of them the model flags as out of distribution, None of cross-validated ones. `excluded`: how many
         were left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None
         if its card does not list their hashes. `not_scored`: indices of the taxels that are dead in the training data or were not
-        read in all of these samples, by finger. `fitted_to_training`: whether the baselines were fitted to nothing else
-        than samples that it was trained on.
+        read in all of these samples, by finger.
 
     Raises:
         DatasetError: If the split tests no sample, a sample is unlabelled, or none is held out.
@@ -64,7 +62,7 @@ def evaluate_model(
         TactileError: If the dataset is of another sensor.
     """
     parts = data.parts(split)
-    chosen = np.concatenate([data.index(part.test) for part in parts])
+    chosen = np.concatenate([part.test for part in parts])
     if not len(chosen):
         raise DatasetError(f"{data.name}: the split tests no sample")
     path = find_card(model)
@@ -72,14 +70,12 @@ def evaluate_model(
     sensor = card_sensor(card, path)
     require_same(data.sensor.channels, sensor.channels, data.name)
     own = _own_samples(card, data, chosen)
-    fitted = _own_samples(card, data, np.concatenate([data.index(part.train) for part in parts]))
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
     facts: dict[str, Any] = {
         "split": split,
         "scored": "training_samples" if training_scores and own is not None and own.any() else "held_out",
         "excluded": int((~kept).sum()),
         "same_data": None if own is None else bool(own.any()),
-        "fitted_to_training": fitted is not None and bool(fitted.all()),
     }
     if not kept.any():
         return {**facts, **_stored(card, str(model), split, parts[0].name)}
@@ -89,11 +85,15 @@ def evaluate_model(
     labels = labels_of(tested)
     valid = sensor.valid_values & ~np.isnan(labels).any(axis=0)
     labels = np.nan_to_num(labels)  # of taxels that are not scored
-    reference = _fitted(data, parts, training_mean, seed)[kept]
+
+    def fitted(baseline: Baseline) -> Float64:
+        return np.concatenate([predict_part(baseline, data.filled, seed, part) for part in parts])[kept]
+
+    reference = fitted(training_mean)
     # The columns that the model does not predict are not scored, but must be finite.
     modalities = [name for name, own in ranges.channels.modality_columns.items() if np.isfinite(counts[:, own]).all()]
     values = {MODEL: np.where(np.isnan(counts), reference, counts)}
-    values |= {name: _fitted(data, parts, baseline, seed)[kept] for name, baseline in baselines.items()}
+    values |= {name: fitted(baseline) for name, baseline in baselines.items()}
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for name, value in values.items():
         scored = score(value, labels, reference, ranges, modalities, valid)
@@ -166,12 +166,3 @@ def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions
     prepared = TrainingSet.build(samples, config)
     counts[:, ranges.channels.columns(config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
     return counts, half, 0, ranges
-
-
-def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:
-    """(S, D) predictions of a baseline for the test samples of each part, in order."""
-    rows = []
-    for part in parts:
-        train, test = ([data.filled[k] for k in data.index(ids)] for ids in (part.train, part.test))
-        rows.append(baseline(train, labels_of(train), test, seed))
-    return np.concatenate(rows)

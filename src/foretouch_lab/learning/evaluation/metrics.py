@@ -35,7 +35,6 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
@@ -146,21 +145,10 @@ class ObjectErrors:
 
     @classmethod
     def of_predictions(
-        cls, objects: npt.NDArray[np.str_], predicted: Float64, labels: Float64, reference: Float64, channels: Channels
+        cls, objects: Sequence[str], predicted: Float64, labels: Float64, reference: Float64, channels: Channels
     ) -> Self:
-        """From (S,) names of objects, (S, D) predictions and labels, and a (S, D) or (D,) reference [counts]."""
-        squared, base = (predicted - labels) ** 2, (reference - labels) ** 2
-        rows = [
-            {
-                "object": str(name),
-                "count": own.sum(),
-                "squared": squared[own].sum(axis=0),
-                "reference": base[own].sum(axis=0),
-            }
-            for name in np.unique(objects)
-            for own in [objects == name]
-        ]
-        return cls.of_rows(rows, channels)
+        """See `error_rows`."""
+        return cls.of_rows(error_rows(objects, predicted, labels, reference), channels)
 
     def only(self, name: str) -> Self:
         """The errors of one object."""
@@ -171,6 +159,29 @@ class ObjectErrors:
         """Root of the mean squared error over all grasps and values, by modality [counts]."""
         mean = self.squared.sum(axis=0) / self.counts.sum()
         return {name: float(np.sqrt(value)) for name, value in _by_modality(mean, self.channels).items()}
+
+
+def error_rows(objects: Sequence[str], predicted: Float64, labels: Float64, reference: Float64) -> list[dict[str, Any]]:
+    """Sums of squared errors as plain data, a row for each object; `ObjectErrors.of_rows` adds them up.
+
+    Args:
+        objects: (S,) names.
+        predicted: (S, D) predictions [counts].
+        labels: (S, D) labels [counts].
+        reference: (S, D) or (D,) mean of the training labels, the reference of the skill [counts].
+
+    Raises:
+        DatasetError: If a prediction is not finite or missing.
+    """
+    if predicted.shape != labels.shape or not np.isfinite(predicted).all():
+        raise DatasetError(f"predictions: shape {predicted.shape} or a value that is not finite")
+    squared, base = (predicted - labels) ** 2, (reference - labels) ** 2
+    return [
+        {"object": str(name), "count": int(own.sum())}
+        | {"squared": squared[own].sum(axis=0).tolist(), "reference": base[own].sum(axis=0).tolist()}
+        for name in np.unique(objects)
+        for own in [np.asarray(objects) == name]
+    ]
 
 
 @dataclass(frozen=True)

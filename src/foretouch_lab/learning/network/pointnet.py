@@ -237,10 +237,9 @@ def calibrate(net: nn.Module, batches: Iterable[Inputs]) -> None:
     """Set the statistics to their plain mean over some batches of clouds and grasps.
 
     Args:
-        net: Its weights and mode are unchanged.
+        net: Its weights are unchanged; it is in training mode afterwards.
         batches: Points (B, N, C) and grasps (B, G) or None, with B of at least 2.
     """
-    was_training = {module: module.training for module in net.modules()}
     momenta = {norm: norm.momentum for norm in _norms(net)}
     for norm in momenta:
         norm.reset_running_stats()
@@ -250,8 +249,6 @@ def calibrate(net: nn.Module, batches: Iterable[Inputs]) -> None:
         net(points, grasps)
     for norm, momentum in momenta.items():
         norm.momentum = momentum
-    for module, mode in was_training.items():
-        module.training = mode
 
 
 @contextmanager

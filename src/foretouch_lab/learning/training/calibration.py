@@ -24,7 +24,7 @@ from foretouch.models.calibration import Calibration, CalibrationGroup, tare_off
 from foretouch.types import Bool, Float64, GraspSample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
-from foretouch_lab.learning.data.folds import Fold, HoldOut, fold_workers, make_folds, object_folds, predict_folds
+from foretouch_lab.learning.data.folds import Fold, HoldOut, make_folds, object_folds, predict_folds
 from foretouch_lab.learning.prequential import TimedReadings
 from foretouch_lab.learning.training.tracker import fit_tracker
 
@@ -139,8 +139,7 @@ def calibrate_on_folds(
         DatasetError: If all samples are of one object.
     """
     conditions = calibration_folds(samples, seed)
-    with fold_workers(workers) as run:
-        predicted = {name: predict_folds(predict, folds, run) for name, (folds, _) in conditions.items()}
+    predicted = predict_folds({name: (predict, folds) for name, (folds, _) in conditions.items()}, workers)
     channels = channels_of(samples)
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])
@@ -153,14 +152,8 @@ def calibrate_on_folds(
         recording = replace(TimedReadings.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
         calibration = replace(calibration, tracker=tracker)
-    return calibration, {**facts, "rest": _origin(channels, recorded=recorded)}
-
-
-def _origin(channels: Channels, *, recorded: bool) -> str:
-    """Of the rest level, for a card."""
-    if not channels.tared.any():
-        return "zero by the sensor's description"
-    return "recorded tares" if recorded else GUESSED
+    origin = "recorded tares" if recorded else GUESSED
+    return calibration, {**facts, "rest": origin if channels.tared.any() else "zero by the sensor's description"}
 
 
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:
@@ -245,9 +238,9 @@ def _shrunk(moments: Float64, within: Float64, shrinkage: float) -> Float64:
     return np.asarray(shrunk * np.outer(deviation, deviation), np.float64)
 
 
-def conformal_level(objects: int, coverage: float = COVERAGE) -> float:
+def conformal_level(objects: int) -> float:
     """The quantile of the scores of G calibration objects that covers one more object."""
-    return min(coverage * (1.0 + 1.0 / objects), _HIGHEST_LEVEL)
+    return min(COVERAGE * (1.0 + 1.0 / objects), _HIGHEST_LEVEL)
 
 
 def _least_variance(channels: Channels) -> Float64:
@@ -268,9 +261,8 @@ def _half_widths(held_out: HeldOutPredictions) -> Float64:
     half = np.empty(channels.size)
     for column in channels.modality_columns.values():
         half[column] = deviation[column] * _quantile_by_object(scores[:, column], names, level)
-    return np.maximum(
-        half, _LEAST_DEVIATION * channels.resolution
-    )  # where almost all residuals are zero, so is the quantile
+    # Where almost all residuals are zero, so is the quantile.
+    return np.maximum(half, _LEAST_DEVIATION * channels.resolution)
 
 
 def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:

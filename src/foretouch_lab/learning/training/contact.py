@@ -147,8 +147,8 @@ def _of(sample: GraspSample, describe: Callable[[GraspSample], Float64]) -> Floa
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def thinned_samples(samples: Sequence[GraspSample], config: ContactTrainingConfig) -> list[GraspSample] | None:
-    """The same grasps on clouds with a random share of their points, by the seed; None if the share is 1."""
+def describe_thinned(samples: Sequence[GraspSample], config: ContactTrainingConfig) -> Float64 | None:
+    """As `describe_samples`, on clouds with a random share of their points, by the seed; None if the share is 1."""
     if config.thinned == 1.0:
         return None
     rng = np.random.default_rng(config.seed)
@@ -157,7 +157,7 @@ def thinned_samples(samples: Sequence[GraspSample], config: ContactTrainingConfi
         finite = np.flatnonzero(np.isfinite(sample.cloud.xyz.reshape(-1, 3)).all(axis=1))
         kept = rng.permutation(finite)[: max(round(config.thinned * len(finite)), min(len(finite), _FEWEST_POINTS))]
         copies.append(replace(sample, cloud=sample.cloud.take(np.sort(kept))))
-    return copies
+    return describe_samples(copies)
 
 
 def ranges_of(config: ContactTrainingConfig, channels: Channels) -> Ranges:
@@ -194,7 +194,9 @@ def fit_contact(
         raise DatasetError(f"contact model: {len(rows)} samples exceed {MOST_SAMPLES}, whose pairs its kernel holds")
     ranges = ranges or config.ranges.ranges
     channels = ranges.channels
-    mean, deviation = labels.mean(axis=0), _deviation(labels, channels)
+    mean, deviation = labels.mean(axis=0), labels.std(axis=0)
+    # Of a value that never changes, such as the force of a taxel beyond all contacts.
+    deviation = np.where(deviation > 0.0, deviation, channels.resolution)
     same = np.ptp(labels, axis=0) == 0.0
     noisy = channels.by_modality([one.noise > 0.0 for one in channels.channel_of.values()])  # and so never the same
     if (constant := same & (noisy | same.all())).any():
@@ -213,12 +215,6 @@ def fit_contact(
     return ContactEstimator(
         forests, kernel, NoveltyDetector.fit(rows, objects), mean, deviation, generalisation_gain=gain, ranges=ranges
     )
-
-
-def _deviation(labels: Float64, channels: Channels) -> Float64:
-    """(D,) of the labels; the resolution of a value that never changes, such as the force of a taxel beyond all contacts."""
-    deviation = labels.std(axis=0)
-    return np.where(deviation > 0.0, deviation, channels.resolution)
 
 
 def _forest(rows: Float64, scaled: Float64, config: ContactTrainingConfig) -> Forest:
@@ -248,16 +244,14 @@ class ContactPredictor:
 
     Attributes:
         rest: (D,) rest level of its predictions [counts].
-        rest_recorded: Whether the rest level was measured by tares.
         rows: (S, F) features of the training samples.
     """
 
     def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactTrainingConfig) -> None:
         self._channels = channels_of(train)
-        self.rest, self.rest_recorded = rest_level(train)
+        self.rest, _ = rest_level(train)
         self.rows = describe_samples(train)
-        copies = thinned_samples(train, config)
-        self._thinned = None if copies is None else describe_samples(copies)
+        self._thinned = describe_thinned(train, config)
         self._train, self._labels, self._config = list(train), labels, config
         self._ranges = ranges_of(config, self._channels)
         self._resting = resting_labels(train, labels, self.rest)
@@ -279,16 +273,11 @@ class ContactPredictor:
         """(S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""
         return self._estimate(samples)[0]
 
-    def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
-        """Predictions after touches of the same object, without tares, as `TouchModel.predict` gives them."""
-        if not touched:  # requires no calibration
-            return self.predict(samples)
-        return self.intervals_after(touched, samples)[0]
+    def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> tuple[Float64, Float64]:
+        """Predictions after touches of the same object, without tares, as `TouchModel.predict` gives them.
 
-    def intervals_after(
-        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]
-    ) -> tuple[Float64, Float64]:
-        """As `predict_after`, with the half widths of the intervals, both (S, D) [counts].
+        Returns:
+            The predictions and the half widths of their intervals, both (S, D) [counts].
 
         Raises:
             DatasetError: If the training samples are all of one object.

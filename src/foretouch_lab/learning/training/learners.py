@@ -164,18 +164,12 @@ class NetworkLearner(Learner):
             trainer = SrganTrainer(self._prepared, train, self.split.unlabelled, self.config.srgan)
         else:
             trainer = SupervisedTrainer(self._prepared, train, self.config.train)
-        if run is not None:
-            if run.resumed:
-                run.restore(trainer)
-            run.keep_log(trainer.epoch)
+        if run is not None and run.resumed:
+            run.restore(trainer)
 
         def done(losses: dict[str, float]) -> None:
             if run is not None:
-                record = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
-                # The log first: a line without its state is removed at resume; a state without its line would shift them.
-                run.log(record)
-                run.store(trainer)
-                run.report(record)
+                run.store(trainer, {"epoch": trainer.epoch - 1, "epochs": trainer.config.epochs, "losses": losses})
 
         self._net = trainer.train(done)
         self.epochs = trainer.epoch

@@ -2,24 +2,20 @@
 """One training from settings to a model folder with weights, calibration and card, resumable at every epoch."""
 
 import re
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from foretouch import __version__
-from foretouch.errors import ConfigError, DatasetError, ForetouchError
+from foretouch.errors import ConfigError, DatasetError
 from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
 from foretouch.tactile.description import named_taxels, with_sensor
-from foretouch.types import Float64, GraspSample
 from foretouch_lab.learning.data import Dataset, make_folds
-from foretouch_lab.learning.data.folds import SPLITS, Fold, fold_workers, predict_folds
-from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, training_mean
+from foretouch_lab.learning.data.folds import SPLITS, predict_folds
+from foretouch_lab.learning.evaluation.baselines import BASELINES, predict_part, training_mean
 from foretouch_lab.learning.evaluation.evaluate import MODEL, evaluate_model
 from foretouch_lab.learning.evaluation.metrics import mean_skill, score
 from foretouch_lab.learning.training.calibration import GUESSED, calibration_folds, guarantee
@@ -71,11 +67,7 @@ def train_run(
     # The path of a dataset is no part of its identity.
     resolved = {**config.replace(data=None).to_mapping(), "data_sha256": data.sha256}
     folder.open(resolved, resume=resume)
-    try:
-        learner.fit(run=folder)
-    except ForetouchError:
-        folder.remove_unfinished()
-        raise
+    learner.fit(run=folder)
     skill = compare_splits(learner, SPLITS, report, workers) if config.release else {}
     facts = _facts(learner, data)
     calibration = None
@@ -118,28 +110,17 @@ def compare_splits(
     samples, labels, seed = learner.samples, learner.labels, learner.config.seed
     ranges, results = learner.config.ranges(learner.sensor.channels), {}
     predictors = {MODEL: learner.predict_fold}
-    predictors |= {name: partial(_predict_baseline, one, samples, labels, seed) for name, one in BASELINES.items()}
+    predictors |= {name: partial(predict_part, one, samples, seed) for name, one in BASELINES.items()}
     for split in splits:
-        start = time.monotonic()
         condition = {"time": "known", "object": "new"}.get(split)  # whose folds are those of the calibration
         folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
-        with fold_workers(workers) as run:
-            predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
+        predicted = predict_folds({name: (predictor, folds) for name, predictor in predictors.items()}, workers)
         reference, valid = predicted[training_mean.__name__], learner.sensor.valid_values
         results[split] = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
         for name, one in results[split].items():
             skills = {modality: round(row["skill"], 3) for modality, row in one.items()}
             report({"split": split, "who": name, "mean_skill": round(mean_skill(one), 3), "skill": skills})
-        report({"split": split, "seconds": round(time.monotonic() - start, 1)})
     return results
-
-
-def _predict_baseline(
-    baseline: Baseline, samples: Sequence[GraspSample], labels: Float64, seed: int, fold: Fold
-) -> Float64:
-    """(T, D) predictions of the test side of a fold by a baseline that is fitted to the other [counts]."""
-    train, tested = fold.sides(samples)
-    return baseline(train, labels[fold.train], tested, seed)
 
 
 def make_learner(config: RunConfig, data: Dataset) -> Learner:
@@ -194,6 +175,16 @@ def _release_facts(
     skill = {split: scores.pop(MODEL) for split, scores in rounded.items()}
     baselines = {name: {split: rounded[split][name] for split in rounded} for name in rounded[SPLITS[0]]}
     objects = [sample.object for sample in learner.samples]
+    limits = list(data.origin.get("limits", []))
+    if calibration["rest"] == GUESSED:
+        limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
+    limits.append(guarantee(calibration))
+    for split, ours in ((split, mean_skill(table)) for split, table in skill.items()):
+        best = max(baselines, key=lambda name: mean_skill(baselines[name][split]))
+        value = mean_skill(baselines[best][split])
+        limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
+        if ours <= 0.0:
+            limits.append(f"Split {split}: no better than the training mean; do not rely on it there.")
     return {
         "summary": f"{', '.join(learner.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
         "data": {
@@ -204,29 +195,8 @@ def _release_facts(
         "split": {**facts["split"], **_SPLIT_WORDS, "shipped": "trained on all samples"},
         "skill": skill,
         "baselines": baselines,
-        "limits": _limits(skill, baselines, data, calibration),
+        "limits": limits,
     }
-
-
-def _limits(
-    skill: Mapping[str, Any], baselines: Mapping[str, Any], data: Dataset, calibration: Mapping[str, Any]
-) -> list[str]:
-    """Known limits of the data, the guarantee of the intervals, and the skills beside the best baseline."""
-    limits = list(data.origin.get("limits", []))
-    if calibration["rest"] == GUESSED:
-        limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
-    limits.append(guarantee(calibration))
-    for split in skill:
-        ours = _mean(skill[split])
-        best, value = max(((name, _mean(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
-        limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
-        if ours <= 0.0:
-            limits.append(f"Split {split}: no better than the training mean; do not rely on it there.")
-    return limits
-
-
-def _mean(table: Mapping[str, Mapping[str, float]]) -> float:
-    return float(np.mean([row["skill"] for row in table.values()]))
 
 
 def _add_scores(card_path: Path, config: RunConfig, data: Dataset) -> dict[str, Any]:

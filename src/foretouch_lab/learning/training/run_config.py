@@ -103,17 +103,14 @@ class RunConfig(Settings):
     @property
     def seed(self) -> int:
         """Seed of the method."""
-        return self._own.seed
+        own: TrainConfig | SrganConfig | ContactTrainingConfig = getattr(
+            self, self.method.replace("supervised", "train")
+        )
+        return own.seed
 
     def ranges(self, channels: Channels) -> Ranges:
         """Ranges of the hand that the model learns from, which has a sensor of these channels."""
         return self.model.ranges.ranges if self.has_network else ranges_of(self.contact, channels)
-
-    @property
-    def _own(self) -> TrainConfig | SrganConfig | ContactTrainingConfig:
-        if self.method == "contact":
-            return self.contact
-        return self.train if self.method == "supervised" else self.srgan
 
 
 def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunConfig:

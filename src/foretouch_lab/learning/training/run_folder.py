@@ -7,25 +7,23 @@ RUN/state.safetensors  state of the last epoch that was finite, from which --res
 RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
 RUN/<name>.trust.safetensors             its calibration
 
-The state is one safetensors file, tensors and JSON with their checksum, that is replaced as a whole or not at all.
+The state is one safetensors file, tensors and JSON with their checksum, that is replaced as a whole or not at all; it also
+holds the lines of the log, which is written from it.
 """
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
 from foretouch.config import dump_yaml, flattened, load_yaml
 from foretouch.errors import ConfigError, FileError, ModelError, shown
-from foretouch.files import TEXT_LIMIT, open_own, parse_json, read_bytes, replace_files, system_errors, write_text
+from foretouch.files import parse_json, read_bytes, replace_files, write_text
 from foretouch_lab.learning.training.trainer import Trainer
 
 CONFIG_FILE: Final = "config.yaml"
@@ -37,13 +35,14 @@ _SEAL: Final = "sha256"
 
 
 def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-    """Replace the state on disk by tensors and plain data, with a checksum over both.
+    """Replace the state on disk by tensors and plain data, with a checksum over both, and write the log of its epochs.
 
     Raises:
         FileError: If it cannot be written; the previous state is kept.
     """
     sealed = {**plain, _SEAL: _digest(tensors, plain)}
-    replace_files({path: save(dict(tensors), {_KEY: json.dumps(sealed)})})
+    log = "".join(json.dumps(record) + "\n" for record in plain["log"])
+    replace_files({path: save(dict(tensors), {_KEY: json.dumps(sealed)}), path.with_name(LOG_FILE): log.encode()})
 
 
 def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -52,16 +51,12 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     Raises:
         FileError: If there is no state, or it is damaged or was changed.
     """
+    content = read_bytes(path)
     try:
-        content = read_bytes(path)
         tensors = load(content)
         header = parse_json(content[8 : 8 + int.from_bytes(content[:8], "little")])
         plain = parse_json(header["__metadata__"][_KEY])
         seal = plain.pop(_SEAL)
-    except FileError as err:
-        if isinstance(err.__cause__, FileNotFoundError):
-            raise FileError(path, "does not exist: there is nothing to resume") from err
-        raise
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(path, f"is not a state of training: {' '.join(str(err).split())}") from err
     if seal != (found := _digest(tensors, plain)):
@@ -70,12 +65,7 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def _digest(tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> str:
-    """SHA-256 over the plain data and over name, type, shape and bytes of each tensor, hexadecimal."""
-    digest = hashlib.sha256(json.dumps(plain).encode())
-    for name, value in sorted(tensors.items()):
-        digest.update(json.dumps([name, str(value.dtype), list(value.shape)]).encode())
-        digest.update(value.reshape(-1).view(torch.uint8).numpy().data)
-    return digest.hexdigest()
+    return hashlib.sha256(json.dumps(plain).encode() + save(dict(tensors))).hexdigest()
 
 
 class RunFolder:
@@ -91,6 +81,7 @@ class RunFolder:
         self.path = path
         self.report = report
         self.resumed = False
+        self._log: list[dict[str, Any]] = []  # a record of each epoch
 
     def open(self, resolved: Mapping[str, Any], *, resume: bool) -> None:
         """Begin a run, or check that the folder holds this very run.
@@ -119,32 +110,12 @@ class RunFolder:
             return
         write_text(file, dump_yaml(resolved))
 
-    def remove_unfinished(self) -> None:
-        """Remove the settings of a run that was refused before its first epoch, and the folder if nothing else is in it."""
-        if not any(self.path.glob("*.safetensors")):
-            (self.path / CONFIG_FILE).unlink(missing_ok=True)
-            with suppress(OSError):
-                self.path.rmdir()
-
-    def keep_log(self, epochs: int) -> None:
-        """Remove the lines after so many epochs: those whose state was not written before a kill."""
-        file = self.path / LOG_FILE
-        if file.exists():
-            lines = read_bytes(file, TEXT_LIMIT).decode(errors="replace").splitlines()
-            write_text(file, "".join(f"{line}\n" for line in lines[:epochs]))
-
-    def log(self, record: Mapping[str, Any]) -> None:
-        """Append an epoch's line; raises `FileError` if it cannot be written, such as on a full disk."""
-        file = self.path / LOG_FILE
-        with (
-            system_errors(file, "cannot be written"),
-            os.fdopen(open_own(file, os.O_WRONLY | os.O_APPEND), "ab") as log,
-        ):
-            log.write(json.dumps(record).encode() + b"\n")
-
-    def store(self, trainer: Trainer) -> None:
-        """Replace the state by that of a trainer."""
-        write_state(self.path / STATE_FILE, *trainer.snapshot())
+    def store(self, trainer: Trainer, record: dict[str, Any]) -> None:
+        """Replace the state by that of a trainer after an epoch, and report the record of the epoch."""
+        self._log.append(record)
+        tensors, plain = trainer.snapshot()
+        write_state(self.path / STATE_FILE, tensors, {**plain, "log": self._log})
+        self.report(record)
 
     def restore(self, trainer: Trainer) -> None:
         """Let a trainer continue from the state.
@@ -156,5 +127,7 @@ class RunFolder:
         tensors, plain = read_state(file)
         try:
             trainer.restore(tensors, plain)
+            self._log = list(plain["log"])
+            write_state(file, tensors, plain)  # after a kill, the log may lack the last epoch
         except (ModelError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as err:
             raise FileError(file, f"is not the state of this training: {err}") from err

@@ -73,13 +73,13 @@ class SrganTrainer(Trainer):
         DatasetError: If there are fewer samples of either kind than one batch.
     """
 
+    config: SrganConfig
     generator: CloudGenerator
 
     def __init__(self, data: TrainingSet, labelled: Indices, unlabelled: Indices, config: SrganConfig) -> None:
         for kind, index in (("labelled ", labelled), ("unlabelled ", unlabelled)):
             self._require_batch(index, config.batch_size, kind)
-        self.config = config
-        self._labelled, self._unlabelled = labelled, unlabelled
+        self._unlabelled = unlabelled
         super().__init__(data, labelled, config)
         if config.batch_norm == "frozen":
             calibrate(self.net, self._calibration())
@@ -96,7 +96,7 @@ class SrganTrainer(Trainer):
             for index in (self._labelled, self._unlabelled)
         ]
         for labelled, unlabelled in zip(*sources, strict=True):
-            real = self._clouds(unlabelled)
+            real, _ = self._inputs(unlabelled)
             yield self._regressor_step(labelled, real) | self._generator_step(real)
 
     def _set_mode(self) -> None:
@@ -105,15 +105,12 @@ class SrganTrainer(Trainer):
         else:
             self.net.train()
 
-    def _count_batches(self) -> int:
-        return len(self._labelled) // self.config.batch_size
-
     def _regressor_step(self, labelled: Indices, real: Tensor) -> dict[str, float]:
         with torch.no_grad():
             fake = self._fake(len(real))
-        features = self._all_features(self._clouds(labelled), real, fake)
-        scaled = self.net.regress(features[0], self._grasps(labelled))
-        error = scaled - self.net.to_scaled(self._labels[labelled].to(self.device))
+        points, grasps = self._inputs(labelled)
+        features = self._all_features(points, real, fake)
+        error = self.net.regress(features[0], grasps) - self._targets(labelled)
         labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes)
         losses = loss_terms.discriminator_loss(labeled, features, self.config.loss)
         self.step("net", losses["total"])
@@ -145,19 +142,10 @@ class SrganTrainer(Trainer):
         noise = draw_noise(count, self.config.generator, torch.default_generator)
         return self.generator.clouds(noise.to(self.device))
 
-    def _clouds(self, batch: Indices) -> Tensor:
-        return self._points(batch).to(self.device)
-
-    def _grasps(self, batch: Indices) -> Tensor | None:
-        if not self.data.config.use_grasp:
-            return None
-        return self._grasp_inputs[batch].to(self.device)
-
     def _calibration(self) -> Iterator[Inputs]:
         """Batches of real clouds, labelled or not."""
         everything = np.union1d(self._labelled, self._unlabelled)
-        for batch in _repeated_batches(everything, self.config.batch_size, _CALIBRATION_BATCHES, self.rng):
-            yield self._clouds(batch), self._grasps(batch)
+        return map(self._inputs, _repeated_batches(everything, self.config.batch_size, _CALIBRATION_BATCHES, self.rng))
 
 
 def _repeated_batches(index: Indices, size: int, count: int, rng: np.random.Generator) -> Iterator[Indices]:

@@ -22,6 +22,7 @@ from foretouch.types import Float64
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import TouchNet
+from foretouch_lab.learning.network.pointnet import Inputs
 from foretouch_lab.learning.training.losses import labeled_loss
 from foretouch_lab.learning.training.trainer import EpochsConfig, Trainer, shuffled_batches
 
@@ -36,12 +37,12 @@ def viewing_axis_rotations(count: int, largest_deg: float, rng: np.random.Genera
     return rotations
 
 
-def turn(points: Tensor, grasp: Tensor, rotations: Tensor, config: ModelConfig) -> tuple[Tensor, Tensor]:
+def turn(points: Tensor, grasp: Tensor | None, rotations: Tensor, config: ModelConfig) -> Inputs:
     """Turn clouds and grasps; colours and metric inputs stay.
 
     Args:
         points: (B, N, C), as fed to the network.
-        grasp: (B, G), as fed to the head; G may be 0.
+        grasp: (B, G), as fed to the head, if any.
         rotations: (B, 3, 3).
         config: The network configuration, which defines the channels.
     """
@@ -49,8 +50,8 @@ def turn(points: Tensor, grasp: Tensor, rotations: Tensor, config: ModelConfig) 
     parts = [points[..., :3] @ back, points[..., 3:]]
     if config.channels == "xyz+normals":
         parts[1] = parts[1] @ back
-    if grasp.shape[1] == 0:
-        return torch.cat(parts, dim=-1), grasp
+    if grasp is None:
+        return torch.cat(parts, dim=-1), None
     contacts = grasp[:, :6].reshape(-1, 2, 3) @ back
     hand = rotations @ grasp[:, 6:GRASP_SIZE].reshape(-1, 3, 3)
     turned = [contacts.flatten(1), hand.flatten(1), grasp[:, GRASP_SIZE:]]
@@ -76,37 +77,20 @@ class TrainConfig(EpochsConfig):
 class SupervisedTrainer(Trainer):
     """Trains on labelled samples alone: the papers' PointNets and our own."""
 
-    def __init__(self, data: TrainingSet, index: Indices, config: TrainConfig) -> None:
-        self.config = config
-        self._index = index
-        super().__init__(data, index, config)
+    config: TrainConfig
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()
-        for _, points, grasps, target in self.batches():
-            scaled = self.net(points, grasps if self.data.config.use_grasp else None)
-            loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.config.root_epsilon)
+        config = self.config
+        for batch in shuffled_batches(self._labelled, config.batch_size, self.rng, partial=config.partial_batches):
+            points, grasps = self._inputs(batch)
+            if config.turn_deg > 0.0:
+                rotations = viewing_axis_rotations(len(batch), config.turn_deg, self.rng).astype(np.float32)
+                points, grasps = turn(points, grasps, torch.from_numpy(rotations).to(self.device), self.data.config)
+            scaled = self.net(points, grasps)
+            loss = labeled_loss(scaled, self._targets(batch), self.sizes, config.loss, config.root_epsilon)
             self.step("net", loss)
             yield {"loss": float(loss.detach())}
-
-    def _count_batches(self) -> int:
-        whole, rest = divmod(len(self._index), self.config.batch_size)
-        return whole + (1 if rest > 1 and self.config.partial_batches else 0)
-
-    def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
-        """One epoch of samples with points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
-        partial = self.config.partial_batches
-        for batch in shuffled_batches(self._index, self.config.batch_size, self.rng, partial=partial):
-            points, grasps = self._inputs(batch)
-            yield batch, points, grasps, self.net.to_scaled(self._labels[batch].to(self.device))
-
-    def _inputs(self, batch: Indices) -> tuple[Tensor, Tensor]:
-        points = self._points(batch)
-        grasps = self._grasp_inputs[batch]
-        if self.config.turn_deg > 0.0:
-            rotations = viewing_axis_rotations(len(batch), self.config.turn_deg, self.rng).astype(np.float32)
-            points, grasps = turn(points, grasps, torch.from_numpy(rotations), self.data.config)
-        return points.to(self.device), grasps.to(self.device)
 
 
 def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> TouchNet:

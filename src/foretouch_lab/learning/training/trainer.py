@@ -24,7 +24,7 @@ from foretouch.types import Float64
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet
 from foretouch_lab.learning.network.networks import TouchNet
-from foretouch_lab.learning.network.pointnet import InputTransform, PointNetFeatures
+from foretouch_lab.learning.network.pointnet import Inputs, InputTransform, PointNetFeatures
 
 _LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
 _OPTIMISERS: Final[dict[str, type[torch.optim.Optimizer]]] = {
@@ -64,6 +64,7 @@ class EpochsConfig(Settings):
         None, "Points per cloud in training, drawn again each time; by default as in prediction", minimum=8
     )
     seed: int = setting(0, "Seed of weights, order, points and noise", minimum=0)
+    partial_batches = False  # a setting of supervised training
 
     @property
     def resolved_device(self) -> str:
@@ -108,14 +109,15 @@ class Trainer(ABC):
 
     def __init__(self, data: TrainingSet, index: Indices, config: EpochsConfig) -> None:
         self._require_batch(index, config.batch_size)
+        self.config = config
         self.data = data
+        self._labelled = index
         self.device = torch.device(config.resolved_device)
-        self.epochs = config.epochs
         self.epoch = 0
         self._randomness: dict[str, Tensor] = {}
         self.rng = np.random.default_rng(config.seed)
-        self._drawn_points = config.points
-        self.batch_count = self._count_batches()
+        whole, rest = divmod(len(index), config.batch_size)
+        self.batch_count = whole + (1 if rest > 1 and config.partial_batches else 0)
         with self._own_randomness():
             torch.manual_seed(config.seed)
             self.net = TouchNet(data.config)
@@ -168,7 +170,7 @@ class Trainer(ABC):
 
     def train(self, done: Callable[[dict[str, float]], None] = lambda _: None) -> TouchNet:
         """Run the epochs that are left; `done` is called with the losses of each. Returns the network for prediction."""
-        while self.epoch < self.epochs:
+        while self.epoch < self.config.epochs:
             done(self.run_epoch())
         return self.net.cpu().eval()
 
@@ -219,9 +221,6 @@ class Trainer(ABC):
             raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())[:200]}") from err
 
     @abstractmethod
-    def _count_batches(self) -> int: ...
-
-    @abstractmethod
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         """Train on each batch of an epoch; yields its losses."""
 
@@ -243,9 +242,14 @@ class Trainer(ABC):
             if cuda is not None:
                 self._randomness[_CUDA_RNG] = torch.cuda.get_rng_state(cuda)
 
-    def _points(self, batch: Indices) -> Tensor:
-        """Points of a batch of clouds, not yet on the device."""
-        return torch.from_numpy(self.data.points(batch, self.rng, self._drawn_points))
+    def _inputs(self, batch: Indices) -> Inputs:
+        """Points (B, N, C) of a batch, drawn again each time, and its grasps (B, G) where the network takes them."""
+        points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points)).to(self.device)
+        return points, self._grasp_inputs[batch].to(self.device) if self.data.config.use_grasp else None
+
+    def _targets(self, batch: Indices) -> Tensor:
+        """(B, M) scaled labels."""
+        return self.net.to_scaled(self._labels[batch].to(self.device))
 
 
 def set_precision(module: nn.Module, precision: str) -> None:

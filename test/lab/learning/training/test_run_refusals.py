@@ -59,12 +59,11 @@ def test_a_bad_label_is_named_and_the_corrected_data_train_in_the_same_folder(da
 
 def test_a_loss_that_is_not_finite_leaves_the_state_before(data, tmp_path, monkeypatch) -> None:
     """The label of one sample becomes a NaN after the first epoch, as a memory fault would do it."""
-    victim = int(data.index([data.samples[5].id])[0])
     healthy = SupervisedTrainer.run_epoch
 
     def faulty(self: SupervisedTrainer) -> dict[str, float]:
         if self.epoch == 2:
-            self._labels[victim] = float("nan")
+            self._labels[5] = float("nan")
         return healthy(self)
 
     monkeypatch.setattr(SupervisedTrainer, "run_epoch", faulty)

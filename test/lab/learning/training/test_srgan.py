@@ -46,7 +46,7 @@ def steps(trainer: SrganTrainer, epochs: int) -> SrganTrainer:
 def test_each_step_moves_its_own_network_alone_and_frozen_batch_mates_move_no_features(data) -> None:
     trainer = make(data)
     freeze(trainer.net)
-    real = trainer._clouds(UNLABELLED[:5])
+    real = trainer._inputs(UNLABELLED[:5])[0]
     one = weights(trainer)
     trainer._generator_step(real)
     two = weights(trainer)
@@ -56,7 +56,7 @@ def test_each_step_moves_its_own_network_alone_and_frozen_batch_mates_move_no_fe
     assert all(torch.equal(two[key], three[key]) for key in two if key.startswith("generator/"))
     assert not torch.equal(two["net/output.weight"], three["net/output.weight"])
     trainer = steps(make(data), 1)
-    points = trainer._clouds(LABELLED[:5])
+    points = trainer._inputs(LABELLED[:5])[0]
     other = points.clone()
     other[1:] *= 3.0
     with torch.no_grad():
@@ -68,8 +68,8 @@ def test_each_step_moves_its_own_network_alone_and_frozen_batch_mates_move_no_fe
 def test_statistics_per_source_are_those_of_labelled_clouds_alone(data) -> None:
     config = QUICK.replace(batch_norm="per_source")
     one, two = make(data, config), make(data, config)
-    strange = one._clouds(UNLABELLED[:5]) * 50.0
-    for trainer, real in ((one, strange), (two, two._clouds(UNLABELLED[:5]))):
+    strange = one._inputs(UNLABELLED[:5])[0] * 50.0
+    for trainer, real in ((one, strange), (two, two._inputs(UNLABELLED[:5])[0])):
         trainer.net.train()
         trainer._regressor_step(LABELLED[:5], real)
     assert torch.equal(one.net.features.layers[0].norm.running_mean, two.net.features.layers[0].norm.running_mean)
