@@ -271,7 +271,7 @@ def _interval(row: Row, name: str) -> str:
 
 
 def _draw_panel(axes: Axes, panel: Panel, rows: Sequence[Row]) -> None:
-    """Points of all variants in the colour of their factor, and the frontier with its intervals and names."""
+    """Points of all variants in the colour of their factor, and the frontier with its intervals; its names stand beside it."""
     own, line, skill = _of_panel(rows, panel), frontier(rows, panel), panel.skill
     column, factors = time_column(own), list(dict.fromkeys(row["factor"] for row in own))
     named = [row for row in own if row in line or row["factor"] == "shipped"]
@@ -290,11 +290,16 @@ def _draw_panel(axes: Axes, panel: Panel, rows: Sequence[Row]) -> None:
         if row.get(f"{skill}_low") is not None:
             ends = [max(row[f"{skill}_low"], floor), row[f"{skill}_high"]]
             axes.plot([row[column]] * 2, ends, color="black", linewidth=0.5)
-    for row in named:
-        axes.annotate(row["variant"], (row[column], row[skill]), (4, -9), textcoords="offset points", fontsize=7)
+    named.sort(key=lambda row: row[column])
+    for number, row in enumerate(named, 1):
+        axes.annotate(str(number), (row[column], row[skill]), (4, -9), textcoords="offset points", fontsize=8)
+    names = [f"{number}  {row['variant']}, {float(f'{row[column]:.3g}'):g} ms" for number, row in enumerate(named, 1)]
+    axes.annotate("\n".join(names), (1.02, 0.0), xycoords="axes fraction", va="bottom", fontsize=7)
     axes.set_xscale("log")
+    ratio = max(row[column] for row in own) / min(row[column] for row in own)
+    labelled = "123456789" if ratio < 10.0 else "125" if ratio < 3000.0 else "1"  # first digits of ticks with a label
     for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
-        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
+        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in labelled else "")
     axes.set_ylim(floor - 0.1 * (high - floor), high + 0.2 * (high - floor))
     axes.grid(visible=True, which="both", alpha=0.2)
     axes.set_xlabel("wall time, median [ms]" if column == "ms_p50" else "processor time, median (loaded machine) [ms]")
