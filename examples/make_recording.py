@@ -29,13 +29,13 @@ class SceneRecordingConfig(Settings):
     """What is recorded: a new scene in each cloud."""
 
     count: int = setting(20, "Number of clouds", minimum=0)
-    width: int = setting(212, "Columns of the depth image", unit="px", minimum=16, maximum=1920)
-    height: int = setting(120, "Rows of the depth image", unit="px", minimum=16, maximum=1080)
-    objects: int = setting(3, "Number of objects on the table", minimum=0, maximum=8)
-    noise_m: float = setting(0.0005, "Standard deviation of the depth at 1 m", unit="m", minimum=0.0, maximum=0.05)
+    width: int = setting(212, "Columns of the depth image", unit="px", bounds=(16, 1920))
+    height: int = setting(120, "Rows of the depth image", unit="px", bounds=(16, 1080))
+    objects: int = setting(3, "Number of objects on the table", bounds=(0, 8))
+    noise_m: float = setting(0.0005, "Standard deviation of the depth at 1 m", unit="m", bounds=(0.0, 0.05))
     flying_pixels: bool = setting(False, "Whether pixels on a depth edge lie between both sides")
     colour: bool = setting(False, "Whether the points carry colours")
-    rate_hz: float = setting(10.0, "Rate of the clouds", unit="Hz", minimum=0.1, maximum=90.0)
+    rate_hz: float = setting(10.0, "Rate of the clouds", unit="Hz", bounds=(0.1, 90.0))
     start_s: int = setting(1_700_000_000, "Stamp of the first cloud", unit="s since 1970", minimum=0)
     frame_id: str = setting("camera_depth_optical_frame", "Frame of the clouds")
     seed: int = setting(0, "Seed of the scenes", minimum=0)

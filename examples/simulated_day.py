@@ -176,8 +176,7 @@ def run_graph(out: Path, schedule: ScheduleConfig, card: Path, end_s: float) -> 
     """Run the graph until a time (`time.time`), then stop it."""
     log, path = Log(schedule, load_scene(schedule.path), load_model(card)), out / f"{HAND}.safetensors"
     with Graph(nodes_of(schedule, out, card), monitor={"hand": TactileConfig(), "on_touch": log.add_answer}) as graph:
-        if not graph.started:
-            raise SystemExit("a node did not start; see its log")
+        graph.require_active()
         while time.time() < end_s:
             time.sleep(POLL_S)
             view = graph.monitor.view()

@@ -14,6 +14,7 @@ import numpy as np
 from every_case import every_case
 
 from foretouch.cloud import read_cloud
+from foretouch.dataset.source import open_source
 from foretouch_lab.simulation.scene import load_scene
 
 ROOT = Path(__file__).parents[1]
@@ -38,6 +39,12 @@ def check(script: Path) -> None:
 def test_what_scripts_import_is_there() -> None:
     assert len(SCRIPTS) > 20
     every_case({str(path.relative_to(ROOT)): path for path in SCRIPTS}, check)
+
+
+def test_the_example_makes_a_recording_that_opens(tmp_path) -> None:
+    command = [sys.executable, str(ROOT / "examples" / "make_recording.py"), str(tmp_path / "made"), "count=2"]
+    subprocess.run(command, check=True, timeout=60)
+    assert len(list(open_source(tmp_path / "made"))) == 2
 
 
 def checked(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -85,7 +85,7 @@ def training_step() -> Job:
     clouds = tuple(rng.uniform(-0.6, 0.6, (5000, 6)).astype(np.float32) for _ in range(8))
     asked = rng.normal(size=(8, config.grasp_size)).astype(np.float32)
     labels = rng.normal(2800.0, 100.0, (8, TOUCH_SIZE))
-    data = TrainingSet(clouds, asked, labels, np.ones((8, 5)), config, tuple("12345678"))
+    data = TrainingSet(clouds, asked, labels, np.ones((8, 5)), config)
     how = TrainConfig(epochs=1000, batch_size=8, optimiser="adam", device="cpu", precision="float32")
     return SupervisedTrainer(data, np.arange(8), how).run_epoch
 
