@@ -12,7 +12,7 @@ _SOURCES = {"segmentation": ("camera",), "grasp": ("segmentation",), "touch_pred
 """Nodes whose messages another one requires."""
 
 QUEUED_S = 2.0  # a node that ends takes along what arrived so shortly before
-MATCHED_S = 1.0  # an active node is found by its publishers within this time
+MATCHED_S = 2.0  # an active node is found by its publishers within this time; one that was killed before, after 1.6 s
 COUNTED_S = 20.0  # a drop is counted this long after the cloud at most: one that waits for others is given up
 
 

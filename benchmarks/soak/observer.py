@@ -79,7 +79,7 @@ class Observer(Client):
             self.drops.append(Drop(node, reason, count, self._seen_s[topic] - 1.0, time.monotonic()))
 
     def _heard(self, topic: str, info: Any) -> None:
-        self._losses[topic].arrived(info)
+        self._losses[topic].arrived({"publisher_gid": {"data": b""}, **info})  # Jazzy gives no publisher
         self._seen_s[topic] = time.monotonic()
 
     def _see(self, topic: str, data: bytes, info: Any) -> None:
