@@ -32,7 +32,7 @@ ROBOT = (  # what a robot runs: the nodes, and the modules of the commands `run`
     ),
     *(f"foretouch.cli.{name}" for name in ("main", "run", "predict", "record", "replay", "view")),
 )
-ROBOT_LINES = 23_900
+ROBOT_LINES = 24_000
 """Most lines of `foretouch` that these load."""
 
 
