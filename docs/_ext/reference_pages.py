@@ -371,7 +371,7 @@ def graph() -> dict[str, Ends]:
     from rclpy.context import Context
     from rclpy.parameter import Parameter
 
-    from foretouch.ros.graph import NODES, make_nodes
+    from foretouch.ros.graph import NODES, node_class
 
     found: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
     context = Context()
@@ -387,7 +387,7 @@ def graph() -> dict[str, Ends]:
         for name in NODES:
             values = {**needed.get(name, {}), "autostart": False}
             overrides = [Parameter(key, value=value) for key, value in values.items()]
-            (node,) = make_nodes(name, parameter_overrides=overrides, context=context)
+            node = node_class(name)(parameter_overrides=overrides, context=context)
             node.trigger_configure()
             own = node.get_name(), node.get_namespace()
             for kind, end, pairs in (

@@ -37,7 +37,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
-from foretouch.ros.graph import make_nodes  # noqa: E402
+from foretouch.ros.graph import node_class  # noqa: E402
 from foretouch.ros.runtime.executor import GraphExecutor  # noqa: E402
 from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 
@@ -91,7 +91,7 @@ class Graph:
 
     def add(self, *names: str, **parameters: Any) -> list[Any]:
         """Make and start nodes; parameter names may hold dots written as two underscores."""
-        made = make_nodes(*names, parameter_overrides=_parameters(parameters))
+        made = [node_class(name)(parameter_overrides=_parameters(parameters)) for name in names]
         for node in made:
             self.serve(node)
             node.autostart()

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from foretouch.dataset.record import REST, SampleRecord, TouchSeries, readings
 from foretouch.report.panels import new_figure, save
 from foretouch.report.taxel_view import TaxelView
-from foretouch.report.touch_figure import draw_taxels, taxel_colours
+from foretouch.report.touch_figure import draw_taxels, taxel_colours, taxel_label
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import Sensor
 from foretouch.types import SECOND_NS, Float64, Touch
@@ -48,8 +48,7 @@ def save_series_sheet(path: str | Path, records: Sequence[SampleRecord], title: 
             drawn: Any = draw_taxels(row[fingers + finger], view, finger, pad[finger], None, colours)
             row[fingers + finger].set_title(name, fontsize=8)
         row[0].set_title(f"{one.sample.id}: {one.outcome}", color=_OUTCOMES[one.outcome], fontsize=9, loc="left")
-    marks = "; hollow: dead" * bool(sensor.dead)
-    label = f"{view.label(from_rest=tared)}\nseen from outside, unrolled; up: towards the tip{marks}"
+    label = taxel_label(view, tared=tared)
     figure.colorbar(drawn, label=label, ax=list(grid.flat), location="bottom", shrink=0.5, aspect=50)
     return save(figure, Path(path), dpi=100)
 

@@ -93,8 +93,7 @@ def save_touch_picture(
             title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
             panel.set_title(title, color=_FINGER_COLOURS[finger], fontsize=10)
     if drawn is not None:
-        marks = "; ringed: outside of its 90 % interval" * ringed + "; hollow: dead" * bool(sensor.dead)
-        label = f"{view.label(from_rest=tared)}\nseen from outside, unrolled; up: towards the tip{marks}"
+        label = taxel_label(view, tared=tared, ringed=ringed)
         figure.colorbar(drawn, label=label, cax=below.subplots(), orientation="horizontal")
     return save(figure, Path(path), dpi=100)
 
@@ -146,6 +145,12 @@ def taxel_colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) ->
     if tared and not view.channel.contact:  # in both directions from rest
         low, high, colours = -max(-low, high), max(-low, high), "PuOr"
     return {"vmin": low, "vmax": high, "cmap": colours}
+
+
+def taxel_label(view: TaxelView, *, tared: bool, ringed: bool = False) -> str:
+    """What stands at the scale of colours of a page."""
+    marks = "; ringed: outside of its 90 % interval" * ringed + "; hollow: dead" * bool(view.sensor.dead)
+    return f"{view.label(from_rest=tared)}\nseen from outside, unrolled; up: towards the tip{marks}"
 
 
 def draw_taxels(

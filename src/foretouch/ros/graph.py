@@ -84,8 +84,8 @@ class Graph:
                     self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
             for name, parameters in self._parameters.items():
                 with uninterrupted():
-                    (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
-                    self.nodes[name] = node
+                    overrides = _parameters(parameters)
+                    self.nodes[name] = node_class(name)(parameter_overrides=overrides, **self._namespace)
             with uninterrupted():
                 served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
                 self._errors = served[0].internal_errors
@@ -208,26 +208,14 @@ def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMES
     start_rclpy(arguments)
 
 
-def make_nodes(*names: str, **options: Any) -> "list[ForetouchNode[Any]]":
-    """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
+def node_class(name: str) -> "type[ForetouchNode[Any]]":
+    """The class of a node by its name; raises as `needs_laboratory`.
 
-    A `ConfigError` if a parameter given at the start breaks a rule.
+    To make a node of it, `rclpy.init` must have been called; a `ConfigError` if a parameter breaks a rule. It is not configured yet.
     """
-    nodes: list[ForetouchNode[Any]] = []
-    try:
-        nodes.extend(node_class(name)(**options) for name in names)  # those made before an error are kept
-    except ForetouchError:
-        for node in nodes:
-            node.destroy_node()
-        raise
-    return nodes
-
-
-def node_class(name: str) -> Any:
-    """The class of a node by its name; raises as `needs_laboratory`."""
     module, _, class_name = NODES[name].partition(":")
     with needs_laboratory(f"node {name}"):
-        return getattr(import_module(module), class_name)
+        return cast("type[ForetouchNode[Any]]", getattr(import_module(module), class_name))
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:

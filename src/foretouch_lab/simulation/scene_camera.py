@@ -67,7 +67,7 @@ class FrameMaker:
 
 
 class _SceneImages:
-    """The image that a camera takes now: call it, then ask `stamp_ns` when it was taken.
+    """The image that a camera takes now, and when it was taken: before it was rendered.
 
     A sample is rendered when it is first seen, and up to four times where the camera's noise differs from image to
     image; these are then shown in turn. One that the scene has no place for is not shown: the camera measures nothing.
@@ -88,24 +88,19 @@ class _SceneImages:
         self._views = _VIEWS if any(effect is not None for effect in noisy) else 1
         self._slot: int | None = None
         self._images: list[DepthImage] = []
-        self._taken_ns = 0
         self.fault = ""  # why the last sample is not shown
 
-    def __call__(self, number: int) -> DepthImage:
-        """The image with this number."""
+    def __call__(self, number: int) -> tuple[DepthImage, int]:
+        """The image with this number, and its stamp [ns]."""
         # Whole milliseconds come back from the library's double-precision stamps as they went in.
-        self._taken_ns = self._clock_ns() // _MS_NS * _MS_NS
-        slot = self._schedule.slot(self._taken_ns)
+        taken_ns = self._clock_ns() // _MS_NS * _MS_NS
+        slot = self._schedule.slot(taken_ns)
         if slot != self._slot:
             self._images, self._slot = [], slot
         if len(self._images) < self._views:
             self._images.append(self._render(slot, len(self._images)))
-            return self._images[-1]
-        return self._images[number % self._views]
-
-    def stamp_ns(self, number: int) -> int:  # noqa: ARG002
-        """When the last image was taken: before it was rendered [ns]."""
-        return self._taken_ns
+            return self._images[-1], taken_ns
+        return self._images[number % self._views], taken_ns
 
     def _render(self, slot: int, repeat: int) -> DepthImage:
         self.fault = ""
@@ -130,5 +125,4 @@ def scene_camera(scene: SceneConfig, schedule: ScheduleConfig, fps: int) -> Synt
         schedule: Which sample is on the table when.
         fps: Images a second, as far as rendering keeps up [Hz].
     """
-    images = _SceneImages(scene, schedule)
-    return SyntheticCamera(images, fps, serial="scene", stamp_ns=images.stamp_ns)
+    return SyntheticCamera(_SceneImages(scene, schedule), fps, serial="scene")

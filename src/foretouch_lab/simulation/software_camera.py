@@ -19,31 +19,27 @@ from foretouch_lab.simulation.depth_scene import DepthImage
 _DEPTH_UNIT_M = 0.001
 _PIXEL_BYTES = 2
 
+Frames = Callable[[int], tuple[DepthImage, int]]
+"""The n-th frame, and its stamp [ns since 1970]. The library stores milliseconds in double precision."""
+
 
 class SyntheticCamera:
     """Stands for a `DeviceSource`; can be fed, paused, unplugged and plugged in again. As a context manager, it feeds itself.
 
     Args:
-        frames: The n-th frame, or a sequence that is repeated; all of one size and lens.
+        frames: All of one size and lens; a sequence is repeated, with the times of feeding as stamps.
         fps: Frames per second of `start` [Hz].
         serial: Its serial number.
-        stamp_ns: Returns the stamp of the n-th frame [ns since 1970], called after the frame is made; by default the
-            time of feeding. The library stores milliseconds in double precision.
     """
 
-    def __init__(
-        self,
-        frames: Callable[[int], DepthImage] | Sequence[DepthImage],
-        fps: int = 30,
-        serial: str = "synthetic",
-        stamp_ns: Callable[[int], int] | None = None,
-    ) -> None:
+    def __init__(self, frames: Frames | Sequence[DepthImage], fps: int = 30, serial: str = "synthetic") -> None:
         if not callable(frames) and not frames:
             raise CameraError("synthetic camera: no frames to feed")
-        self.frame = frames if callable(frames) else lambda number: frames[number % len(frames)]
-        self._stamp_ns = stamp_ns or (lambda _: time.time_ns())
+        self.frame: Frames = (
+            frames if callable(frames) else lambda number: (frames[number % len(frames)], time.time_ns())
+        )
         self._fps = fps
-        first = self.frame(0)
+        first, _ = self.frame(0)
         self.shape = first.depth_mm.shape  # (H, W) of every frame
         self._device, self._sensor, self._profile = _software_device(first, fps, serial)
         self._number = 0
@@ -69,10 +65,9 @@ class SyntheticCamera:
         """Feed one frame now and return its number; a `CameraError` if it has another size than the first."""
         with self._lock:
             number = self._number
-            frame = self.frame(number)
+            frame, stamp_ns = self.frame(number)
             if frame.depth_mm.shape != self.shape:
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self.shape}")
-            stamp_ns = self._stamp_ns(number)
             if self.plugged:
                 self._sensor.on_video_frame(_video_frame(self._profile, frame.depth_mm, number, stamp_ns / 1e6))
             self._number += 1

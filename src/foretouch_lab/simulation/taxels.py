@@ -33,10 +33,8 @@ from foretouch_lab.simulation.contact.pad import ContactFrame, PadConfig, PadWin
 from foretouch_lab.simulation.fingertip import GAIN_SPREAD
 
 FULL_SCALE_N: Final = 1.8  # force on a taxel at which values that are not in newtons leave their range
-CROSSTALK: Final = {
-    "neighbours": 0.03,
-    "axes": 0.03,
-}  # share of a force that each neighbour, and X and Y of the taxel, read
+# Share of a force that each neighbour, and X and Y of the taxel, read.
+CROSSTALK: Final = {"neighbours": 0.03, "axes": 0.03}
 REST_SPREAD: Final = 0.02  # standard deviation of the rest level from taxel to taxel, of the range
 NOISE_N: Final = 0.001  # standard deviation of the noise of a channel whose description states none [N]: 0.1 gf
 SESSION_N: Final = 0.02  # standard deviation of the rest level from session to session [N]

@@ -39,8 +39,7 @@ def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
     camera, clock, schedule = images(config)
     for number, seconds in enumerate((0.0, 1.9, 2.0, 5.0)):
         clock.now_ns = START + round(seconds * 1e9) + 123_456
-        image = camera(number)
-        stamp = camera.stamp_ns(number)
+        image, stamp = camera(number)
         assert stamp == clock.now_ns - 123_456, "stamps are whole milliseconds"
         expected = FrameMaker(config).frame(schedule.slot(stamp))
         np.testing.assert_array_equal(image.depth_mm, expected.depth_mm)
@@ -48,13 +47,13 @@ def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
 
 def test_a_sample_is_rendered_once_with_noise_of_each_image_and_without_a_place_not_shown(caplog) -> None:
     camera, _, _ = images(scene(camera=SMALL))
-    assert camera(0) is camera(1) is camera(7)
+    assert camera(0)[0] is camera(1)[0] is camera(7)[0]
     camera, _, _ = images(scene(camera=SMALL | {"noise": {"sub_pixel": 0.1}}))
-    first, second = camera(0), camera(1)
+    first, second = camera(0)[0], camera(1)[0]
     assert (first.depth_mm != second.depth_mm).mean() > 0.3
     np.testing.assert_array_equal(first.labels, second.labels)
     camera, _, _ = images(scene(camera=SMALL, clutter={"count": 20, "distance_m": [0.1, 0.1]}))
-    assert not camera(0).depth_mm.any()
+    assert not camera(0)[0].depth_mm.any()
     assert "finds no place" in caplog.text
     assert camera.fault in caplog.text
     assert camera.fault.startswith("scene: sample ")

@@ -120,7 +120,7 @@ def _pcd_dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
 
 
 def _unpacked(path: Path, body: bytes, dtype: np.dtype[Any], points: int) -> _Records:
-    """_Records of compressed data, which start with their sizes before and after compression."""
+    """The records of compressed data, which start with their sizes before and after compression."""
     if points == 0:
         return np.zeros(0, dtype)
     packed, unpacked = struct.unpack_from("<II", body.ljust(8, b"\0"))

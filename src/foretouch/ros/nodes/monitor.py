@@ -44,9 +44,8 @@ class View:
     reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
     last: TouchPredictionArray | None = None  # the last array
     executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
-    nodes: dict[str, tuple[int, str, dict[str, str]]] = field(
-        default_factory=dict
-    )  # last level, line and numbers by node name
+    # Last level, line and numbers by node name.
+    nodes: dict[str, tuple[int, str, dict[str, str]]] = field(default_factory=dict)
 
 
 Drawable: TypeAlias = tuple[Cloud | None, FoundObject, TouchPrediction, TouchCut | None]

@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, NamedTuple
 
 from foretouch.dataset.pairing.assembler import SampleAssembler
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name, renamed_id
@@ -20,7 +20,6 @@ from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import DatasetError, ForetouchError
 
 Action = Literal["object", "success", "failure", "unknown", "drop", "relabel", "note", "pause", "undo"]
-ACTIONS: Final[tuple[Action, ...]] = get_args(Action)
 DROPPED: Final = "dropped"  # instead of an outcome
 
 

@@ -17,7 +17,7 @@ from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.training import contact
-from foretouch_lab.learning.training.contact import describe_samples, fit_contact, shrunken_slope
+from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 
 SAMPLES = make_samples(5, 10)
 OBJECTS = [sample.object for sample in SAMPLES]
@@ -55,14 +55,3 @@ def test_samples_that_cannot_be_fitted_are_refused() -> None:
     empty = replace(SAMPLES[0], cloud=Cloud(np.zeros((0, 3), np.float32)))
     with pytest.raises(DatasetError, match=f"{SAMPLES[0].id}: cloud: 0 finite points are fewer than 8"):
         describe_samples([empty])
-
-
-def test_slope_and_jackknife_by_hand() -> None:
-    """Three objects: slope (1 + 2 + 3) / (2 + 2 + 2) = 1; without each 5/4, 4/4, 3/4, whose jackknife variance is 2/3 · 1/8."""
-    assert shrunken_slope(np.array([1.0, 2.0, 3.0]), np.array([2.0, 2.0, 2.0])) == pytest.approx(1.0 - 1.0 / 12.0)
-    agreeing = shrunken_slope(np.full(8, 0.5), np.full(8, 1.0))
-    assert agreeing == pytest.approx(0.5)
-    heavy = np.append(np.zeros(7), 4.0)
-    assert shrunken_slope(heavy, np.full(8, 1.0)) == 0.0  # all of it is from one
-    assert shrunken_slope(-heavy, np.full(8, 1.0)) == 0.0
-    assert shrunken_slope(np.zeros(8), np.zeros(8)) == 0.0
