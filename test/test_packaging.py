@@ -32,8 +32,6 @@ ROBOT = (  # what a robot runs: the nodes, and the modules of the commands `run`
     ),
     *(f"foretouch.cli.{name}" for name in ("main", "run", "predict", "record", "replay", "view")),
 )
-ROBOT_LINES = 24_000
-"""Most lines of `foretouch` that these load."""
 
 
 def test_the_version_is_one() -> None:
@@ -68,12 +66,9 @@ def test_a_robot_loads_nothing_of_the_laboratory() -> None:
         "ours = [one for name, one in sys.modules.items() if name.partition('.')[0] in ('foretouch', 'foretouch_lab')]\n"
         "print([one.__name__ for one in ours if one.__name__.startswith('foretouch_lab')])\n"
         "print([name for name in ('sklearn', 'embreex', 'threadpoolctl', 'ray') if name in sys.modules])\n"
-        "print(sum(len(open(one.__file__, encoding='utf-8').readlines()) for one in ours if one.__file__.endswith('.py')))\n"
     )
     assert done.returncode == 0, done.stderr
-    modules, libraries, lines = done.stdout.splitlines()[-3:]
-    assert (modules, libraries) == ("[]", "[]")
-    assert 10_000 < int(lines) <= ROBOT_LINES
+    assert done.stdout.splitlines()[-2:] == ["[]", "[]"]
 
 
 def test_no_class_has_a_name_of_the_other_package() -> None:
