@@ -11,7 +11,7 @@ from every_case import every_case
 from scipy.optimize import least_squares
 
 from foretouch.camera.device import realsense
-from foretouch.camera.stream import camera_model
+from foretouch.camera.stream import library_camera
 from foretouch.errors import CameraError, CloudError, MissingDependencyError
 from foretouch.types import Cloud
 from foretouch.types.camera import CameraModel
@@ -72,14 +72,14 @@ def test_rays_are_those_of_the_library(rs: Any) -> None:
     i.model, i.coeffs = rs.distortion.brown_conrady, [0.0] * 5
     for coefficients, tolerance in (([0.0] * 5, 5e-7), ([0.1, -0.05, 0.001, -0.002, 0.01], 2e-6)):
         i.coeffs = coefficients
-        x, y = np.broadcast_arrays(*camera_model(i).rays)
+        x, y = np.broadcast_arrays(*library_camera(i).rays)
         theirs = np.array([[rs.rs2_deproject_pixel_to_point(i, [u, v], 1.0) for u in range(64)] for v in range(48)])
         # The library computes in float32, distortion by ten iterations: coordinates are below 1.
         np.testing.assert_allclose(x, theirs[..., 0], atol=tolerance)
         np.testing.assert_allclose(y, theirs[..., 1], atol=tolerance)
     i.model = rs.distortion.inverse_brown_conrady
     with pytest.raises(CameraError, match=r"inverse_brown_conrady\): only brown_conrady can be undone"):
-        camera_model(i)
+        library_camera(i)
 
 
 @pytest.mark.parametrize("distortion", [D435_COLOUR, KINECT_DEPTH, (-0.3, 0.1), (0.0, 0.0, 0.01, -0.02)])

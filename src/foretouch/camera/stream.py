@@ -76,7 +76,7 @@ class FrameStream:
         intrinsics = depth.get_profile().as_video_stream_profile().get_intrinsics()
         key = repr(intrinsics)
         if self._camera is None or self._camera[0] != key:
-            self._camera = (key, camera_model(intrinsics))
+            self._camera = (key, library_camera(intrinsics))
         return self._camera[1]
 
     def _stamp_ns(self, depth: Any, arrived_ns: int) -> int:
@@ -101,7 +101,7 @@ def filter_blocks(names: Sequence[str]) -> list[Any]:
     return blocks
 
 
-def camera_model(intrinsics: Any) -> CameraModel:
+def library_camera(intrinsics: Any) -> CameraModel:
     """The library's intrinsics; a `CameraError` if their distortion is not OpenCV's."""
     i = intrinsics
     if any(i.coeffs) and i.model != realsense().distortion.brown_conrady:
