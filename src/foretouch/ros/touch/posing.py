@@ -13,17 +13,14 @@ from foretouch.grasp.messages import decode_grasp, has_orientation, require_rota
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.requests import GraspArrays, RefusalError
-from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.config import TouchSettings
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
 
 
 def posed_grasps(
-    grasps: Sequence[GraspMsg] | GraspArrays,
-    target: FoundObject,
-    config: TouchPredictorConfig,
-    posing: GeoGraspConfig | None,
+    grasps: Sequence[GraspMsg] | GraspArrays, target: FoundObject, config: TouchSettings, posing: GeoGraspConfig | None
 ) -> list[Grasp | Refusal]:
     """The grasps of a request, posed as by `Pipeline.grasp_between` where they have no orientation, or why there is none."""
     read = _reader_of_arrays(grasps) if isinstance(grasps, GraspArrays) else lambda k: _read(grasps[k])

@@ -2,7 +2,6 @@
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
 import statistics
-import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -20,9 +19,10 @@ from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
 from foretouch.ros.messages.requests import GraspArrays, RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.posing import posed_grasps, refusal_of
+from foretouch.tactile.description import Sensor
 from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, TouchPredictions
 from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -43,7 +43,6 @@ class Predictor:
         self.fault = ""  # why `model` could not be loaded
         self.flags: tuple[str, ...] = ()  # of every prediction
         self.budget: LatencyBudget | None = None  # chooses the level of each request
-        self._switch_s = 0.0  # before `keep_to`
         try:
             self.model = load_model(model)
         except ForetouchError as err:
@@ -58,15 +57,17 @@ class Predictor:
             for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
 
-    def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], object]) -> None:
+    @property
+    def sensor(self) -> Sensor | None:
+        """Sensor of the model, whose readings are predicted."""
+        return None if self.model is None else self.model.sensor
+
+    def keep_to(self, budget_ms: float, config: TouchSettings, say: Callable[[str], object]) -> None:
         """Answer within a budget from now on, if there is a model; measures this machine."""
         from foretouch.models.budget import LatencyBudget, load_warm, profile_scene
 
         if self.model is None:
             return
-        self._switch_s = sys.getswitchinterval()
-        # After so long, a thread gives way to another: Python's 5 ms may be the whole budget.
-        sys.setswitchinterval(min(self._switch_s, 5e-4))
         levels, times = load_warm(self.model)
         around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
         self.budget = LatencyBudget(budget_ms / 1e3, levels, times, around)
@@ -75,14 +76,7 @@ class Predictor:
             name = best.name if best else f"none; the fastest is used, {levels[-1].name}"
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
 
-    def close(self) -> None:
-        """Let threads switch as before `keep_to`."""
-        if self._switch_s:
-            sys.setswitchinterval(self._switch_s)
-
-    def _around(
-        self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
-    ) -> dict[int, float]:
+    def _around(self, model: TouchModel, config: TouchSettings, scene: tuple[Cloud, list[Grasp]]) -> dict[int, float]:
         """By number of grasps, the time of their messages: what `answer` takes beyond the prediction, as processor time [s]."""
         from foretouch.models.budget import PAUSE_S
 
@@ -121,7 +115,7 @@ class Predictor:
         targets: Sequence[FoundObject],
         grasps: Sequence[GraspMsg] | GraspArrays,
         header: Header,
-        config: TouchPredictorConfig,
+        config: TouchSettings,
         posing: GeoGraspConfig | None = None,
         model: TouchModel | None = None,
     ) -> TouchAnswer:
@@ -139,7 +133,6 @@ class Predictor:
             RefusalError: If none of the targets is the object of arrays.
         """
         model = model or self.model
-        sensor = None if model is None else model.sensor
         if isinstance(grasps, GraspArrays):
             try:
                 target = targets[_target_of(grasps.object_id, targets)]
@@ -149,8 +142,8 @@ class Predictor:
             rotations = None
             if grasps.rotations is None:
                 rotations = np.array([np.zeros((3, 3)) if isinstance(one, Refusal) else one.rotation for one in posed])
-            found = self._on_target(model, target.cloud, posed, config)
-            return TouchAnswer(header, posed, found, sensor=sensor, arrays=True, rotations=rotations)
+            found = self.predict(target.cloud, posed, config, model)
+            return TouchAnswer(header, posed, found, sensor=self.sensor, arrays=True, rotations=rotations)
         outcomes: list[Prediction | Refusal] = [Refusal(Status.BAD_GRASP, "")] * len(grasps)
         by_target: dict[int, list[int]] = {}
         for i, grasp in enumerate(grasps):
@@ -160,12 +153,12 @@ class Predictor:
                 outcomes[i] = Refusal(Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
             posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing)
-            found = self._on_target(model, targets[k].cloud, posed, config)
+            found = self.predict(targets[k].cloud, posed, config, model)
             for i, outcome in zip(members, found, strict=True):
                 outcomes[i] = outcome
         if posing is not None:
             grasps = [_as_predicted(*pair) for pair in zip(grasps, outcomes, strict=True)]
-        return TouchAnswer(header, grasps, outcomes, sensor=sensor)
+        return TouchAnswer(header, grasps, outcomes, sensor=self.sensor)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
         """Add the model, the age of its input [s] and the resulting flags to each prediction.
@@ -178,9 +171,11 @@ class Predictor:
             message.model, message.model_sha256 = self.model.name, self.model.sha256
         return message
 
-    def _on_target(
-        self, model: TouchModel | None, cloud: Cloud, posed: Sequence[Grasp | Refusal], config: TouchPredictorConfig
+    def predict(
+        self, cloud: Cloud, posed: Sequence[Grasp | Refusal], config: TouchSettings, model: TouchModel | None = None
     ) -> Sequence[Prediction | Refusal]:
+        """Predict for the grasps on one object, adapted to the readings; refusals stay, the model may be a reduced form."""
+        model = model or self.model
         if model is None:
             return [Refusal(Status.NO_MODEL, self.fault)] * len(posed)
         usable = [one for one in posed if isinstance(one, Grasp)]
