@@ -19,7 +19,7 @@ import numpy as np
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
 from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.cloud.timing import timed
-from foretouch.errors import CloudError, GraspError
+from foretouch.errors import CloudError, FrameError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
     APART_M,
@@ -39,7 +39,7 @@ from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
 from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, Plane
 
-PlanStatus = Literal["ok", "initial_points", "no_grasp"]
+PlanStatus = Literal["ok", "initial_points", "no_grasp", "unknown_frame"]
 
 
 @dataclass(eq=False)
@@ -102,7 +102,8 @@ def plan_grasps(
         obstacles: What stands around the object; method "completed" only.
 
     Returns:
-        The plan. If the cloud allows no grasp, its status is "no_grasp" and it contains the reason.
+        The plan. If the cloud allows no grasp, its status is "no_grasp", or "unknown_frame" if it is not in the optical
+        frame of its camera, and it contains the reason.
 
     Raises:
         CloudError: If `pixels` do not belong to the cloud.
@@ -115,14 +116,16 @@ def plan_grasps(
     points = finite_points(cloud, pixels, image_shape)
     plan = GraspPlan(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
+        check_object(points.xyz, limits)
         check_table(plane, limits)
         if config.method == "completed":
             keep = None if held is None else (held, hold)
-            _plan_completed(plan, points, plane, config, rng, limits, keep, hand, obstacles)
+            _plan_completed(plan, points, plane, config, rng, keep, hand, obstacles)
         else:
-            _plan_original(plan, points, plane, config, rng, limits)
+            _plan_original(plan, points, plane, config, rng)
     except CloudError as err:
         plan.reason = str(err)
+        plan.status = "unknown_frame" if isinstance(err, FrameError) else "no_grasp"
     plan.ms["total"] = sum(plan.ms.values())
     return plan
 
@@ -134,17 +137,11 @@ def _random_slide(xyz: Float32, centroid: Float64, axis: Float64, fraction: floa
 
 
 def _plan_original(
-    plan: GraspPlan,
-    points: FinitePoints,
-    plane: Plane,
-    config: GeoGraspConfig,
-    rng: np.random.Generator | None,
-    limits: ObjectLimits,
+    plan: GraspPlan, points: FinitePoints, plane: Plane, config: GeoGraspConfig, rng: np.random.Generator | None
 ) -> None:
     counts = plan.counts
     with timed(plan.ms, "outliers"):
         downsampled = points.downsampled(config)
-        check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         xyz = downsampled.without_flying(config, counts).without_outliers(config)
         counts["n_filtered"] = len(xyz)
@@ -199,7 +196,6 @@ def _plan_completed(
     plane: Plane,
     config: GeoGraspConfig,
     rng: np.random.Generator | None,
-    limits: ObjectLimits,
     held: tuple[HeldGrasp, float] | None,
     hand: HandConfig,
     obstacles: Obstacles | None,
@@ -208,7 +204,6 @@ def _plan_completed(
     counts = plan.counts
     with timed(plan.ms, "outliers"):
         downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))
-        check_object(points.xyz, limits)
         xyz = downsampled.without_flying(config, counts).xyz
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         spacing = mean_neighbour_distance(xyz, config.neighbours)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, GraspError, TactileError
+from foretouch.types.camera import CameraModel, check_image
 from foretouch.types.channels import Channels
 
 AnyArray = npt.NDArray[Any]
@@ -44,24 +45,64 @@ class Cloud:
     """A point cloud, organised like an image or not.
 
     Raises:
-        CloudError: If a shape or a dtype is wrong.
+        CloudError: If a shape or a type is wrong.
     """
 
-    xyz: Float32  # (N, 3) or organised (H, W, 3), float32 [m]. All three are NaN for a pixel without depth
+    # (N, 3) or organised (H, W, 3) [m]; any numbers are converted to float32. All three are NaN for a pixel without depth
+    xyz: Float32
     rgb: UInt8 | None = None  # the same shape, uint8, or None
     frame_id: str = ""  # the frame of `xyz`
     stamp_ns: int = 0  # time of measurement [ns]
+    camera: CameraModel | None = None  # whose rays the points of the image are on; None if it is not known
 
     def __post_init__(self) -> None:
+        if not isinstance(self.xyz, np.ndarray) or self.xyz.dtype != np.float32:
+            object.__setattr__(self, "xyz", _as_float32(self.xyz))
         if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
             raise CloudError(f"xyz: shape {self.xyz.shape} is neither (N, 3) nor (H, W, 3)")
-        if self.xyz.dtype != np.float32:
-            raise CloudError(f"xyz: dtype {self.xyz.dtype} is not float32")
         if self.rgb is not None:
             if self.rgb.shape != self.xyz.shape:
                 raise CloudError(f"rgb: shape {self.rgb.shape} is not that of xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
                 raise CloudError(f"rgb: dtype {self.rgb.dtype} is not uint8")
+        if self.camera is not None and self.camera.shape != self.xyz.shape[:-1]:
+            raise CloudError(f"camera: {self.camera.shape} is not the size of the image, {self.xyz.shape[:-1]}")
+
+    @classmethod
+    def from_depth(
+        cls,
+        depth: AnyArray,
+        K: npt.ArrayLike | CameraModel,  # noqa: N803
+        scale: float | None = None,
+        distortion: npt.ArrayLike | None = None,
+        *,
+        frame_id: str = "",
+        stamp_ns: int = 0,
+        rgb: UInt8 | None = None,
+    ) -> Self:
+        """Make the organised cloud of a depth image.
+
+        Args:
+            depth: (H, W) uint16, float32 or float64, distance along the optical axis. 0, NaN and infinity are no depth.
+            K: (3, 3) intrinsics, or fx, fy, cx, cy [px], of the whole image; or a `CameraModel`, which holds its distortion.
+            scale: Metres per unit of `depth`; by default 0.001 for uint16 (millimetres) and 1 for floats (metres).
+            distortion: Coefficients of OpenCV's models in its order: k1, k2, p1, p2, k3, k4, k5, k6; None for a rectified
+                image. It is undone once for a camera.
+            frame_id: Optical frame of the camera.
+            stamp_ns: Time of measurement [ns].
+            rgb: (H, W, 3) uint8 colours of the same pixels.
+
+        Raises:
+            CloudError: If the image is no depth image, `K` is not of its size, or its unit is not plausible. The message
+                names the argument.
+        """
+        image = np.asarray(depth)
+        if not isinstance(K, CameraModel):
+            height, width = check_image(image)
+            K = CameraModel.of(K, width, height, distortion)  # noqa: N806
+        elif distortion is not None:
+            raise CloudError("distortion: is given twice, here and in the CameraModel")
+        return cls(K.points(image, scale), rgb, frame_id, stamp_ns, K)
 
     @property
     def organised(self) -> bool:
@@ -79,6 +120,18 @@ class Cloud:
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
         # take() is four times as fast as indexing here.
         return Cloud(self.xyz.reshape(-1, 3).take(flat, axis=0), rgb, self.frame_id, self.stamp_ns)
+
+
+def _as_float32(xyz: Any) -> Float32:
+    """Any array of numbers as float32; what float32 cannot hold becomes infinite, which is no point."""
+    try:
+        numbers = np.asarray(xyz)
+    except ValueError as err:
+        raise CloudError(f"xyz: {err}") from err
+    if numbers.dtype.kind not in "fiu":
+        raise CloudError(f"xyz: dtype {numbers.dtype} is not of numbers")
+    with np.errstate(over="ignore"):
+        return numbers.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from foretouch.cloud.geometry.frames import not_optical
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.cloud.segmentation.clusters import (
     NOISE_FACTOR,
@@ -25,7 +26,7 @@ from foretouch.cloud.segmentation.clusters import (
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, not_optical, out_of_view, view_fault
+from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, out_of_view, view_fault
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
@@ -77,7 +78,7 @@ class Segmentation:
 
     Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
     points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
-    affect the result are checked; background is the table, points below it, isolated points and those without x or y;
+    affect the result are checked, of one whose camera is known none has to be; background is the table, points below it, isolated points and those without x or y;
     rejected are the points of `n_rejected` implausible clusters. `clusters` are split into `parts`; `joined_small`,
     `joined_border` and `joined_hidden` are the fragments that were joined again, by reason (see `parts`), all 0 where nothing
     calls for splitting.
@@ -109,7 +110,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
         status, reason, plane, objects, labels = _segment_list(cloud, config, counts, ms)
-        if status != "ok" and (frame := not_optical(cloud.xyz)):
+        if status != "ok" and cloud.camera is None and (frame := not_optical(cloud.xyz)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
     counts["background"] = cloud.size - sum(counts[name] for name in _DROPPED)
@@ -170,11 +171,11 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
             index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, fault = None, ""
-        if image:
+        if image and cloud.camera is None:  # else each point is on its ray
             rays = _rays(sample, index, coarse.shape[1], stride, xyz.shape[1])
             sample, fault = sample[~rays.off_sample], rays.reason
             counts["off_ray"] = rays.count_dropped(xyz)
-        else:
+        elif not image:
             fault = view_fault(counts["off_ray"], usable)
         if fault:
             return "bad_cloud", fault, None, (), labels

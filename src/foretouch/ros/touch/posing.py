@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError
+from foretouch.errors import CloudError, ForetouchError, FrameError, GraspError, LimitError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.grasp.messages import decode_grasp, has_orientation, require_rotation, surely_sound
 from foretouch.pipeline import FoundObject
@@ -64,11 +64,11 @@ def _reader_of_arrays(grasps: GraspArrays) -> Callable[[int], tuple[Grasp, bool]
 
 
 def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:
+    check_object(target.cloud.xyz, limits)
     try:
         check_table(target.plane, limits)
     except LimitError as err:
         raise RefusalError(Status.BAD_PLANE, str(err)) from err
-    check_object(target.cloud.xyz, limits)
     return object_axis(target.cloud, target.plane, config)[0]
 
 
@@ -76,5 +76,10 @@ def refusal_of(err: ForetouchError) -> Refusal:
     """What an error keeps from being predicted."""
     if isinstance(err, RefusalError):
         return Refusal(err.status, err.reason)
-    statuses = {LimitError: Status.BAD_CLOUD, CloudError: Status.TOO_FEW_POINTS, GraspError: Status.BAD_GRASP}
+    statuses = {
+        FrameError: Status.UNKNOWN_FRAME,
+        LimitError: Status.BAD_CLOUD,
+        CloudError: Status.TOO_FEW_POINTS,
+        GraspError: Status.BAD_GRASP,
+    }
     return Refusal(next((code for kind, code in statuses.items() if isinstance(err, kind)), Status.REFUSED), str(err))
