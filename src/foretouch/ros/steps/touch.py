@@ -10,7 +10,6 @@ again retries.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from sensor_msgs.msg import PointCloud2
@@ -24,7 +23,7 @@ from foretouch.grasp import GeoGraspConfig, GraspPlan
 from foretouch.pipeline import FoundObject
 from foretouch.report.equal_pressure import scale_of
 from foretouch.report.taxel_view import TaxelView
-from foretouch.ros.messages.answers import Refusal, TouchAnswer
+from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import GraspArrays, Latest
 from foretouch.ros.messages.tactile import tactile_class
@@ -37,7 +36,7 @@ from foretouch.ros.touch.predictor import Predictor
 from foretouch.ros.touch.services import TouchServices
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.types import Grasp
+from foretouch.types import Grasp, Predictions
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
 
 if TYPE_CHECKING:  # loaded only for a budget
@@ -89,12 +88,12 @@ class TouchStep(Step):
     ) -> "tuple[TouchAnswer, Answer | None]":
         """Predict for the plans of all targets, whose message is `grasps`; the rest as `answer`."""
         budget = self._begin(len(grasps.grasps), arrived)
-        outcomes: Sequence[Any] = ()
+        model = None if budget is None else budget.level.model
+        parts = []
         for target, plan in zip(targets, plans, strict=True):
-            model = None if budget is None else budget.level.model
-            found = self.predictor.predict(target.cloud, plan.grasps, self._node.config, model)
-            outcomes = found if len(plans) == 1 else [*outcomes, *found]
-        answer = TouchAnswer(grasps.header, grasps.grasps, outcomes, sensor=self.predictor.sensor)
+            posed = Predictions.refused(plan.grasps, self.predictor.channels, "ok", "")  # no value yet
+            parts.append(self.predictor.predict(target.cloud, posed, self._node.config, model))
+        answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
         return self._end(answer, budget), budget
 
     def answer(
@@ -190,13 +189,15 @@ class TouchStep(Step):
 
     def _draw(self, answer: TouchAnswer) -> None:
         """Publish the markers of the first prediction."""
-        first, model = answer.outcomes[0], self.predictor.model
+        model = self.predictor.model
         markers = MarkerArray()
-        if model is not None and not isinstance(first, Refusal):
+        if model is not None and answer.predictions[0].ok:
             rest, ranges = scale_of(model)
-            shown, view = replace(first, flags=(*first.flags, *answer.flags)), TaxelView(model.sensor)
+            shown, view = answer.predictions[:1], TaxelView(model.sensor)
+            for flag in answer.flags:
+                shown = shown.flagged(flag)
             first_at_g1 = self._node.config.thumb_takes_g1
-            markers = touch_markers(shown, answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
+            markers = touch_markers(shown[0], answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
         self._markers.publish(markers)
 
     def _adapt(self) -> None:

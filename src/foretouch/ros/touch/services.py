@@ -201,5 +201,5 @@ class TouchServices:
         message, budget = self._step.answer([target], grasps, header, None, time.monotonic())
         predictor, pressed = self._step.predictor, np.full((3, len(grasps), 1), np.nan)
         if (model := predictor.model) is not None:
-            pressed = predicted_pressures(message.outcomes, model)
+            pressed = predicted_pressures(message.predictions, model)
         return list(zip(predictor.end(message, budget).predictions, pressed.swapaxes(0, 1), strict=True))
