@@ -16,10 +16,10 @@ from sensor_msgs.msg import PointCloud2, PointField
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.objects import ObjectSegment
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.types import AnyArray, Cloud, Plane
-from foretouch_msgs.msg import Object
+from foretouch_msgs.msg import Object as ObjectMsg
 
 
 def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
@@ -33,7 +33,7 @@ def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
     return message
 
 
-def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: int) -> PointCloud2:
+def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -> PointCloud2:
     """Convert the targets, whose ids are integers, to `object_cloud`; without any, to a cloud without points.
 
     Frame and stamp [ns] are those of the scene's cloud.
@@ -52,10 +52,10 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     return cloud_to_msg(Cloud(xyz, rgb, frame_id, nanoseconds), **columns)
 
 
-def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
+def object_to_msg(segment: ObjectSegment, *, target: bool) -> ObjectMsg:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
     low, high = segment.bounds
-    return Object(
+    return ObjectMsg(
         id=str(segment.id),
         n_points=segment.n_points,
         centroid=point_to_msg(segment.centroid),
@@ -66,6 +66,6 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
     )
 
 
-def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
+def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[Object, ...]:
     """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
-    return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))
+    return tuple(Object(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))

@@ -16,7 +16,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, LimitError
 from foretouch.grasp import GraspHold, GraspPlan, Obstacles
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
@@ -64,7 +64,7 @@ class Latest(NamedTuple):
     """The newest objects on a table, for requests that bring no cloud."""
 
     header: Header  # of their cloud
-    targets: tuple[FoundObject, ...]
+    targets: tuple[Object, ...]
     message: Callable[[], PointCloud2]  # makes their `object_cloud`
     refusal: RefusalError | None = None  # why there is no table
 
@@ -105,7 +105,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
         return decode_cloud(message)
 
 
-def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
+def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tuple[Object, ...]:
     """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
 
     Raises:
@@ -148,7 +148,7 @@ def read_obstacles(message: TablePlane) -> Obstacles | None:
         return obstacles_from_msg(message)
 
 
-def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
+def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) -> tuple[Object, ...]:
     """Convert objects with their table and what stands around them; raises as `read_targets`, `read_table`, `read_obstacles`."""
     plane, obstacles = read_table(table, message.header), read_obstacles(table)
     return tuple(replace(target, obstacles=obstacles) for target in read_targets(message, plane, limits))
@@ -156,7 +156,7 @@ def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) 
 
 def requested_targets(
     cloud: PointCloud2, table: Sequence[PlaneMsg], latest: Latest | None, limits: ObjectLimits
-) -> tuple[Header, tuple[FoundObject, ...], bool]:
+) -> tuple[Header, tuple[Object, ...], bool]:
     """Convert cloud and table, none or one, of a request: a cloud that is only a header stands for the latest one, with its table.
 
     Returns the header of the cloud, its objects, and whether their table is known. Raises as `read_targets` and `read_plane`; a
@@ -196,7 +196,7 @@ def check_frames(name: str, header: Header, cloud: Header) -> None:
 
 def plan_targets(
     pipeline: Pipeline,
-    targets: Sequence[FoundObject],
+    targets: Sequence[Object],
     header: Header,
     note: str = "",
     held: GraspHold | None = None,

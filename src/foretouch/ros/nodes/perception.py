@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from foretouch.config import setting
 from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.grasp import GraspPlan
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.requests import Latest, RefusalError, read_objects, status_code
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
@@ -71,7 +71,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         return outcome
 
     def _answer_targets(
-        self, item: Input, targets: Sequence[FoundObject], message: Callable[[], PointCloud2], status: int, reason: str
+        self, item: Input, targets: Sequence[Object], message: Callable[[], PointCloud2], status: int, reason: str
     ) -> tuple[int, str]:
         """Plan and predict on targets, none with the status and reason; `message` makes their `object_cloud`."""
         header = item.header

@@ -7,7 +7,7 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.requests import Latest, RefusalError, check_frames, passed_on, read_objects, read_targets
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
@@ -61,7 +61,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         """Remember objects and table for requests, if both are there."""
         if (table := self._tables.get(stamp_ns(cloud.header.stamp))) is None:
             return
-        targets: tuple[FoundObject, ...] = ()
+        targets: tuple[Object, ...] = ()
         refusal: RefusalError | None = None
         try:
             targets = read_targets(cloud, ASSUMED_TABLE, self.config.limits)

@@ -11,7 +11,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings, setting
 from foretouch.dataset.topics import GRASPS_TOPIC
 from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, HandConfig
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
@@ -56,7 +56,7 @@ class GraspStep(Step):
         holds = config.grasp_hold > 0.0 and config.grasp.method == "completed"
         self._held = GraspHold(HOLD_TOLERANCE_M) if holds else None
 
-    def plan(self, targets: Sequence[FoundObject], header: Header, note: str) -> tuple[GraspArray, Sequence[GraspPlan]]:
+    def plan(self, targets: Sequence[Object], header: Header, note: str) -> tuple[GraspArray, Sequence[GraspPlan]]:
         """Plan on the targets, at least one (see `plan_targets`); `note` says how they were selected."""
         return plan_targets(self._pipeline, targets, header, note, self._held, self._margin)
 

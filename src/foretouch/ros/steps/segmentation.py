@@ -14,7 +14,7 @@ from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import Settings, setting
 from foretouch.dataset.topics import CLOUD_TOPIC
 from foretouch.grasp import HandConfig
-from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
+from foretouch.pipeline import Pipeline, PipelineConfig, Scene
 from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
@@ -70,7 +70,7 @@ class SegmentationStep(Step):
             raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is not one of {', '.join(allowed)}")
         return read_cloud(message)
 
-    def segment(self, cloud: Cloud) -> SegmentedScene:
+    def segment(self, cloud: Cloud) -> Scene:
         """Find the table and the objects; of equal ones, the target of the cloud before stays the target."""
         scene = self._pipeline.segment(cloud, self._previous, self._identity)
         ids = [target.id for target in scene.targets]
@@ -78,7 +78,7 @@ class SegmentationStep(Step):
         self._previous = centroids[0] if centroids else None
         return scene
 
-    def publish(self, header: Header, scene: SegmentedScene, shape: tuple[int, ...]) -> None:
+    def publish(self, header: Header, scene: Scene, shape: tuple[int, ...]) -> None:
         """Publish a scene, found in a cloud of a shape, for those who subscribe."""
         state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
         if self._table.get_subscription_count():

@@ -20,7 +20,7 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.dataset.topics import EXECUTED_TOPIC
 from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig, GraspPlan
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.equal_pressure import scale_of
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.answers import TouchAnswer
@@ -84,7 +84,7 @@ class TouchStep(Step):
     # The topic.
 
     def answer_plans(
-        self, targets: Sequence[FoundObject], plans: Sequence[GraspPlan], grasps: GraspArray, arrived: float
+        self, targets: Sequence[Object], plans: Sequence[GraspPlan], grasps: GraspArray, arrived: float
     ) -> "tuple[TouchAnswer, Answer | None]":
         """Predict for the plans of all targets, whose message is `grasps`; the rest as `answer`."""
         budget = self._begin(len(grasps.grasps), arrived)
@@ -98,7 +98,7 @@ class TouchStep(Step):
 
     def answer(
         self,
-        targets: Sequence[FoundObject],
+        targets: Sequence[Object],
         grasps: Sequence[Any] | GraspArrays,
         header: Header,
         posing: GeoGraspConfig | None,

@@ -19,7 +19,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from foretouch.errors import quoted
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.equal_pressure import predicted_pressures
 from foretouch.ros.messages.requests import RefusalError, read_arrays, requested_targets, status_name
 from foretouch.ros.runtime.lifecycle_node import REQUESTS, ForetouchNode
@@ -197,7 +197,7 @@ class TouchServices:
             self._step.add_requested(latest.header, latest.message, result.grasps)
         return result
 
-    def _predict_candidates(self, target: FoundObject, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
+    def _predict_candidates(self, target: Object, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
         message, budget = self._step.answer([target], grasps, header, None, time.monotonic())
         predictor, pressed = self._step.predictor, np.full((3, len(grasps), 1), np.nan)
         if (model := predictor.model) is not None:
