@@ -21,7 +21,7 @@ _HALF = 0.5
 _MAX_OFF = 0.5  # share of points beside their rays, or out of view, beyond which the whole cloud is refused
 _NO_SLOPE = 1e-7  # per column or row: less than the rounding of a point
 _FIELD_OF_VIEW_DEG = 120.0  # across and down, at most; a D415 has 65 x 40 degrees, the widest RealSense 90
-_TANGENT = math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2.0)  # the largest |x/z| and |y/z| in it
+TANGENT = math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2.0)  # the largest |x/z| and |y/z| in it
 _TRIALS = 128  # triples of pixels: if half of them are damaged, all triples are with probability 4e-8
 
 
@@ -52,7 +52,7 @@ class RayFilter:
                 f"{share:.0%} of the points are beside the rays of their pixels, more than {_MAX_OFF:.0%}: "
                 "is the cloud an image in the optical frame?"
             )
-        elif widest > _TANGENT:
+        elif widest > TANGENT:
             angle = 2.0 * math.degrees(math.atan(widest))
             self.reason = f"rays: {angle:.0f} degrees is more than a field of view of {_FIELD_OF_VIEW_DEG:g}"
 
@@ -78,7 +78,7 @@ def out_of_view(xyz: Float32) -> Bool:
     """(N,) bool: points (N, 3) float32 [m] with a positive depth that are out of the field of view, or not finite."""
     z = xyz[:, 2]
     with np.errstate(invalid="ignore", over="ignore"):
-        reach = z * np.float32(_TANGENT)
+        reach = z * np.float32(TANGENT)
         off = ~((np.abs(xyz[:, 0]) <= reach) & (np.abs(xyz[:, 1]) <= reach))
         return np.asarray(off & (z > 0.0) & np.isfinite(z), np.bool_)
 
@@ -105,11 +105,11 @@ def not_optical(xyz: Float32) -> str:
     size = np.abs(columns).max(axis=0, initial=0.0)
     columns = columns[:, (size > 0.0) & (size < np.inf)]
     x, y, z = columns
-    hidden = 1.0 - _share((z > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= _TANGENT * z))
+    hidden = 1.0 - _share((z > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= TANGENT * z))
     if hidden <= _HALF:
         return ""
     behind = _share(z <= 0.0)
-    forward = _share((x > 0.0) & (x < _FARTHEST_M) & (np.maximum(np.abs(y), np.abs(z)) <= _TANGENT * x))
+    forward = _share((x > 0.0) & (x < _FARTHEST_M) & (np.maximum(np.abs(y), np.abs(z)) <= TANGENT * x))
     along_x = ", but in view along x, as in the frame of a link" if forward >= _FORWARD else ""
     if behind > _HALF:
         what = f"{behind:.0%} of the points are at z <= 0, behind the camera{along_x}"
