@@ -90,6 +90,10 @@ class LimitError(CloudError):
     """An object or a table where the camera cannot see it, or of a size that a hand cannot hold."""
 
 
+class FrameError(LimitError):
+    """An object in another frame than the optical one of its camera."""
+
+
 class CalibrationError(CloudError):
     """A depth image whose camera is not known.
 

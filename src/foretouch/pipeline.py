@@ -37,7 +37,7 @@ from foretouch.grasp import (
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import History
-from foretouch.types import Cloud, Float64, Grasp, Int64, Plane, Touch, TouchPrediction
+from foretouch.types import Cloud, Float64, Grasp, Grasps, Int64, Plane, Predictions, Touch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,7 @@ class TargetResult:
 
     target: FoundObject
     plan: GraspPlan
-    predictions: tuple[TouchPrediction, ...]
+    predictions: Predictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ class Pipeline:
             hand=self.config.hand,
             obstacles=None if target.obstacles is None else target.obstacles.without(target.id),
         )
-        return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
+        return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
     def grasp_between(self, target: FoundObject, g1: Float64, g2: Float64) -> Grasp:
         """The grasp with given contacts (3,) [m] in the cloud frame, and the rotation that GeoGrasp computes for them.
@@ -207,19 +207,20 @@ class Pipeline:
         tare: Touch | None = None,
         history: History | None = None,
         model: TouchModel | None = None,
-    ) -> Sequence[TouchPrediction]:
+    ) -> Predictions:
         """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once.
 
         A `model` is used instead of the configured one.
         """
+        model = model or self.model
         if not grasps:
-            return []
-        predictions = (model or self.model).predict(
+            return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")
+        predictions = model.predict(
             target.cloud, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )
-        if not target.flags:
-            return predictions
-        return [replace(one, flags=(*one.flags, *target.flags)) for one in predictions]
+        for flag in target.flags:
+            predictions = predictions.flagged(flag)
+        return predictions
 
     def run(self, cloud: Cloud, plane: Plane | None = None) -> PipelineResult:
         """From a cloud to predicted touch.
@@ -242,7 +243,7 @@ class Pipeline:
             with timed(ms, "grasp"):
                 plan = self.plan(target)
             with timed(ms, "touch"):
-                results.append(TargetResult(target, plan, tuple(self.predict(target, plan.grasps))))
+                results.append(TargetResult(target, plan, self.predict(target, plan.grasps)))
         ms["total"] = sum(ms.values())
         status, reason = ("no_target", "") if scene is None else (scene.status, scene.reason)
         if results:

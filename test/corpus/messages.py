@@ -164,7 +164,7 @@ def check_batch(batch: Any) -> None:
     for k, (status, reason) in enumerate(zip(batch.statuses, batch.reasons, strict=True)):
         named(status, reason)
         if status == 0:
-            finite("prediction", [value for values in found.values() for value in values[k].ravel()])
+            finite("prediction", found.value[k])
 
 
 def predicted() -> Reader:

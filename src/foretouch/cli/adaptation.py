@@ -18,7 +18,7 @@ from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchErro
 from foretouch.files import read_json, require_schema
 from foretouch.tactile import make_tare, tdc_of
 from foretouch.tactile.description import require_same
-from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.types import Float64, Grasp, GraspSample, Predictions, Touch
 
 if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
@@ -57,7 +57,7 @@ class Adaptation:
         grasps: Sequence[Grasp],
         sample: GraspSample | None,
         model: TouchModel | None = None,
-    ) -> Sequence[TouchPrediction]:
+    ) -> Predictions:
         """Predict K grasps on one object, by a reduced form of the model if one is given.
 
         A `DatasetError` if a sample lacks the requested tare, or is of another object than the touches.

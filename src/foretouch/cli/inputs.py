@@ -200,7 +200,10 @@ def _results(
 ) -> Iterator[tuple[str, Record | ForetouchError]]:
     """The records of each cloud, or why it was refused."""
     try:
-        for item in open_source(path, topic=topic):
+        source = open_source(path, topic=topic)
+        for note in source.notes:
+            warn(note)
+        for item in source:
             try:
                 for record in process(item):
                     yield item.name, record

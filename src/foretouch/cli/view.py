@@ -89,6 +89,8 @@ def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterat
     made: Iterator[tuple[str, Callable[[], ViewStep | None]]]
     if samples is None:
         source = open_source(view.arguments.path, topic=view.arguments.topic)
+        for note in source.notes:
+            warn(note)
         made = ((item.name, partial(_of_cloud, view, item, stamped=source.kind == "recording")) for item in source)
     else:
         made = ((samples.name(k), partial(_of_sample, view, samples, k)) for k in range(len(samples)))

@@ -59,7 +59,7 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
         message = ask(graph)
         assert message.status == Status.OK
         (prediction,), (expected,) = message.predictions, level.model.predict(cloud, grasps)
-        assert reading(prediction)["PDC"][0] == pytest.approx(expected.value["PDC_TH"][0], rel=1e-6)
+        assert reading(prediction)["PDC"].value[0] == pytest.approx(expected.value["PDC_TH"][0], rel=1e-6)
         assert reading(prediction)["PDC"].lower[0] == pytest.approx(expected.lower["PDC_TH"][0], rel=1e-6)
         assert ("reduced" in prediction.flags) == reduced
         assert node.notes().get("budget.level") == (level.name if budget_ms else None)

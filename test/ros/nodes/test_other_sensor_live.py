@@ -85,11 +85,11 @@ def test_another_sensor_is_predicted_by_the_service_and_the_action(graph, uskin)
     request = PredictTouch.Request(cloud=cloud, grasps=grasps, table=table)
     expected = dict(zip(uskin.sensor.channels.modalities, counted(uskin.sensor).reshape(6, 16), strict=True))
     (one, *_) = graph.call(PredictTouch, "predict_touch", request).touch.predictions
-    np.testing.assert_array_equal(reading(one)["Z"], np.float32([expected["Z_TH"], expected["Z_FF"]]))
+    np.testing.assert_array_equal(reading(one)["Z"].value, np.float32([expected["Z_TH"], expected["Z_FF"]]))
     _, result, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(cloud=cloud, table=table))
     assert (result.status, result.grasp_state) == (Status.OK, "success")
     assert np.isfinite(result.costs).all()
-    np.testing.assert_array_equal(reading(result.predictions[0])["Z"], reading(one)["Z"])
+    np.testing.assert_array_equal(reading(result.predictions[0])["Z"].value, reading(one)["Z"].value)
 
 
 def _scene():

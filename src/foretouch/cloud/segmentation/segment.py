@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from foretouch.cloud.geometry.frames import TANGENT, not_optical
 from foretouch.cloud.geometry.pixel_grid import listed_image
 from foretouch.cloud.segmentation.clusters import (
     NOISE_FACTOR,
@@ -25,7 +26,7 @@ from foretouch.cloud.segmentation.clusters import (
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import TANGENT, RayFilter, finite_rows, not_optical, out_of_view, view_fault
+from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, out_of_view, view_fault
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
