@@ -29,11 +29,11 @@ from foretouch.ros.messages.requests import GraspArrays, Latest
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
+from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.ros.touch.services import TouchServices
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.table import make_reader, stamp_ns
 from foretouch.types import Grasp, Predictions
