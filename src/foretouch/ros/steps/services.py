@@ -60,9 +60,12 @@ class Predicts(Protocol):
 
     def answer(
         self, targets: Sequence[Object], grasps: Any, header: Header, posing: GeoGraspConfig | None, arrived: float
-    ) -> "tuple[TouchAnswer, Answer | None]": ...
+    ) -> "tuple[TouchAnswer, Answer | None]":
+        """Predict for grasps of messages."""
+        ...
 
-    def add_requested(self, header: Header, cloud: Callable[[], PointCloud2], grasps: Any) -> None: ...
+    def add_requested(self, header: Header, cloud: Callable[[], PointCloud2], grasps: Any) -> None:
+        """Keep grasps of a request."""
 
 
 class TouchServices:
