@@ -17,7 +17,7 @@ from foretouch.pipeline import Pipeline
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and the settings of GeoGrasp."""
-    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED)
+    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument("--tip-mm", type=float, metavar="MM", help="size of the gripper's fingertip [mm] (default: 25)")
     parser.add_argument("--count", type=int, metavar="K", help="maximum number of grasps (default: 1)")
     slide = parser.add_mutually_exclusive_group()

@@ -139,7 +139,8 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 """Arguments that several commands share, by name."""
 
 READ: Final = ("inputs", "--topic", "--config", "--set", "--mask", "--picture")
-PLANNED: Final = ("--plane", "--scene", "--target", "--pixel", "--point")
+PLANNED: Final = ("--plane", "--scene", "--target")
+CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
-    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED)
+    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument(
         "--grasp",
         type=partial(inputs.numbers, count=6),
