@@ -9,19 +9,15 @@ without these fields is one object without an image.
 
 import array
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Header
 
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.objects import ObjectSegment
 from foretouch.pipeline import Object
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
-from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import AnyArray, Cloud, Plane
 from foretouch_msgs.msg import Object as ObjectMsg
 
@@ -30,8 +26,10 @@ def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
     """Convert a cloud to a message of 12 bytes per point, 16 with colour, and further columns (see `encode`)."""
     content = vars(encode(cloud, **columns))
     data, fields = content.pop("data"), [PointField(**vars(field)) for field in content.pop("fields")]
-    message = PointCloud2(header=header_to_msg(cloud.frame_id, cloud.stamp_ns), fields=fields, **content)
-    message._data = data  # noqa: SLF001  its setter copies, byte by byte
+    header = header_to_msg(cloud.frame_id, cloud.stamp_ns)
+    message = PointCloud2(header=header, fields=fields, **content)
+    message.data = array.array("B")  # the only type that rclpy takes over without looking at each byte
+    message.data.frombytes(data.data)
     return message
 
 
@@ -54,19 +52,6 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
     return cloud_to_msg(Cloud(xyz, rgb, frame_id, nanoseconds), **columns)
 
 
-@dataclass(eq=False)
-class TargetCloud:
-    """An `object_cloud` for subscribers of this process, which use the targets themselves."""
-
-    header: Header  # of the scene's cloud
-    targets: Sequence[Object]  # best first
-
-    @cached_property
-    def message(self) -> PointCloud2:
-        """The message for all others, made when it is first needed."""
-        return objects_to_msg(self.targets, self.header.frame_id, stamp_ns(self.header.stamp))
-
-
 def object_to_msg(segment: ObjectSegment, *, target: bool) -> ObjectMsg:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
     low, high = segment.bounds
@@ -81,9 +66,6 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> ObjectMsg:
     )
 
 
-def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[Object, ...]:
+def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[Object, ...]:
     """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
-    return tuple(
-        Object(one.id, one.cloud, plane, one.pixels, one.image_shape)
-        for one in (message.targets if isinstance(message, TargetCloud) else decode_objects(message))
-    )
+    return tuple(Object(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))

@@ -116,6 +116,8 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
     def _run(self, camera: RealSenseCamera) -> None:
         counted: Counter[str] = Counter()
+        while self.state_name != "active" and not self._stopping.wait(0.01):
+            pass  # a cloud that is read before would not be published
         while not self._stopping.is_set() and camera.status.state != "ended":
             try:
                 cloud = camera.read(0.1)  # then the thread checks whether it should end

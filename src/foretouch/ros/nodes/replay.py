@@ -171,13 +171,13 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         for note in self._source.notes:
             self.get_logger().warning(note)
         segmented = cloud_is_object(self._source)  # samples, and files whose clouds are not organised
-        clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False)
+        clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH)
         self._topic_publishers[CLOUDS], self.clouds_topic = clouds, str(clouds.topic_name)
-        self._table = self.advertise(TablePlane, "table", depth=_DEPTH, direct=False) if segmented else None
+        self._table = self.advertise(TablePlane, "table", depth=_DEPTH) if segmented else None
         self._advertise_others(self._source)
         if config.lockstep:
             answers = self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH)
-            self._closing.callback(self.destroy_subscription, answers)
+            self.closing.callback(self.destroy_subscription, answers)
         try:
             self._wait_for = [self.resolve_topic_name(name) for name in config.wait_for]
         except RuntimeError as err:  # of rcl
@@ -355,7 +355,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
             profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
             publisher = self._topic_publishers[topic.name] = self.create_publisher(message, topic.name, profile)
-            self._closing.callback(self.destroy_publisher, publisher)
+            self.closing.callback(self.destroy_publisher, publisher)
         for topic_name, reason in self._left_out.items():
             self.get_logger().info(f"{topic_name}: not played: {reason}")
 
