@@ -127,8 +127,8 @@ def _sample(samples: SampleSet, number: int) -> GraspSample:
 
 def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:
     with Recording(path) as recording:
-        for message in recording.messages([topic]):
-            yield f"{path}[{message.index}]", partial(recording.decode_cloud, message)
+        for message, decode in recording.clouds(topic):
+            yield f"{path}[{message.index}]", decode
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:
