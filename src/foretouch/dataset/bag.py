@@ -16,6 +16,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from heapq import merge
+from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -131,7 +132,7 @@ class Recording:
                 rule = f"no messages of {POINT_CLOUD_TYPE}, nor depth images ({', '.join(ENCODINGS)}, compressedDepth)"
             raise FileError(self.path, f"{rule}: {_listed(found or self.topics)}", field=topic)
         name = found[0].name
-        if found[0].type != POINT_CLOUD_TYPE and not self._infos_of(name):
+        if found[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
             rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too"
             raise FileError(self.path, rule, field=name)
         return name
@@ -146,11 +147,11 @@ class Recording:
         except (FileError, StopIteration):
             return False
 
-    def _infos_of(self, topic: str) -> list[str]:
-        """The topic of the camera infos of depth images; none of clouds, or where it is absent."""
+    def info_topic(self, topic: str) -> str:
+        """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
         types = {one.name: one.type for one in self.topics if one.count}
         beside = info_topic(topic)
-        return [beside] if types[topic] != POINT_CLOUD_TYPE and types.get(beside) == CAMERA_INFO_TYPE else []
+        return beside if types[topic] != POINT_CLOUD_TYPE and types.get(beside) == CAMERA_INFO_TYPE else ""
 
     def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
         """Read the messages of a topic of clouds or depth images, each with what decodes it.
@@ -158,11 +159,10 @@ class Recording:
         A depth image has the camera of the last info before it, the first ones that of the first info. What decodes a
         message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
         """
-        beside = self._infos_of(topic)
-        infos = CameraInfos(topic)
-        if beside and (first := next(self.messages(beside), None)):
+        beside, infos = self.info_topic(topic), CameraInfos(topic)
+        for first in islice(self.messages([beside]), 1):
             infos.add(self.content(first), first.bag_time_ns * 1e-9)
-        for message in self.messages([topic, *beside]):
+        for message in self.messages({topic, beside}):
             if message.topic == topic:
                 yield message, partial(self.decode_cloud, message, infos)
             else:
