@@ -205,7 +205,7 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
                 _check_batch(path, batch, field)
                 parts.append(_Part(path, found, offset, batch.num_rows))
                 offset = file.tell()
-        except (OSError, struct.error, *_ARROW_ERRORS) as err:
+        except (OSError, EOFError, struct.error, *_ARROW_ERRORS) as err:
             raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
     if (rows := sum(part.samples for part in parts)) != samples:
         raise FileError(path, f"holds {rows} samples, the manifest declares {samples}")
