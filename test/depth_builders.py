@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
 FRAME = "camera_depth_optical_frame"
@@ -87,10 +89,20 @@ def rvl(depth: npt.NDArray[np.uint16]) -> bytes:
     return struct.pack("<2I", depth.shape[1], depth.shape[0]) + b"".join(struct.pack("<I", word) for word in words)
 
 
-def write_bag(path: Path, messages: Iterable[tuple[str, int, Any]], *, ros1: bool = False) -> Path:
+def write_bag(
+    path: Path,
+    messages: Iterable[tuple[str, int, Any]],
+    *,
+    ros1: bool = False,
+    plugin: StoragePlugin = StoragePlugin.SQLITE3,
+    mode: CompressionMode = CompressionMode.NONE,
+) -> Path:
     """A recording of messages: topic, time of the recorder [ns], and fields, whose names say the type."""
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
-    with Ros1Writer(path) if ros1 else Ros2Writer(path, version=9) as writer:
+    opened = Ros1Writer(path) if ros1 else Ros2Writer(path, version=9, storage_plugin=plugin)
+    if not ros1 and mode != CompressionMode.NONE:
+        opened.set_compression(mode, CompressionFormat.ZSTD)
+    with opened as writer:
         topics: dict[str, Any] = {}
         for topic, time_ns, fields in messages:
             name = (

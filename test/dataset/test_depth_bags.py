@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from depth_builders import FRAME, STAMP_NS, compressed, header, image, info, png, rvl, write_bag
 from every_case import every_case
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2.enums import CompressionMode
 
 from foretouch.cloud.io.depth_messages import camera_model
 from foretouch.dataset.bag import Recording
@@ -69,6 +71,30 @@ def test_a_recording_with_one_depth_topic_just_works(tmp_path: Path, form: str, 
         expected = Cloud.from_depth(pixels(number), camera_model(small_info())).xyz
         np.testing.assert_allclose(cloud.xyz, expected, rtol=2e-7)
         assert np.isnan(cloud.xyz[number]).all()
+
+
+def test_depth_images_are_read_from_any_storage_also_from_a_file_that_is_cut_off(tmp_path: Path) -> None:
+    expected = [Cloud.from_depth(pixels(k), camera_model(small_info())).xyz for k in range(9)]
+    sent = [(INFO, STAMP_NS - 1, small_info()), *frames(count=9)]
+    cases = [(plugin, mode) for plugin in StoragePlugin for mode in CompressionMode]
+    cases.remove((StoragePlugin.SQLITE3, CompressionMode.STORAGE))  # SQLite has none
+
+    def check(plugin: StoragePlugin, mode: CompressionMode) -> None:
+        path = write_bag(tmp_path / f"{plugin.name} {mode.name}", sent, plugin=plugin, mode=mode)
+        for read in (path, next(one for one in path.iterdir() if one.name != "metadata.yaml")):
+            clouds = [item.cloud for item in open_source(read)]
+            for cloud, xyz in zip(clouds, expected, strict=True):
+                np.testing.assert_allclose(cloud.xyz, xyz, rtol=2e-7)
+
+    every_case(cases, check)
+    file = tmp_path / "MCAP NONE" / "MCAP NONE.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    clouds = []
+    with pytest.raises(FileError, match=r"MCAP NONE\.mcap: byte \d+: cut off .*`foretouch dataset repair "):  # noqa: PT012
+        for item in open_source(file.parent):
+            clouds.append(item.cloud)  # noqa: PERF401  each before the error
+    assert 2 <= len(clouds) <= 6
+    np.testing.assert_allclose(clouds[1].xyz, expected[1], rtol=2e-7)
 
 
 def test_the_image_is_preferred_to_its_compressed_form_and_several_cameras_are_named(tmp_path: Path) -> None:

@@ -49,12 +49,16 @@ def is_dataset(path: str | Path) -> bool:
 def recorded_files(path: Path, *, convert: bool = False, complete: bool = True) -> list[Path]:
     """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
 
-    A dataset of version 1 is refused, except to `convert` it, and one of which a session is absent, unless it need not be complete.
+    A dataset of version 1 is refused, except to `convert` it, and one of which a session is absent, unless it need not be `complete`:
+    then the files of a bag are given, too.
     """
     if path.is_file():
         return [path]
     if not is_dataset(path):
-        raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
+        files = [] if complete or (path / _MANIFEST).exists() else sorted(path.glob("*.mcap"))
+        if not files:
+            raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
+        return files
     _read_identity(path)
     if _manifest(path)["schema_version"] != SCHEMA_VERSION and not convert:
         raise FileError(path, OLD_VERSION)

@@ -24,7 +24,7 @@ from foretouch.dataset.files import sync_folder
 from foretouch.dataset.mcap_reader import MAGIC, Damage
 from foretouch.dataset.recording import folder
 from foretouch.dataset.recording.edits import EDITS, read_edits
-from foretouch.dataset.recording.folder import SESSIONS, lock, recorded_files, restate, stated
+from foretouch.dataset.recording.folder import SESSIONS, is_dataset, lock, recorded_files, restate, stated
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
 from foretouch.dataset.recording.reader import readable, session_id
 from foretouch.dataset.recording.records import MessageCounts, RecordingFile, TopicCounts
@@ -64,14 +64,18 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """
     path = Path(path)
     files = recorded_files(path, complete=False)  # refuses other folders, before a lock file is created there
-    if not path.is_dir():
-        return [_repair_file(path)]
+    if not is_dataset(path):
+        return [_repair_file(file) for file in files]
     with lock(path):
         reports = [_repair_file(file) for file in files]
         found = {file.name: session_id(file) for file in files}
         for name, session in stated(path, SESSIONS).items():
             if found.get(name) != session:
-                rule = "was replaced by another recording, which is" if name in found else "is absent, and no longer"
+                rule = (
+                    "has another id than the manifest listed, and is now"
+                    if name in found
+                    else "is absent, and no longer"
+                )
                 reports.append(RepairReport(path / name, changed=True, lost=[Damage(0, f"{rule} listed")]))
         if found != stated(path, SESSIONS):
             restate(path, SESSIONS, found)

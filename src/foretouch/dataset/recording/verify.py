@@ -12,7 +12,7 @@ from pathlib import Path
 
 from foretouch.dataset.mcap_reader import Damage
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import SESSIONS, recorded_files, recorded_sensor, stated
+from foretouch.dataset.recording.folder import SESSIONS, is_dataset, recorded_files, recorded_sensor, stated
 from foretouch.dataset.recording.reader import session_id
 from foretouch.dataset.recording.records import MessageCounts, RecordingFile
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, decode_sample
@@ -50,8 +50,8 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     """
     path = Path(path)
     files = recorded_files(path, complete=False)
-    if not path.is_dir():
-        return [verify_file(RecordingFile(path))]
+    if not is_dataset(path):
+        return [verify_file(RecordingFile(file)) for file in files]
     sensor = recorded_sensor(path)
     read_edits(path)
     reports = [verify_file(RecordingFile(file), sensor) for file in files]
