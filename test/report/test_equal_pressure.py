@@ -9,7 +9,7 @@ import numpy as np
 from foretouch.cloud.io.files import read_cloud
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups, flag_equal_pressures
 from foretouch.types import ASSUMED_TABLE, Predictions
 
@@ -35,7 +35,7 @@ def grasps_around(target, pipeline, count):
 
 def test_one_grasp_refused_grasps_and_models_without_intervals_get_no_flag():
     model, pipeline = load_model(), Pipeline(PipelineConfig())
-    target = FoundObject("1", read_cloud(CAN), ASSUMED_TABLE)
+    target = Object("1", read_cloud(CAN), ASSUMED_TABLE)
     grasps = grasps_around(target, pipeline, 3)
     rows = pipeline.predict(target, grasps, model=model)
     refused = Predictions.refused(rows.grasps[:1], rows.channels, "refused", "not finite")

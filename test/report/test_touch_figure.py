@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.touch_figure import DrawnGrasp, _agreement, save_contact_sheet, save_touch_picture
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
@@ -22,14 +22,14 @@ BIOTAC_SP = packaged_sensor("biotac_sp")
 
 
 @pytest.fixture(scope="module")
-def sample() -> tuple[FoundObject, Prediction, Touch]:
+def sample() -> tuple[Object, Prediction, Touch]:
     """An object, a prediction and a tare."""
     state = run(scene(CAN))
-    target = FoundObject("1", state.cloud, Plane.from_coefficients([0, 0, -1, 1.25]))
+    target = Object("1", state.cloud, Plane.from_coefficients([0, 0, -1, 1.25]))
     return target, Prediction.of(state.grasp, state.touch), state.tare
 
 
-def picture(path: Path, target: FoundObject, prediction: Prediction, **options) -> np.ndarray:
+def picture(path: Path, target: Object, prediction: Prediction, **options) -> np.ndarray:
     return imread(save_touch_picture(path, [DrawnGrasp(target=target, prediction=prediction, **options)]))[..., :3]
 
 

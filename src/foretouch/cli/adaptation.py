@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
-    from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.pipeline import Object, Pipeline
     from foretouch.tactile.description import Sensor
     from foretouch.types.channels import Channels
 
@@ -53,7 +53,7 @@ class Adaptation:
     def predict(
         self,
         pipeline: Pipeline,
-        target: FoundObject,
+        target: Object,
         grasps: Sequence[Grasp],
         sample: GraspSample | None,
         model: TouchModel | None = None,

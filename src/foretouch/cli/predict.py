@@ -23,7 +23,7 @@ from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import laboratory
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
 from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Prediction, Predictions, Reference, Touch
@@ -117,7 +117,7 @@ def _predict(
     adaptation: Adaptation,
     budget: "LatencyBudget | None",
     pipeline: Pipeline,
-    target: FoundObject,
+    target: Object,
     grasps: Sequence[Grasp],
     sample: GraspSample | None,
 ) -> tuple[Predictions, inputs.Record]:
@@ -176,7 +176,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
 
 
 def _grasps(
-    item: SourceItem, target: FoundObject, arguments: argparse.Namespace, pipeline: Pipeline
+    item: SourceItem, target: Object, arguments: argparse.Namespace, pipeline: Pipeline
 ) -> tuple[list[Grasp], str]:
     """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned by GeoGrasp."""
     if arguments.grasp:

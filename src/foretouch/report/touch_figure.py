@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.panels import new_figure, save
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
@@ -37,7 +37,7 @@ class DrawnGrasp:
     """One grasp to draw: its object, its prediction, and what was read where it was executed."""
 
     prediction: Prediction  # a refused one is drawn without its taxels
-    target: FoundObject | None = None  # the object; None draws neither scene nor contacts
+    target: Object | None = None  # the object; None draws neither scene nor contacts
     scene: Cloud | None = None  # the whole cloud, drawn if it is organised; None if there is only the object
     rest: Touch | None = None  # reading without contact; taxels are then coloured by their change from it
     read: Touch | None = None  # reading of the executed grasp
@@ -130,7 +130,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor:
     rows = [
         DrawnGrasp(
             prediction=Prediction.of(one.grasp, Touch.unknown(sensor.channels), status="refused"),
-            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)),
+            target=Object(one.object, one.cloud, assumed_table(one.cloud)),
             rest=one.tare,
             read=one.touch,
             title=one.id,
@@ -179,7 +179,7 @@ def draw_taxels(
     return drawn
 
 
-def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> None:
+def _draw_scene(axes: Axes, scene: Cloud, target: Object, title: str) -> None:
     """Draw an organised scene as a depth image, with the outline of the target; of others there is no more than the object."""
     if not scene.organised or target.pixels is None or target.image_shape is None:
         axes.set_axis_off()

@@ -109,14 +109,12 @@ def _from_png(data: UInt8) -> AnyArray:
 
 
 def _from_rvl(data: UInt8) -> AnyArray:
-    if data.size < 8:
-        raise CloudError(f"data: {data.size} bytes are no RVL")
+    if data.size < 8 or data.size % 4:
+        raise CloudError(f"data: the RVL is truncated: {data.size} bytes are not whole words")
     width, height = struct.unpack("<2I", data[:8].tobytes())
     _check_size(height, width)
     depth, decoded = np.empty((height, width), np.uint16), np.empty(1, np.int64)
-    words = np.zeros(-(-(data.size - 8) // 4) * 4, np.uint8)
-    words[: data.size - 8] = data[8:]
-    _decode_rvl(words, words.size // 4, depth.size, depth, decoded)
+    _decode_rvl(data[8:], data.size // 4 - 2, depth.size, depth, decoded)
     if decoded[0] != depth.size:
         raise CloudError(f"data: the RVL is truncated or damaged after {decoded[0]} of {depth.size} pixels")
     return depth

@@ -16,7 +16,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, LimitError
 from foretouch.grasp import GraspHold, Obstacles
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
@@ -103,7 +103,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
         return decode_cloud(message)
 
 
-def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
+def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[Object, ...]:
     """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
 
     Raises:
@@ -183,7 +183,7 @@ def check_frames(name: str, header: Header, cloud: Header) -> None:
 
 def plan_targets(
     pipeline: Pipeline,
-    targets: Sequence[FoundObject],
+    targets: Sequence[Object],
     header: Header,
     note: str = "",
     held: GraspHold | None = None,

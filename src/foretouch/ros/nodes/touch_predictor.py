@@ -30,7 +30,7 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import TactileError, quoted
 from foretouch.grasp import GeoGraspConfig
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.equal_pressure import predicted_pressures, scale_of
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.answers import TouchAnswer
@@ -238,7 +238,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _predict(
         self,
-        targets: Sequence[FoundObject],
+        targets: Sequence[Object],
         grasps: Sequence[Any] | GraspArrays,
         header: Header,
         posing: GeoGraspConfig | None,
@@ -403,7 +403,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._add_requested(sampled, result.grasps)
         return result
 
-    def _predict_candidates(self, target: FoundObject, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
+    def _predict_candidates(self, target: Object, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
         predictor, pressed = _configured(self._predictor), np.full((3, len(grasps), 1), np.nan)
         if (model := predictor.model) is not None:

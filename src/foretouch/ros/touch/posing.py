@@ -10,7 +10,7 @@ from foretouch.errors import CloudError, ForetouchError, FrameError, GraspError,
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.grasp.messages import decode_grasp, has_orientation
 from foretouch.grasp.pose import joined_faults, rotation_faults
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
 from foretouch.ros.touch.config import TouchPredictorConfig
@@ -24,7 +24,7 @@ from foretouch_msgs.msg import Status
 
 def posed_grasps(
     grasps: Sequence[GraspMsg] | GraspArrays,
-    target: FoundObject,
+    target: Object,
     config: TouchPredictorConfig,
     posing: GeoGraspConfig | None,
     channels: Channels,
@@ -82,7 +82,7 @@ def _of_arrays(
     return Grasps(g1, g2, turned, id=ids, object_id=objects([grasps.object_id] * count)), errors
 
 
-def _axis(target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:
+def _axis(target: Object, limits: ObjectLimits, config: GeoGraspConfig) -> Float64:
     check_object(target.cloud.xyz, limits)
     try:
         check_table(target.plane, limits)

@@ -14,7 +14,7 @@ from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
 from foretouch.grasp import GeoGraspConfig, closing_faults
 from foretouch.grasp.messages import has_orientation
 from foretouch.models import TouchModel, load_model
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
@@ -87,7 +87,7 @@ class Predictor:
         from foretouch.models.budget import PAUSE_S
 
         cloud, grasps = scene
-        target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
+        target, messages, around = Object("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
         for count in _COUNTS:
             beyond = []
             for _ in range(5):
@@ -118,7 +118,7 @@ class Predictor:
 
     def answer(
         self,
-        targets: Sequence[FoundObject],
+        targets: Sequence[Object],
         grasps: Sequence[GraspMsg] | GraspArrays,
         header: Header,
         config: TouchPredictorConfig,
@@ -213,7 +213,7 @@ def _as_predicted(message: GraspMsg, predictions: Predictions, k: int) -> GraspM
     return grasp_to_msg(predictions[k].grasp, message.status, message.reason)
 
 
-def _target_of(object_id: str, targets: Sequence[FoundObject]) -> int:
+def _target_of(object_id: str, targets: Sequence[Object]) -> int:
     """Index of a grasp's target; a single target matches if it or the grasp has no object id."""
     ids = [target.id for target in targets]
     if object_id in ids:
