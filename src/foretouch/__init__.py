@@ -29,3 +29,15 @@ def reading(message: Any) -> "Prediction | Predictions":
     rows = decode_predictions(message)
     many = hasattr(message, "predictions") or hasattr(message, "statuses")
     return rows if many else rows[0]
+
+
+_LIBRARY = {"write": "foretouch.dataset.writing"}
+"""Modules of the functions that `import foretouch` offers, loaded when first used."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LIBRARY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_LIBRARY[name]), name)

@@ -10,7 +10,7 @@ from every_case import every_case
 from recording_builders import IDENTITY
 from topic_builders import NS, TURNED, Faults, write_topics
 
-from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
+from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
@@ -18,7 +18,7 @@ from foretouch.errors import FileError
 from foretouch.tactile.messages.table import TactileConfig
 
 
-def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResult, list[SampleRecord]]:
+def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[WriteResult, list[SampleRecord]]:
     write_topics(tmp_path / "bag", faults)
     result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(**topics))
     return result, list(open_samples(tmp_path / "ds").records(discarded=True))
@@ -36,7 +36,7 @@ def test_named_topics_become_samples_by_id_and_header_stamps_also_of_a_replay(tm
     assert touched.pairing_error_ns <= NS // 100
     assert touched.contact_ns == 1_700_000_003 * NS
     assert touched.series.others.keys() == {f"{c}_{f}" for c in ("PAC0", "PAC1", "TAC", "TDC") for f in ("TH", "MF")}
-    assert (touched.sample.cloud.xyz == 0).all()
+    assert (touched.sample.cloud.xyz == 1).all()
     assert other.sample.touch is None
     assert other.sample.grasp.id == "c"
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]

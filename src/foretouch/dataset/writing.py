@@ -52,6 +52,7 @@ from foretouch.types import (
 from foretouch.types.channels import Channels
 
 Missing = Literal["refuse", "hold", "mask"]
+Remarks = dict[str, tuple[int, str]]  # number of samples and the first of them, by what is remarkable
 
 _OUTCOMES: Final[dict[Any, Outcome]] = {True: "success", False: "failure", None: "unknown"}
 _FACTOR: Final = 2.0  # between the rate of the stamps and that of the sensor's description
@@ -66,11 +67,7 @@ class WriteResult:
     labelled: int = 0  # those with a touch
     readings: int = 0  # those in their series, or a touch without one
     left_out: Counter[str] = field(default_factory=Counter)  # what was not written, by reason
-    remarks: dict[str, list[str]] = field(default_factory=dict)  # by what is remarkable: where, and the numbers
-
-    def lines(self) -> list[str]:
-        """Return a line for each remark, with the number of samples and the first of them."""
-        return [f"{kind} in {len(found)} samples, first {found[0]}" for kind, found in self.remarks.items()]
+    notes: tuple[str, ...] = ()  # what to look at: stamps, missing numbers, what a bag states of its files
 
 
 def write(
@@ -109,7 +106,7 @@ def write(
     identity = Identity(
         hand=hand or facts.hand or {"name": own.config.name}, camera=camera or facts.camera or {"name": "none"}
     )
-    result = WriteResult()
+    result, remarks = WriteResult(), Remarks()
 
     def made() -> Iterable[SampleRecord]:
         for number, one in enumerate(records):
@@ -117,15 +114,15 @@ def write(
                 yield one
                 continue
             try:
-                yield sample_of(own, missing=missing, remarks=result.remarks, **one)
+                yield sample_of(own, missing=missing, remarks=remarks, **one)
             except (TypeError, ForetouchError) as err:  # TypeError: of a key that is missing or not known
                 name = (
                     f"{one.get('object')}/{one.get('id') or number}" if isinstance(one, Mapping) else type(one).__name__
                 )
                 raise DatasetError(f"sample {number} ({name}): {str(err).removeprefix('sample_of() ')}") from err
 
-    write_records(Path(path), made(), identity, own, result)
-    for line in result.lines():
+    write_records(Path(path), made(), identity, own, result, remarks=remarks)
+    for line in result.notes:
         warnings.warn(line, stacklevel=2)
     return result
 
@@ -137,8 +134,10 @@ def write_records(
     sensor: Sensor,
     result: WriteResult,
     progress: Callable[[], None] = lambda: None,
+    remarks: Remarks | None = None,
 ) -> None:
-    """Write the records to a dataset, whose stamps are held against the rate of the sensor; see `write`."""
+    """Write the records to a dataset and add to the result; their stamps are held against the rate of the sensor; see `write`."""
+    remarks = {} if remarks is None else remarks
     with ExitStack() as stack:
         folder = path if path.exists() else stack.enter_context(new_folder(path))
         config = RecordingConfig(fsync_samples=0)  # synchronised once, at the end
@@ -148,14 +147,20 @@ def write_records(
                 faults = (
                     {} if record.series is None else stamp_faults(record.series.stamps_ns, sensor.config.update_rate)
                 )
-                flags = [*record.flags, *(flag for flag in faults if flag not in record.flags)]
-                name = writer.append(replace(record, flags=tuple(flags)))
+                name = writer.append(record)
                 for flag, text in faults.items():
-                    result.remarks.setdefault(flag, []).append(f"{name}: {text}")
+                    _remark(remarks, flag, f"{name}: {text}")
                 result.samples += 1
                 result.labelled += record.sample.touch is not None
                 result.readings += 0 if series is None else len(series.stamps_ns)
                 progress()
+    result.notes += tuple(f"{kind}: {count} samples, first {first}" for kind, (count, first) in remarks.items())
+
+
+def _remark(remarks: Remarks | None, kind: str, text: str) -> None:
+    if remarks is not None:
+        count, first = remarks.get(kind, (0, text))
+        remarks[kind] = (count + 1, first)
 
 
 def stamp_faults(stamps_ns: Int64, rate_hz: float) -> dict[str, str]:
@@ -207,7 +212,7 @@ def sample_of(
     grasp: Grasp = NO_GRASP,
     note: str = "",
     missing: Missing = "refuse",
-    remarks: dict[str, list[str]] | None = None,
+    remarks: Remarks | None = None,
 ) -> SampleRecord:
     """Make the record of a grasp from arrays.
 
@@ -248,12 +253,10 @@ def sample_of(
     rows, whole, gone = _complete(rows, channels, missing, "values")
     names = tuple(further)
     filled, _, lost = _complete(
-        np.array([further[key] for key in names]).reshape(len(names), -1).T, names, missing, "others"
+        np.array([further[key] for key in names]).reshape(len(names), len(rows)).T, names, missing, "others"
     )
-    if gone + lost and remarks is not None:
-        remarks.setdefault("held_numbers" if missing == "hold" else "missing_numbers", []).append(
-            f"{name or object}: {gone + lost}"
-        )
+    if gone + lost:
+        _remark(remarks, f"missing_numbers ({missing})", f"{name or object}: {gone + lost}")
     flags = [*(["missing_numbers"] if gone + lost else []), *_range_flags(rows, channels)]
     stamps = _stamps(len(rows), sensor.config.update_rate, rows, stamps_ns, stamps_s, rate_hz, start_s)
     if rate_hz is not None:
@@ -266,11 +269,10 @@ def sample_of(
         extra = {key: float(one[0]) for key, one in columns.items()}
         sample = replace(sample, touch=Touch(rows[0], channels), extra=extra)
         return SampleRecord(sample=sample, outcome=found, note=note, flags=tuple(flags))
+    flags += stamp_faults(stamps, sensor.config.update_rate)
     touch, rested, phases, contact_ns = _cut(stamps, rows, whole, rest, channels)
-    if rest and touch is None and remarks is not None:
-        remarks.setdefault("no_contact", []).append(
-            f"{name or object}: no contact after {rest} readings at rest, so no touch"
-        )
+    if rest and touch is None:
+        _remark(remarks, "no_contact", f"{name or object}: none found after {rest} readings at rest, so no touch")
     return SampleRecord(
         sample=replace(sample, touch=touch, tare=rested if resting is None else resting),
         outcome=found,
@@ -378,7 +380,7 @@ def _stamps(
     rate_hz: float | None,
     start_s: float,
 ) -> Int64:
-    """(T,) int64 [ns]; a `DatasetError` if they are of another number, go back, or their digits do not tell readings apart."""
+    """(T,) int64 [ns]; a `DatasetError` if they are of another number, go back, or too few digits for the readings."""
     given = [
         name
         for name, one in (("stamps_ns", stamps_ns), ("stamps_s", stamps_s), ("rate_hz", rate_hz))

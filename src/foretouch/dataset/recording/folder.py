@@ -43,17 +43,14 @@ def is_dataset(path: str | Path) -> bool:
         return False
 
 
-def recorded_files(path: Path, *, convert: bool = False) -> list[Path]:
-    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
-
-    A dataset of version 1 is refused, except to `convert` it.
-    """
+def recorded_files(path: Path) -> list[Path]:
+    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`)."""
     if path.is_file():
         return [path]
     if not is_dataset(path):
         raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     _read_identity(path)
-    if _manifest(path)["schema_version"] != SCHEMA_VERSION and not convert:
+    if _manifest(path)["schema_version"] != SCHEMA_VERSION:
         raise FileError(path, OLD_VERSION)
     return session_files(path)
 
