@@ -68,7 +68,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "nargs": "+",
         "help": "cloud file (.pcd, .ply, .npz or .npy), folder of cloud files, dataset or recording",
     },
-    "--topic": {"help": "point cloud topic of a recording (default: its only one)"},
+    "--topic": {"help": "topic of point clouds or depth images of a recording (default: its only one)"},
     "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
     "--set": {"metavar": "KEY=VALUE", **_REPEATED, "help": "change one setting of the pipeline"},
     "--plane": {
