@@ -29,7 +29,7 @@ CAMERA_USERS = ("perception", "segmentation")
 MODEL_USERS = ("perception", "touch_predictor")
 ARGUMENTS = [
     DeclareLaunchArgument("camera", default_value="true", description="false where realsense2_camera publishes"),
-    DeclareLaunchArgument("depth", default_value="", description="Topic of the depth images of another camera node"),
+    DeclareLaunchArgument("depth", default_value="depth/image_rect_raw", description="Topic of the depth images"),
     DeclareLaunchArgument("points", default_value="", description="Topic of its clouds, to use them instead"),
     DeclareLaunchArgument(
         "one_process", default_value="true", description="false: a process for each step, to replace one of them"
@@ -54,7 +54,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def perception(context: LaunchContext) -> list[Node]:
     given = argument_values(context, "depth", "points", "model", "input")
-    kind = given["input"] or ("depth" if given["depth"] else "points")
+    kind = given["input"] or ("points" if given["points"] else "depth")
     remapped = [
         (name, given[topic]) for name, topic in (("depth/image", "depth"), ("points", "points")) if given[topic]
     ]

@@ -21,10 +21,10 @@ MODEL = ["-p", "model:=m.json"]
 NODES = {  # values of the arguments, then executables with what is peculiar to each
     "camera": ({}, {"camera": {}}),
     "perception": (
-        {"points": "/camera/points", "depth": "", "model": "m.json", "one_process": "true", "input": ""},
+        {"points": "/camera/points", "depth": "d", "model": "m.json", "one_process": "true", "input": ""},
         {
             "perception": {
-                "remappings": [("points", "/camera/points")],
+                "remappings": [("depth/image", "d"), ("points", "/camera/points")],
                 "ros_arguments": [*MODEL, "-p", "input:=points"],
             }
         },

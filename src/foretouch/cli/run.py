@@ -131,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
         namespace=arguments.namespace,
         params_file=arguments.params,
         monitor=monitor,
-        arguments=_remapped(arguments.source, nodes),
+        arguments=["--ros-args", *arguments.remapped, "--"],
     )
     announce("starting the nodes")
     with graph:
@@ -147,9 +147,12 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from foretouch.dataset.source import open_source
     from foretouch.models.card import read_card
     from foretouch.models.registry import SIMULATED_HAND_MODEL, find_card
+    from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
     given = [one for _, one in nodes_of_file(arguments.params)] if arguments.params else []
-    nodes: dict[str, dict[str, Any]] = {"perception": {"input": "points"}}
+    perception: dict[str, Any] = {}
+    nodes: dict[str, dict[str, Any]] = {"perception": perception}
+    arguments.remapped = []  # what perception receives
     if arguments.model:
         read_card(find_card(arguments.model))  # so that an absent one is reported before anything starts
         nodes["perception"]["model"] = str(arguments.model)
@@ -163,15 +166,20 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if not live:
         source = open_source(arguments.source, arguments.topic)
         if not any("late_after_s" in parameters for parameters in given):
-            nodes["perception"]["late_after_s"] = 0.0  # the stamps are those of the recording
-        if cloud_is_object(source):
-            nodes["perception"]["input"] = "objects"
+            perception["late_after_s"] = 0.0  # the stamps are those of the recording
+        perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
+        if source.info_topic:
+            arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
         return nodes | {"replay": _replay_parameters(arguments, source)}
     if arguments.wait_for or arguments.wait_limit is not None:
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
     if _is_topic(arguments.source):
-        nodes["perception"]["input"] = input_of(arguments.source, _TOPIC_S)
+        perception["input"] = input_of(arguments.source, _TOPIC_S)
+        own = "points" if perception["input"] == "points" else "depth/image"
+        arguments.remapped = ["-r", f"perception:{own}:={arguments.source}"]
         return nodes
+    perception["input"] = "depth"
+    arguments.remapped = ["-r", f"perception:depth/image:={DEPTH_TOPIC}"]
     if scene and not arguments.model and not any("model" in parameters for parameters in given):
         nodes["perception"]["model"] = SIMULATED_HAND_MODEL
     for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
@@ -182,14 +190,6 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 def _is_topic(source: str) -> bool:
     """Whether a source is the full name of a topic, and no file."""
     return re.fullmatch(r"(/[A-Za-z_]\w*)+", source, re.ASCII) is not None and not Path(source).exists()
-
-
-def _remapped(source: str, nodes: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """ROS arguments by which perception receives a topic of others, or none."""
-    if not _is_topic(source):
-        return []
-    own = "points" if nodes["perception"]["input"] == "points" else "depth/image"
-    return ["--ros-args", "-r", f"perception:{own}:={source}", "--"]
 
 
 def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]]) -> Sensor:

@@ -8,13 +8,22 @@ is extended. From a bag without samples of foretouch, samples are assembled as t
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from contextlib import ExitStack, suppress
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Final
 
-from foretouch.dataset.bag import Recording, is_recording
+import numpy as np
+
+from foretouch.cloud.io.depth_messages import CameraInfos
+from foretouch.cloud.io.pointcloud2 import encode
+from foretouch.cloud.messages import header_fields
+from foretouch.cloud.segmentation.segment import segment
+from foretouch.dataset.bag import Message, Recording, is_recording
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.mapping import MappedSource
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
@@ -31,6 +40,7 @@ from foretouch.files import require_existing, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
+from foretouch.types import Cloud
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
@@ -40,7 +50,9 @@ _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
 class BagTopics:
     """The topics of a bag that samples are assembled from, and how they are read."""
 
-    clouds: str = full_name(CLOUD_TOPIC)  # `sensor_msgs/PointCloud2` of the objects alone (see `dataset.messages`)
+    # `sensor_msgs/PointCloud2` of the objects alone (see `dataset.messages`); or depth images, which are segmented. Where the
+    # default is absent, the only topic of depth images
+    clouds: str = full_name(CLOUD_TOPIC)
     grasps: str = full_name(GRASPS_TOPIC)  # `foretouch_msgs/GraspArray`, each with the stamp of its cloud
     executed: str = full_name(EXECUTED_TOPIC)  # `foretouch_msgs/ExecutedGrasp`
     tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
@@ -97,7 +109,7 @@ def import_samples(
             if holding:
                 found, records, sensor = _own_samples(bag, holding)
             else:
-                topics = topics or BagTopics()
+                topics = _with_clouds(bag, topics or BagTopics())
                 reader = _tactile_reader(bag, topics)
                 found, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
         else:
@@ -136,11 +148,19 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
         AssemblerConfig(pairing=_PAIRING, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
     )
     now_s = 0.0
-    for message in bag.messages(roles):
+    infos, beside = CameraInfos(topics.clouds), bag.info_topic(topics.clouds)
+    for first in islice(bag.messages([beside]), 1):
+        infos.add(bag.content(first), first.bag_time_ns * 1e-9)
+    for message in bag.messages({*roles, beside}):
+        if message.topic == beside:
+            infos = deepcopy(infos)  # images before it are decoded later
+            infos.add(bag.content(message), message.bag_time_ns * 1e-9)
+            continue
         role = roles[message.topic]
         now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # otherwise grasps wait until the end
         cloud = role == "cloud"
-        content = SerializedCloud(message.data, partial(bag.content, message)) if cloud else bag.content(message)
+        decode = partial(_segmented, bag, message, infos) if beside else partial(bag.content, message)
+        content = SerializedCloud(message.data, decode, by_place=bool(beside)) if cloud else bag.content(message)
         try:
             assembler.add(role, content, received_ns=message.bag_time_ns, now_s=now_s)
         except (TactileError, DatasetError):
@@ -151,6 +171,29 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
     result.left_out += assembler.invalid
     result.left_out["cloud without grasps"] += assembler.clouds_without_grasps
     result.left_out["grasps without their cloud"] += len(assembler.matcher.plans)
+
+
+def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
+    """The topics, with that of the depth images of a bag without object clouds."""
+    if topics.clouds != BagTopics().clouds or any(one.name == topics.clouds for one in bag.topics):
+        return topics
+    with suppress(FileError):
+        found = bag.cloud_topic()
+        return replace(topics, clouds=found) if bag.info_topic(found) else topics
+    return topics
+
+
+def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNamespace:
+    """The objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
+    cloud = bag.decode_cloud(message, infos)
+    objects = segment(cloud).objects
+    points = np.concatenate([one.cloud.xyz for one in objects] or [np.empty((0, 3), np.float32)])
+    pixels = np.concatenate([one.pixels for one in objects] or [np.empty(0, np.int64)])
+    rows, columns = np.divmod(pixels, cloud.xyz.shape[1])
+    labels = np.repeat([one.id for one in objects] or [0], [one.n_points for one in objects] or [0])
+    places = {name: numbers.astype(np.uint16) for name, numbers in (("row", rows), ("column", columns))}
+    header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
+    return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
 
 
 def _samples(assembled: list[AssembledSample | RejectedGrasp], result: ImportResult) -> Iterator[SampleRecord]:
