@@ -12,7 +12,7 @@ from recording_builders import IDENTITY
 from topic_builders import NS, TURNED, Faults, write_topics
 
 from foretouch.cloud.segmentation.segment import segment
-from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
+from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
@@ -22,7 +22,7 @@ from foretouch.types import Cloud
 from foretouch_lab.simulation.depth_scene import random_scene
 
 
-def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResult, list[SampleRecord]]:
+def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[WriteResult, list[SampleRecord]]:
     write_topics(tmp_path / "bag", faults)
     result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(**topics))
     return result, list(open_samples(tmp_path / "ds").records(discarded=True))

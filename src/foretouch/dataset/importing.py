@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports samples into recorded datasets: from vision2tactile folders, training stores, bags with named topics, and tables by a map.
+"""Import samples into recorded datasets: from vision2tactile folders, training stores, and bags with named topics.
 
-Samples that foretouch 0.2 recorded are converted to the present version. Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
+Tables of others are written by `foretouch.write` (see `examples/import_*.py`). Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
 is extended. From a bag without samples of foretouch, samples are assembled as the recorder does it (see
 `foretouch.dataset.pairing`); clouds without a grasp that could be paired become samples without a touch.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -24,19 +23,16 @@ from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import header_fields
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
-from foretouch.dataset.files import new_folder
-from foretouch.dataset.mapping import MappedSource
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
-from foretouch.dataset.record import Identity, SampleRecord, readings
+from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+from foretouch.dataset.writing import WriteResult, write_records
 from foretouch.errors import DatasetError, FileError, TactileError
-from foretouch.files import require_existing, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
@@ -64,47 +60,32 @@ class BagTopics:
         return {self.clouds: "cloud", self.grasps: "grasps", self.executed: "executed", self.tactile: "tactile"}
 
 
-@dataclass(kw_only=True)
-class ImportResult:
-    """Counts of an import."""
-
-    samples: int = 0  # samples that were imported
-    labelled: int = 0  # those with a touch
-    readings: int = 0  # those in their series, or a touch without one
-    left_out: Counter[str] = field(default_factory=Counter)  # what was not imported, by reason
-    notes: tuple[str, ...] = ()  # where the `metadata.yaml` of a bag states something else than is in its files
-
-
 def import_samples(
     source: str | Path,
     out: str | Path,
     *,
     identity: Identity | None = None,
     topics: BagTopics | None = None,
-    map_file: Path | None = None,
     progress: Callable[[], None] = lambda: None,
-) -> ImportResult:
+) -> WriteResult:
     """Import the samples at a path: vision2tactile folders, a store, a recorded dataset, or a bag.
 
     The dataset `out` is created, or extended where it is of the same hand and camera, which `identity` may give instead of
-    the source; `topics` are for a bag without samples of foretouch, `map_file` for tables (see `foretouch.dataset.mapping`).
+    the source; `topics` are for a bag without samples of foretouch.
 
     Raises:
         FileError: If the source is damaged or holds nothing of the kind, or the dataset is of another kind.
         DatasetError: If an id is taken.
     """
     source, out = Path(source), Path(out)
-    result = ImportResult()
+    result = WriteResult()
     with ExitStack() as stack:
-        if map_file is not None:
-            mapped = MappedSource(require_existing(source), map_file)
-            found, records, sensor = mapped.identity, mapped.records(result.left_out), mapped.sensor
-        elif is_sample_set(source):
-            samples = open_samples(source, convert=True)
+        if is_sample_set(source):
+            samples = open_samples(source)
             found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
-            result.notes = bag.notes
+            result.notes = tuple(bag.notes)
             holding = [topic.name for topic in bag.topics if topic.type in SAMPLE_TYPES]
             if holding:
                 found, records, sensor = _own_samples(bag, holding)
@@ -113,17 +94,23 @@ def import_samples(
                 reader = _tactile_reader(bag, topics)
                 found, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
         else:
-            raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
-        folder = out if out.exists() else stack.enter_context(new_folder(out))
-        config = RecordingConfig(fsync_samples=0)  # synchronised once, at the end
-        with system_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
-            for record in records:
-                writer.append(record)
-                result.samples += 1
-                result.labelled += record.sample.touch is not None
-                result.readings += 0 if (series := readings(record)) is None else len(series.stamps_ns)
-                progress()
+            raise FileError(source, _not_imported(source))
+        write_records(out, records, identity or found, sensor, result, progress)
     return result
+
+
+def _not_imported(source: Path) -> str:
+    """Why a source is none, and what reads it instead."""
+    if not source.exists():
+        return "does not exist"
+    if (source / "meta" / "info.json").is_file():
+        return (
+            "is a LeRobot dataset of other features: write it with foretouch.write, as examples/import_lerobot.py does"
+        )
+    tables = (".csv", ".parquet", ".npz", ".h5", ".hdf5")
+    if any(one.suffix.lower() in tables for one in ([source] if source.is_file() else source.rglob("*"))):
+        return "holds tables: read them with pandas or h5py and write them with foretouch.write, as examples/import_*.py do"
+    return "holds no samples and is not a recording"
 
 
 def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
@@ -132,7 +119,7 @@ def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Itera
     def _stored() -> Iterator[StoredSample]:
         for message in bag.messages(topics):
             try:
-                yield decode_sample(message.data, convert=True)
+                yield decode_sample(message.data)
             except DatasetError as err:
                 raise FileError(bag.path, str(err), field=f"{message.topic}[{message.index}]") from err
 
@@ -141,7 +128,7 @@ def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Itera
     return identity, (one.record for one in _stored()), sensor
 
 
-def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: ImportResult) -> Iterator[SampleRecord]:
+def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: WriteResult) -> Iterator[SampleRecord]:
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
     roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(
@@ -196,7 +183,7 @@ def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNa
     return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
 
 
-def _samples(assembled: list[AssembledSample | RejectedGrasp], result: ImportResult) -> Iterator[SampleRecord]:
+def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResult) -> Iterator[SampleRecord]:
     for one in assembled:
         if isinstance(one, RejectedGrasp):
             result.left_out[one.reason] += 1
