@@ -53,6 +53,10 @@ def test_every_type_of_depth_gives_the_same_points() -> None:
     millimetres = np.random.default_rng(1).integers(0, 3000, (480, 848)).astype(np.uint16)
     millimetres[:40] = 0
     expected = Cloud.from_depth(millimetres, K).xyz
+    z = np.where(millimetres > 0, millimetres.astype(np.float32) * np.float32(1e-3), np.float32(np.nan))
+    x, y = ((np.arange(848) - K[0, 2]) / K[0, 0]), ((np.arange(480) - K[1, 2]) / K[1, 1])[:, None]
+    plain = np.stack([x.astype(np.float32) * z, y.astype(np.float32) * z, z], axis=-1)
+    np.testing.assert_array_equal(expected, plain)
     metres = millimetres.astype(np.float32) * np.float32(1e-3)
     metres[:10], metres[10:20], metres[20:30], metres[30:40] = np.nan, np.inf, -np.inf, -0.5
     for depth, scale in (
@@ -110,6 +114,16 @@ def test_the_inverse_is_exact_to_float32() -> None:
 
             exact = mpmath.findroot(residual, (u, v))
             np.testing.assert_allclose([x[row, column], y[row, column]], [float(one) for one in exact], rtol=6e-8)
+
+
+def test_points_of_a_distorted_image_are_on_its_rays() -> None:
+    depth = np.random.default_rng(1).integers(0, 3000, (1, 40)).astype(np.uint16)
+    for size in ((1, 40), (40, 1), (8, 5)):
+        camera = CameraModel(size[1], size[0], 30.0, 31.0, size[1] / 2, size[0] / 2, (0.1, 0.0, 0.01))
+        (x, y), z = camera.rays, depth.reshape(size).astype(np.float32) * np.float32(1e-3)
+        assert x.shape == size
+        z[z == 0.0] = np.nan
+        np.testing.assert_array_equal(camera.points(depth.reshape(size)), np.stack([x * z, y * z, z], axis=-1))
 
 
 def test_pixels_beyond_the_fold_of_a_lens_have_no_ray_and_a_lens_of_few_rays_is_refused() -> None:
