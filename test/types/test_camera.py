@@ -169,6 +169,9 @@ def test_what_is_no_depth_image_is_refused_in_one_line_that_names_it() -> None:
         ("depth: dtype int64 is not uint16", depth.astype(np.int64), K),
         ("depth: dtype bool", depth > 0, K),
         ("scale: 0.0 is not", depth, K, 0),
+        ("scale: 'mm' is not a number", depth, K, "mm"),
+        ("depth: setting an array element with a sequence", [[1], [2, 3]], K),
+        ("height: 0 px is not a whole number", depth[:0], K),
         ("scale: nan is not", depth, K, nan),
         ("scale: -0.001 is not", depth, K, -0.001),
         ("beyond 900 m .float64 with scale 1.: for millimetres pass scale=0.001", depth.astype(float), K),
@@ -184,6 +187,20 @@ def test_what_is_no_depth_image_is_refused_in_one_line_that_names_it() -> None:
         Cloud.from_depth(depth, K, rgb=np.zeros((4, 4, 3), np.uint8))
     with pytest.raises(CloudError, match=r"camera: \(480, 848\) is not the size of the image, \(4,\)"):
         Cloud(np.zeros((4, 3)), camera=CameraModel(848, 480, 616, 616, 423, 239))
+
+
+def test_masked_pixels_are_no_depth() -> None:
+    depth = np.ma.masked_less(np.arange(480 * 848, dtype=np.uint16).reshape(480, 848), 500)
+    xyz = Cloud.from_depth(depth, K).xyz
+    assert np.array_equal(np.isnan(xyz[..., 2]), np.ma.getmaskarray(depth) | (np.ma.getdata(depth) == 0))
+
+
+def test_a_camera_is_made_of_whole_sizes_and_numbers() -> None:
+    for size in ("a", 848.5, None, 0, 20_000):
+        with pytest.raises(CloudError, match=r"width: .* px is not a whole number between 1 and 16384"):
+            CameraModel(size, 480, *([600.0] * 4))
+    with pytest.raises(CloudError, match="K: None is not a number"):
+        CameraModel(848, 480, None, 600.0, 424.0, 240.0)
 
 
 def test_an_image_without_depth_and_a_part_of_an_image_are_no_error() -> None:

@@ -64,9 +64,10 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         for name, side in (("width", self.width), ("height", self.height)):
-            if not 1 <= side <= _LARGEST_SIDE:
-                raise CloudError(f"{name}: {side} px is not between 1 and {_LARGEST_SIDE}")
-        numbers = [float(one) for one in (self.fx, self.fy, self.cx, self.cy)]
+            if not isinstance(side, int | np.integer) or not 1 <= side <= _LARGEST_SIDE:
+                raise CloudError(f"{name}: {quoted(side)} px is not a whole number between 1 and {_LARGEST_SIDE}")
+            object.__setattr__(self, name, int(side))
+        numbers = [as_number("K", one) for one in (self.fx, self.fy, self.cx, self.cy)]
         names = ("fx", "fy", "cx", "cy")
         if not numbers[0] and not numbers[1]:
             raise CloudError("K: fx and fy are 0: the camera is not calibrated")
@@ -161,7 +162,7 @@ class CameraModel:
         if (height, width) != self.shape:
             raise CloudError(f"depth: {width}x{height} is not the size of the camera, {self.width}x{self.height}")
         kind = depth.dtype.newbyteorder("=")
-        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else float(scale)
+        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else as_number("scale", scale)
         if not 0.0 < scale < np.inf:
             raise CloudError(f"scale: {scale} is not a number of metres above 0")
         _check_unit(depth, kind, scale)
@@ -174,6 +175,22 @@ class CameraModel:
             numbers, height, width, scale, x, y, bool(self.distortion), xyz
         )
         return xyz
+
+
+def as_number(name: str, value: Any) -> float:
+    """A number as float; a `CloudError` names the argument if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError) as err:
+        raise CloudError(f"{name}: {quoted(value)} is not a number") from err
+
+
+def as_image(depth: Any) -> npt.NDArray[Any]:
+    """A depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
+    try:
+        return np.asarray(np.ma.filled(depth, 0))
+    except ValueError as err:
+        raise CloudError(f"depth: {err}") from err
 
 
 def check_image(depth: npt.NDArray[Any]) -> tuple[int, int]:
