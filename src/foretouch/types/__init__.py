@@ -130,6 +130,21 @@ def assumed_table(cloud: Cloud) -> Plane:
 
 
 @dataclass(frozen=True, eq=False)
+class WayIn:
+    """How a described hand comes to a grasp; see `foretouch.grasp.hand`."""
+
+    approach: Float64  # (3,) float64, unit length, from the palm to the middle of the contacts and perpendicular to their line
+    thumb_at: Literal["g1", "g2"]  # the contact that the thumb takes, of a gripper its finger on the positive side
+    depth_m: float  # how far the object reaches from the line towards the palm [m]
+    approaches: (
+        Float64  # (2, A) float64 [m], thumb at g1 and at g2: how much further the hand could go, at each of `LEANS`
+    )
+    pose_of_hand: Float64  # (4, 4) float64, the tool frame of the hand's description in the cloud's frame
+    posture: Float64  # (J,) float64 [rad], angles of `joints`
+    joints: tuple[str, ...] = ()  # names of J joints
+
+
+@dataclass(frozen=True, eq=False)
 class Grasp:
     """Two contacts and the orientation of the hand (P2: g1, g2, R).
 
@@ -143,6 +158,7 @@ class Grasp:
     score: float = float("nan")  # score of GeoGrasp, higher is better; NaN if it is undefined
     id: str = ""  # unique within a session
     object_id: str = ""  # the object for which it was planned
+    way: WayIn | None = None  # how the hand comes to it; None for a grasp that was not planned for a hand
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
