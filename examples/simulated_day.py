@@ -124,10 +124,7 @@ class Log:
     def add_answer(self, message: Any) -> None:
         """A message of `touch`: the prediction of the best grasp."""
         for one in message.predictions[:1]:
-            electrodes = reading(one)["E"]
-            value, low, high = (
-                float(each[1, ELECTRODE - 1]) for each in (electrodes, electrodes.lower, electrodes.upper)
-            )
+            value, low, high = (float(end[1, ELECTRODE - 1]) for end in reading(one)["E"])
             at_ns = stamp_ns(message.header.stamp)
             self.add("prediction", at_ns, value, (high - low) / 2.0, touches=one.touches, readings=one.readings)
 

@@ -23,7 +23,13 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?P<target>[^)\s#]*)(?:#(?P<anchor>[^)\s]*))?\)")
-MARKDOWN = [ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("benchmarks/**/*.md"), *ROOT.glob("examples/*.md")]
+MARKDOWN = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *DOCS.rglob("*.md"),
+    *ROOT.glob("benchmarks/**/*.md"),
+    *ROOT.glob("examples/*.md"),
+]
 KEY = re.compile(r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\btell[(=]""")  # quoted names, *titles*, `file.tell()`
 
 

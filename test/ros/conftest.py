@@ -273,7 +273,7 @@ def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], l
     from sensor_msgs.msg import PointCloud2
 
     from foretouch.models.budget import profile_scene
-    from foretouch.pipeline import FoundObject
+    from foretouch.pipeline import Object
     from foretouch.ros.messages.clouds import objects_to_msg
     from foretouch.ros.messages.conversions import grasp_to_msg
     from foretouch.types import ASSUMED_TABLE
@@ -288,7 +288,7 @@ def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], l
         graph.matched("object_cloud", "grasps", "touch")
 
         def send(stamp: int) -> None:
-            message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", stamp)
+            message = objects_to_msg([Object("1", cloud, ASSUMED_TABLE)], "cam", stamp)
             clouds.publish(message)
             grasps.publish(GraspArray(header=message.header, grasps=[grasp_to_msg(one) for one in planned]))
 

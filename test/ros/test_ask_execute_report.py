@@ -72,7 +72,7 @@ class Planner(Robot):
         request = PredictTouch.Request(cloud=cloud, table=table, grasps=self.candidates())
         *answered, far = self.graph.call(PredictTouch, "predict_touch", request).touch.predictions
         assert [one.status for one in (*answered, far)] == [Status.OK] * 3 + [Status.BAD_GRASP]
-        best = min(answered, key=lambda one: reading(one)["PDC"][0]).grasp
+        best = min(answered, key=lambda one: reading(one)["PDC"].value[0]).grasp
         decoded = decode_grasp(best)  # has the pose that was computed
         along = (decoded.g1 - decoded.g2) / np.linalg.norm(decoded.g1 - decoded.g2)
         np.testing.assert_allclose(decoded.rotation[:, 2], along, atol=1e-9)
@@ -92,7 +92,7 @@ class Planner(Robot):
         request = PredictTouch.Request(cloud=cloud, table=table, contacts=contacts, id=name)
         batch = self.graph.call(PredictTouch, "predict_touch", request).batch
         assert list(batch.statuses) == [Status.OK] * 3
-        return f"{name}/{reading(batch)['PDC'][:, 0].argmin()}"
+        return f"{name}/{reading(batch)['PDC'].value[:, 0].argmin()}"
 
     def action(self, **fields):
         _, result, _ = self.graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=3, **fields))

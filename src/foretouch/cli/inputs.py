@@ -12,7 +12,7 @@ from foretouch.cli.output import print_json, warn
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ForetouchError
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.types import Cloud, Plane, assumed_table
 
 Record = dict[str, Any]
@@ -143,7 +143,7 @@ def pipeline_config(
     return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
 
 
-def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
+def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[Object]:
     """The objects to grasp in one input: the cloud itself, or the targets of its scene; a `CloudError` if it has none.
 
     An organised cloud, or any with --scene, is a scene; otherwise the cloud is one object
@@ -162,10 +162,10 @@ def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
     return arguments.plane is not None or not (arguments.scene or cloud.organised)
 
 
-def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
+def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
     """A cloud as one object, on --plane or on an assumed table."""
     table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
-    return FoundObject("1", cloud, table)
+    return Object("1", cloud, table)
 
 
 def heading(record: Record, by: str = "") -> str:
@@ -200,7 +200,10 @@ def _results(
 ) -> Iterator[tuple[str, Record | ForetouchError]]:
     """The records of each cloud, or why it was refused."""
     try:
-        for item in open_source(path, topic=topic):
+        source = open_source(path, topic=topic)
+        for note in source.notes:
+            warn(note)
+        for item in source:
             try:
                 for record in process(item):
                     yield item.name, record

@@ -339,7 +339,7 @@ def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
     scene, target, message, readings = found
     prediction = prediction_from_msg(message, sensor)
     title = f"object {target.id}"
-    if prediction.value is not None:
+    if prediction.ok:
         first = ["before the first touch"] * (readings is not None and not message.touches)
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""

@@ -61,7 +61,7 @@ def _answers(name: str) -> dict[str, Any]:
 
     model = load_model(name)
     one = model.predict(exact_cloud(), [exact_grasp()])[0]
-    if one.value is None or one.lower is None or one.upper is None:
+    if not (one.ok and one.calibrated):
         raise ModelError(f"{name}: {one.reason or 'has no bounds'}")
     rows = [part.values.round(3).tolist() for part in (one.value, one.lower, one.upper)]
     return {"sha256": model.sha256, "counts": rows}

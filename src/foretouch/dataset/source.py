@@ -57,6 +57,7 @@ class Source:
     frame_id: str = ""  # for clouds without a frame
     topic: str = ""  # of the clouds of a recording
     others: tuple[Topic, ...] = ()  # further topics of a recording
+    notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files
 
     def __len__(self) -> int:
         return self.count
@@ -104,8 +105,9 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
         with Recording(path) as recording:
             name = recording.cloud_topic(topic)
             topics = {one.name: one for one in recording.topics}
-        count = topics.pop(name).count
-        return Source(path, "recording", count, partial(_recorded, path, name), frame_id, name, tuple(topics.values()))
+            count, notes = topics.pop(name).count, recording.notes
+        others = tuple(topics.values())
+        return Source(path, "recording", count, partial(_recorded, path, name), frame_id, name, others, notes)
     if topic is not None:
         raise FileError(path, f"is not a recording, so it has no topic {topic}")
     files = sorted(path.iterdir(), key=_natural) if path.is_dir() else [path]

@@ -287,11 +287,11 @@ class CompletedObject:
     @cached_property
     def _around(self) -> tuple[Float64, Float64]:
         """Points of the object, and of what stands around, in the table's frame."""
-        own = self._xyz[self._weights > 0.5].astype(np.float32)
-        own = cell_means(own, voxel_grid(own, _CELL_M)) if len(own) else np.empty((0, 3))
+        points = self._xyz[self._weights > 0.5].astype(np.float32)
+        own = cell_means(points, voxel_grid(points, _CELL_M)) if len(points) else np.empty((0, 3))
         others = np.empty((0, 3))
         if self._obstacles is not None:
-            others = (self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T
+            others = np.asarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         return own, others
 
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:

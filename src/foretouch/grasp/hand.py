@@ -211,7 +211,7 @@ class Hand:
             if share == 1.0:
                 found[0] = found[1]
         near = [np.roll(found, (i, j), (1, 2)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        found = np.max(near, axis=0)
+        found = np.asarray(np.max(near, axis=0), np.float64)
         found[:, [0, -1]] = found[:, :, [0, -1]] = -np.inf
         return found
 

@@ -74,7 +74,9 @@ def test_a_header_stands_for_the_latest_object_and_a_frame_that_nobody_knows_is_
     expected, answer = ask(graph, cloud=own, grasps=grasps), ask(graph, cloud=latest, grasps=grasps)
     assert "unknown_frame" not in expected.predictions[0].flags
     assert answer.header == own.header
-    assert_allclose(reading(answer.predictions[0])["PDC"], reading(expected.predictions[0])["PDC"], rtol=1e-6)
+    assert_allclose(
+        reading(answer.predictions[0])["PDC"].value, reading(expected.predictions[0])["PDC"].value, rtol=1e-6
+    )
     latest.header.frame_id = "world"
     answer = ask(graph, cloud=latest, grasps=grasps)
     assert answer.status == Status.UNKNOWN_FRAME

@@ -193,11 +193,11 @@ def test_in_lockstep_a_cloud_waits_for_the_answer_to_the_last_and_a_missing_one_
 
 def test_a_source_that_breaks_off_or_is_none_is_a_failure_with_its_reason(graph, bag, tmp_path, capfd):
     path, _ = bag()
-    metadata = path / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("message_count: 5", "message_count: 6"))
+    file = path / "bag.mcap"
+    file.write_bytes(file.read_bytes()[:-20])
     node, received = play(graph, path)
     assert (len(received["points"]), node.outcome) == (5, "failed")
-    assert "declares 6 messages, holds 5" in node.reason
+    assert f"what is intact was read; `foretouch dataset repair {file}` makes a complete file of it" in node.reason
     assert node.errors() == (node.reason,)
     for nothing, reason in (("", "path: is empty"), ("/nowhere", "/nowhere: does not exist")):
         node = start(graph, nothing)
@@ -206,6 +206,19 @@ def test_a_source_that_breaks_off_or_is_none_is_a_failure_with_its_reason(graph,
         graph.remove(node)
     with pytest.raises(ConfigError, match=r"table: \[0.0, 0.0, 0.0, 1.0\] is not a plane"):
         start(graph, tmp_path, table=[0.0, 0.0, 0.0, 1.0])
+
+
+def test_a_pause_of_decades_where_the_clock_was_set_is_cut_and_logged(graph, tmp_path, rng, capfd):
+    with BagWriter(tmp_path / "bag") as writer:
+        for cloud, time_ns in zip(make_clouds(rng, 4), (0, STEP_NS, START_NS, 2**63 - 1), strict=True):
+            writer.write_cloud(cloud, "/points", bag_time_ns=time_ns)
+    began = time.monotonic()
+    node, received = play(graph, tmp_path / "bag", longest_pause_s=0.3)
+    assert (len(received["points"]), node.outcome) == (4, "finished")
+    assert 0.6 < time.monotonic() - began < 5.0
+    logged = capfd.readouterr().err
+    assert f"/points[2]: {START_NS // 10**9} s of the pause before it are left out" in logged
+    assert "/points[3]: " in logged
 
 
 def test_which_topics_are_playable():

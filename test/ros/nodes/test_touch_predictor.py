@@ -56,7 +56,7 @@ def test_costs_within_the_interval_of_the_lowest_are_equal_and_ordered_by_score(
     scores = [one.score for one in result.grasps]
     assert (len(set(result.costs)), scores) == (1, sorted(scores, reverse=True))
     assert all("equal_pressure" in one.flags for one in result.predictions)
-    pdc = np.array([reading(one)["PDC"] for one in result.predictions])
+    pdc = np.array([reading(one)["PDC"].value for one in result.predictions])
     shares = ((pdc - (2500.0, 1600.0)) / (900.0, 700.0)).mean(axis=1)
     assert result.costs[0] == pytest.approx(shares.min())
     assert sorted(planner.feedback[0].costs) == pytest.approx(sorted(shares))  # as they are predicted

@@ -25,7 +25,7 @@ from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
@@ -68,7 +68,7 @@ class CanRobot(Robot):
             Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), ACROSS, 1.0 - k, f"{name}{' too' * k}", "7")
             for k, y in enumerate((0.0, 0.02))
         ]
-        cloud = objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
+        cloud = objects_to_msg([Object("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
         return cloud, [grasp_to_msg(grasp) for grasp in self.planned]
 
     def grasp(self, name, number):

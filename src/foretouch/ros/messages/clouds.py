@@ -19,11 +19,11 @@ from std_msgs.msg import Header
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.objects import ObjectSegment
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import AnyArray, Cloud, Plane
-from foretouch_msgs.msg import Object
+from foretouch_msgs.msg import Object as ObjectMsg
 
 
 def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
@@ -35,7 +35,7 @@ def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
     return message
 
 
-def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: int) -> PointCloud2:
+def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -> PointCloud2:
     """Convert the targets, whose ids are integers, to `object_cloud`; without any, to a cloud without points.
 
     Frame and stamp [ns] are those of the scene's cloud.
@@ -59,7 +59,7 @@ class TargetCloud:
     """An `object_cloud` for subscribers of this process, which use the targets themselves."""
 
     header: Header  # of the scene's cloud
-    targets: Sequence[FoundObject]  # best first
+    targets: Sequence[Object]  # best first
 
     @cached_property
     def message(self) -> PointCloud2:
@@ -67,10 +67,10 @@ class TargetCloud:
         return objects_to_msg(self.targets, self.header.frame_id, stamp_ns(self.header.stamp))
 
 
-def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
+def object_to_msg(segment: ObjectSegment, *, target: bool) -> ObjectMsg:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
     low, high = segment.bounds
-    return Object(
+    return ObjectMsg(
         id=str(segment.id),
         n_points=segment.n_points,
         centroid=point_to_msg(segment.centroid),
@@ -81,9 +81,9 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
     )
 
 
-def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
+def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[Object, ...]:
     """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
     return tuple(
-        FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape)
+        Object(one.id, one.cloud, plane, one.pixels, one.image_shape)
         for one in (message.targets if isinstance(message, TargetCloud) else decode_objects(message))
     )

@@ -14,10 +14,9 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_cloud
-from foretouch.cloud.segmentation.rays import not_optical
-from foretouch.errors import CloudError, DatasetError, ForetouchError, LimitError
+from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, LimitError
 from foretouch.grasp import GraspHold, Obstacles
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
@@ -104,7 +103,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
         return decode_cloud(message)
 
 
-def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
+def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[Object, ...]:
     """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
 
     Raises:
@@ -115,18 +114,13 @@ def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: Objec
     if not targets:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
     for target in () if isinstance(message, TargetCloud) else targets:  # those of this process were checked
-        fault = not_optical(target.cloud.xyz)
-        if fault and _is_within(target, limits):
-            raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {target.cloud.frame_id!r}: {fault}")
+        try:
+            check_object(target.cloud.xyz, limits)
+        except FrameError as err:
+            raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {target.cloud.frame_id!r}: {err}") from err
+        except LimitError:
+            continue  # refused where it is planned or predicted, so that the other objects are answered
     return targets
-
-
-def _is_within(target: FoundObject, limits: ObjectLimits) -> bool:
-    try:
-        check_object(target.cloud.xyz, limits)
-    except LimitError:
-        return False
-    return True
 
 
 def read_plane(message: PlaneMsg) -> Plane:
@@ -189,7 +183,7 @@ def check_frames(name: str, header: Header, cloud: Header) -> None:
 
 def plan_targets(
     pipeline: Pipeline,
-    targets: Sequence[FoundObject],
+    targets: Sequence[Object],
     header: Header,
     note: str = "",
     held: GraspHold | None = None,

@@ -99,6 +99,9 @@ class ReplayConfig(NodeConfig):
     rate_hz: float = setting(
         0.0, "Clouds per second; 0 keeps the recorded times, and plays files at 10 Hz", bounds=(0.0, 1000.0)
     )
+    longest_pause_s: float = setting(
+        10.0, "Longer pauses of a recording, as where its clock was set, are cut to this", bounds=(0.0, 86400.0)
+    )
     loop: bool = setting(False, "Start again at the end, with increasing stamps")
     restamp: bool = setting(False, "Stamp every message with the time of its publication")
     lockstep: bool = setting(False, "Publish each cloud after the answer on `touch` to the one before", read_only=True)
@@ -165,6 +168,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         except ForetouchError as err:
             self.outcome, self.reason, self.has_failed = "failed", str(err), True
             raise
+        for note in self._source.notes:
+            self.get_logger().warning(note)
         segmented = cloud_is_object(self._source)  # samples, and files whose clouds are not organised
         clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False)
         self._topic_publishers[CLOUDS], self.clouds_topic = clouds, str(clouds.topic_name)
@@ -288,9 +293,12 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         assert self._source is not None  # noqa: S101  setup made it
         shift_ns, began = 0, time.monotonic()
         while True:
-            pace = Pace(self.config.rate_hz)
+            pace = Pace(self.config.rate_hz, self.config.longest_pause_s)
             for entry in entries(self._source, self._topic_publishers.keys() - {CLOUDS}):
-                if not self._play_entry(entry, began + pace.due_s(entry), shift_ns):
+                due = began + pace.due_s(entry)
+                if pace.cut_s:
+                    self.get_logger().warning(f"{entry.name}: {pace.cut_s:.0f} s of the pause before it are left out")
+                if not self._play_entry(entry, due, shift_ns):
                     return
             if not self.config.loop:
                 break

@@ -14,7 +14,7 @@ from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
 from foretouch.dataset.topics import CLOUD_TOPIC
 from foretouch.grasp import HandConfig
-from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
+from foretouch.pipeline import Pipeline, PipelineConfig, Scene
 from foretouch.ros.messages.clouds import TargetCloud, object_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
@@ -78,7 +78,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._table.publish(TablePlane(header=header, plane=plane_to_msg(None), status=status, reason=reason))
         self._object_cloud.publish(TargetCloud(header, ()))
 
-    def _publish(self, header: Header, scene: SegmentedScene, shape: tuple[int, ...], status: int) -> None:
+    def _publish(self, header: Header, scene: Scene, shape: tuple[int, ...], status: int) -> None:
         self._table.publish(  # first what the grasp node waits for
             TablePlane(
                 header=header,

@@ -14,7 +14,6 @@ gives the reason, and cleaning up and configuring again retries.
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -31,10 +30,10 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import TactileError, quoted
 from foretouch.grasp import GeoGraspConfig
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.equal_pressure import predicted_pressures, scale_of
 from foretouch.report.taxel_view import TaxelView
-from foretouch.ros.messages.answers import Refusal, TouchAnswer
+from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import (
@@ -223,13 +222,15 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _draw(self, answer: TouchAnswer) -> None:
         """Publish the markers of the first prediction."""
-        first, model = answer.outcomes[0], _configured(self._predictor).model
+        model = _configured(self._predictor).model
         markers = MarkerArray()
-        if model is not None and not isinstance(first, Refusal):
+        if model is not None and answer.predictions[0].ok:
             rest, ranges = scale_of(model)
-            shown, view = replace(first, flags=(*first.flags, *answer.flags)), TaxelView(model.sensor)
+            shown, view = answer.predictions[:1], TaxelView(model.sensor)
+            for flag in answer.flags:
+                shown = shown.flagged(flag)
             first_at_g1 = self.config.thumb_takes_g1
-            markers = touch_markers(shown, answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
+            markers = touch_markers(shown[0], answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
         self._markers.publish(markers)
 
     def _refuse(self, header: Header, status: int, reason: str) -> None:
@@ -237,7 +238,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _predict(
         self,
-        targets: Sequence[FoundObject],
+        targets: Sequence[Object],
         grasps: Sequence[Any] | GraspArrays,
         header: Header,
         posing: GeoGraspConfig | None,
@@ -402,11 +403,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._add_requested(sampled, result.grasps)
         return result
 
-    def _predict_candidates(self, target: FoundObject, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
+    def _predict_candidates(self, target: Object, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
         message, answer = self._predict([target], grasps, header, None, time.monotonic())
         predictor, pressed = _configured(self._predictor), np.full((3, len(grasps), 1), np.nan)
         if (model := predictor.model) is not None:
-            pressed = predicted_pressures(message.outcomes, model)
+            pressed = predicted_pressures(message.predictions, model)
         return list(zip(predictor.end(message, answer).predictions, pressed.swapaxes(0, 1), strict=True))
 
 

@@ -16,7 +16,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import Latest, RefusalError, no_latest_cloud
@@ -34,7 +34,7 @@ _PLANNER_COUNT = 20  # grasps in its answer, at most
 Predicted: TypeAlias = tuple[TouchPrediction, Float64]
 """The prediction of a grasp, and (3, F) how hard each finger presses (`TaxelView.pressures`): values and bounds, NaN for none."""
 
-Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[Predicted]]
+Predict: TypeAlias = Callable[[Object, Sequence[Grasp], Header], Sequence[Predicted]]
 
 _BATCH = 100  # grasps that are predicted between two looks for a cancel; predictions do not depend on it
 
@@ -120,7 +120,7 @@ def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     return [candidates[k]._replace(cost=float(lowest[groups[k]])) for k in np.lexsort((-scores, groups))]
 
 
-def _targets(goal: Any, latest: Latest | None, config: TouchPredictorConfig) -> tuple[Header, tuple[FoundObject, ...]]:
+def _targets(goal: Any, latest: Latest | None, config: TouchPredictorConfig) -> tuple[Header, tuple[Object, ...]]:
     """The objects of a goal, and the header of their cloud."""
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:

@@ -36,7 +36,7 @@ from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Touch, TouchPrediction
+from foretouch.types import Cloud, Float32, Grasp, Predictions, Touch
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -133,7 +133,7 @@ class OnlineAdapter:
         limits: ObjectLimits,
         reach: ReachConfig,
         model: TouchModel | None = None,
-    ) -> Sequence[TouchPrediction]:
+    ) -> Predictions:
         """Predict as `TouchModel.predict`, adapted to the readings so far; `model` may be a reduced form of the model."""
         config, model = self._config(), model or self._model
         self.process_touches()

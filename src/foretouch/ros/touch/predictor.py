@@ -11,20 +11,20 @@ import numpy as np
 from std_msgs.msg import Header
 
 from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
-from foretouch.grasp import GeoGraspConfig, check_closing, surely_closing
+from foretouch.grasp import GeoGraspConfig, closing_faults
 from foretouch.grasp.messages import has_orientation
 from foretouch.models import TouchModel, load_model
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.report.equal_pressure import flag_equal_pressures
-from foretouch.ros.messages.answers import Refusal, TouchAnswer
+from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
-from foretouch.ros.messages.requests import GraspArrays, RefusalError
+from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.posing import posed_grasps, refusal_of
-from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, TouchPredictions
-from foretouch.types import TouchPrediction as Prediction
+from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, Grasps, Predictions
+from foretouch.types.channels import NO_CHANNELS
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
 
@@ -81,13 +81,13 @@ class Predictor:
             sys.setswitchinterval(self._switch_s)
 
     def _around(
-        self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
+        self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, Sequence[Grasp]]
     ) -> dict[int, float]:
         """By number of grasps, the time of their messages: what `answer` takes beyond the prediction, as processor time [s]."""
         from foretouch.models.budget import PAUSE_S
 
         cloud, grasps = scene
-        target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
+        target, messages, around = Object("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
         for count in _COUNTS:
             beyond = []
             for _ in range(5):
@@ -118,7 +118,7 @@ class Predictor:
 
     def answer(
         self,
-        targets: Sequence[FoundObject],
+        targets: Sequence[Object],
         grasps: Sequence[GraspMsg] | GraspArrays,
         header: Header,
         config: TouchPredictorConfig,
@@ -140,32 +140,31 @@ class Predictor:
         """
         model = model or self.model
         sensor = None if model is None else model.sensor
+        channels = NO_CHANNELS if sensor is None else sensor.channels
         if isinstance(grasps, GraspArrays):
             try:
                 target = targets[_target_of(grasps.object_id, targets)]
             except GraspError as err:
                 raise RefusalError(Status.BAD_GRASP, str(err)) from err
-            posed = posed_grasps(grasps, target, config, posing)
+            posed = posed_grasps(grasps, target, config, posing, channels)
             rotations = None
             if grasps.rotations is None:
-                rotations = np.array([np.zeros((3, 3)) if isinstance(one, Refusal) else one.rotation for one in posed])
-            found = self._on_target(model, target.cloud, posed, config)
-            return TouchAnswer(header, posed, found, sensor=sensor, arrays=True, rotations=rotations)
-        outcomes: list[Prediction | Refusal] = [Refusal(Status.BAD_GRASP, "")] * len(grasps)
+                rotations = np.where(posed.ok[:, None, None], posed.grasps.rotation, 0.0)
+            rows = self._on_target(model, target.cloud, posed, config)
+            return TouchAnswer(header, rows.grasps, rows, sensor=sensor, arrays=True, rotations=rotations)
+        rows = Predictions.refused(Grasps.unknown(len(grasps)), channels, "bad_grasp", "")
         by_target: dict[int, list[int]] = {}
         for i, grasp in enumerate(grasps):
             try:
                 by_target.setdefault(_target_of(grasp.object_id, targets), []).append(i)
             except GraspError as err:
-                outcomes[i] = Refusal(Status.BAD_GRASP, str(err))
+                rows.reason[i] = str(err)
         for k, members in by_target.items():
-            posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing)
-            found = self._on_target(model, targets[k].cloud, posed, config)
-            for i, outcome in zip(members, found, strict=True):
-                outcomes[i] = outcome
+            posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing, channels)
+            rows = rows.put(members, self._on_target(model, targets[k].cloud, posed, config))
         if posing is not None:
-            grasps = [_as_predicted(*pair) for pair in zip(grasps, outcomes, strict=True)]
-        return TouchAnswer(header, grasps, outcomes, sensor=sensor)
+            grasps = [_as_predicted(grasp, rows, k) for k, grasp in enumerate(grasps)]
+        return TouchAnswer(header, grasps, rows, sensor=sensor)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
         """Add the model, the age of its input [s] and the resulting flags to each prediction.
@@ -179,58 +178,42 @@ class Predictor:
         return message
 
     def _on_target(
-        self, model: TouchModel | None, cloud: Cloud, posed: Sequence[Grasp | Refusal], config: TouchPredictorConfig
-    ) -> Sequence[Prediction | Refusal]:
+        self, model: TouchModel | None, cloud: Cloud, posed: Predictions, config: TouchPredictorConfig
+    ) -> Predictions:
+        """The grasps on one object with their predictions, where `posed` is ok and no other reason to refuse is found."""
         if model is None:
-            return [Refusal(Status.NO_MODEL, self.fault)] * len(posed)
-        usable = [one for one in posed if isinstance(one, Grasp)]
+            return Predictions.refused(posed.grasps, posed.channels, "no_model", self.fault)
+        usable = posed.ok
+        if not usable.any():
+            return posed
         options: dict[str, Any] = {"limits": config.limits, "reach": config}
+        grasps = posed.grasps.take(usable)
         try:
-            if not usable:
-                found: Sequence[Prediction] = []
-            elif self.adapter is not None:
-                found = self.adapter.predict(cloud, usable, **options, model=model)
+            if self.adapter is not None:
+                predictions = self.adapter.predict(cloud, grasps, **options, model=model)
             else:
-                found = model.predict(cloud, usable, **options)
+                predictions = model.predict(cloud, grasps, **options)
         except (CloudError, ModelError) as err:
-            return [one if isinstance(one, Refusal) else refusal_of(err) for one in posed]
-        outcomes = _outcomes(flag_equal_pressures(found, model))
-        if len(usable) == len(posed):
-            return outcomes
-        predicted = iter(outcomes)
-        return [one if isinstance(one, Refusal) else next(predicted) for one in posed]
+            status, reason = refusal_of(err)
+            return posed.put(usable, Predictions.refused(grasps, posed.channels, status_name(status), reason))
+        predictions = flag_equal_pressures(predictions, model)
+        faults = closing_faults(grasps)
+        tilted = np.array([bool(fault) for fault in faults], np.bool_) & predictions.ok
+        if tilted.any():  # the constructor of a message makes w = 1, which is an orientation
+            reasons = [fault for fault, refused in zip(faults, tilted.tolist(), strict=True) if refused]
+            refused = Predictions.refused(grasps.take(tilted), posed.channels, "bad_grasp", reasons)
+            predictions = predictions.put(tilted, refused)
+        return posed.put(usable, predictions)
 
 
-def _as_predicted(message: GraspMsg, outcome: Prediction | Refusal) -> GraspMsg:
+def _as_predicted(message: GraspMsg, predictions: Predictions, k: int) -> GraspMsg:
     """The message of a grasp, with the pose that was computed for it."""
-    if isinstance(outcome, Refusal) or has_orientation(message):
+    if not predictions[k].ok or has_orientation(message):
         return message
-    return grasp_to_msg(outcome.grasp, message.status, message.reason)
+    return grasp_to_msg(predictions[k].grasp, message.status, message.reason)
 
 
-def _outcomes(predictions: Sequence[Prediction]) -> Sequence[Prediction | Refusal]:
-    """The predictions that have a value and whose fingers close along the line of the contacts; else why there is none."""
-    if isinstance(predictions, TouchPredictions):
-        closing = surely_closing(predictions.grasps)
-        if closing.all() and not predictions.refused:
-            return predictions
-    else:
-        closing = surely_closing([one.grasp for one in predictions])
-    return [_outcome(*pair) for pair in zip(predictions, closing.tolist(), strict=True)]
-
-
-def _outcome(prediction: Prediction, closing: bool) -> Prediction | Refusal:
-    if prediction.value is None:
-        return Refusal(Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED, prediction.reason)
-    if not closing:  # the constructor of a message makes w = 1, which is an orientation
-        try:
-            check_closing(prediction.grasp)
-        except GraspError as err:
-            return refusal_of(err)
-    return prediction
-
-
-def _target_of(object_id: str, targets: Sequence[FoundObject]) -> int:
+def _target_of(object_id: str, targets: Sequence[Object]) -> int:
     """Index of a grasp's target; a single target matches if it or the grasp has no object id."""
     ids = [target.id for target in targets]
     if object_id in ids:
