@@ -66,7 +66,7 @@ class HandConfig(Settings):
     """What the hand can execute: two fingers that close along the line through both contacts, from outside."""
 
     name: str = setting(
-        "shadow_thumb_middle", "Description of the hand: its name (foretouch hand list), or a YAML file of one's own"
+        "two_tips", "Description of the hand: its name (foretouch hand list), or a YAML file of one's own"
     )
     thumb_at: Literal["either", "g1", "g2"] = setting(
         "either", "Contact that the thumb takes: g1 is left in the image; where the arm stands decides"

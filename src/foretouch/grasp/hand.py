@@ -181,6 +181,7 @@ class Hand:
         free = [np.interp(widths, self.widths, depths) - SPARE_M for depths in self.depths]
         return np.concatenate([[self.config.across_m / 2.0, _FREE_STEP_M], LEANS, lifts, *free])
 
+    @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
     def lowest(self, width_m: float) -> Float64:
         """(2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `LEANS`, with the thumb at its end and at its beginning."""
         corners = self.at(width_m).corners.reshape(-1, 3)
@@ -230,7 +231,8 @@ class Hand:
             (2, A) float64 with the thumb at the line's end, and at its beginning; and (A,) float64, how far the object reaches towards the palm [m].
         """
         xyz, split = np.concatenate([own, others]), len(own)
-        fronts = self._fronts(round(width_m / _WIDTH_STEP_M))
+        number = round(width_m / _WIDTH_STEP_M)
+        fronts = self._fronts(number)
         depth, middle = (float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, one)) for one in self.depths)
         c, s = np.cos(LEANS)[:, None], np.sin(LEANS)[:, None]
         z, y = -(c * xyz[:, 2] + s * xyz[:, 1]), s * xyz[:, 2] - c * xyz[:, 1]  # (A, N)
@@ -239,13 +241,14 @@ class Hand:
         behind = -np.where(between, z[:, :split], 0.0).min(axis=1, initial=0.0)
         free_m = np.where(np.abs(own[:, 0]) <= width_m / 4.0, middle, depth)
         between_m = np.where(between, z[:, :split] + free_m, _UNLIMITED_M).min(axis=1, initial=_UNLIMITED_M)
-        found, lowest = np.empty((2, len(LEANS))), self.lowest(width_m)
+        found, lowest = np.empty((2, len(LEANS))), self.lowest(number * _WIDTH_STEP_M)
         for row, thumb in enumerate((1.0, -1.0)):
-            columns, rows = _cell(thumb * xyz[:, 0]), _cell(thumb * y)
+            cells = (_CELLS + 2) * _cell(thumb * xyz[:, 0]) + _cell(thumb * y)
             for part, front in ((slice(split), fronts[0]), (slice(split, None), fronts[1])):
-                free = (z[:, part] - front[columns[part], rows[:, part]]).min(axis=1, initial=_UNLIMITED_M)
+                free = (z[:, part] - front.take(cells[:, part])).min(axis=1, initial=_UNLIMITED_M)
                 found[row] = free if part.start is None else np.minimum(found[row], free)
-            found[row] = np.minimum(found[row], np.minimum(between_m, height_m + lowest[row]))
+            above = height_m + lowest[row]  # the table is where it was seen: there is no tolerance
+            found[row] = np.where(above < 0.0, -_UNLIMITED_M, np.minimum(found[row], np.minimum(between_m, above)))
         return found, behind
 
     def at(self, width_m: float) -> HandAt:
