@@ -113,32 +113,34 @@ def pictures(items: Sequence[Item], path: Path) -> None:
     figure = new_figure(2.6 * len(chosen), 2.8 * len(FORCES_N))
     axes = figure.subplots(len(FORCES_N), len(chosen), squeeze=False)
     for (row, hand), (column, item) in product(enumerate(FORCES_N), enumerate(chosen)):
-        seen = see(item, 0, VIEWS[0])
-        pipeline = Pipeline(PipelineConfig().updated({"hand.name": hand}))
-        targets = pipeline.segment(seen.cloud).targets
-        grasps = pipeline.plan(targets[0]).grasps if targets else ()
+        title, view = _picture(item, hand)
         axes[row, column].axis("off")
-        if not len(grasps):
-            continue
-        body, views = body_of(item, hand, FRICTIONS[0]), list[UInt8]()
-        with mujoco.Renderer(body.model, *_PIXELS) as renderer:
-
-            def watch(_model: mujoco.MjModel, data: mujoco.MjData) -> None:
-                camera = mujoco.MjvCamera()
-                camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (
-                    data.xpos[body.object],
-                    0.75,
-                    130,
-                    -15,
-                )  # noqa: B023
-                renderer.update_scene(data, camera)  # noqa: B023
-                views[:] = [renderer.render()]  # noqa: B023
-
-            taken = take(item, seen.pose, planned_in_world(seen, grasps[0]), hand, watch=watch)
-        if views:
-            axes[row, column].imshow(views[0])
-        axes[row, column].set_title(f"{hand}\n{item.name}: {taken.reason}", fontsize=7)
+        axes[row, column].set_title(title, fontsize=7)
+        if view is not None:
+            axes[row, column].imshow(view)
     save_small(figure, path)
+
+
+def _picture(item: Item, hand: str) -> tuple[str, UInt8 | None]:
+    """What became of the first grasp on an object, and the last view of it; None where the hand does not come."""
+    seen = see(item, 0, VIEWS[0])
+    pipeline = Pipeline(PipelineConfig().updated({"hand.name": hand}))
+    targets = pipeline.segment(seen.cloud).targets
+    grasps = pipeline.plan(targets[0]).grasps if targets else ()
+    if not len(grasps):
+        return f"{hand}\n{item.name}: no grasp", None
+    body, views = body_of(item, hand, FRICTIONS[0]), list[UInt8]()
+    with mujoco.Renderer(body.model, *_PIXELS) as renderer:
+
+        def watch(_model: mujoco.MjModel, data: mujoco.MjData) -> None:
+            camera = mujoco.MjvCamera()
+            camera.lookat[:], camera.distance = data.xpos[body.object], 0.75
+            camera.azimuth, camera.elevation = 130.0, -15.0
+            renderer.update_scene(data, camera)
+            views[:] = [renderer.render()]
+
+        taken = take(item, seen.pose, planned_in_world(seen, grasps[0]), hand, watch=watch)
+    return f"{hand}\n{item.name}: {taken.reason}", views[-1] if views else None
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from seen_solids import Camera, box
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig, HandConfig, Obstacles, plan_grasps
-from foretouch.grasp.hand import LEANS, Hand, HandDescription, hand_files, load_hand
+from foretouch.grasp.hand import TILTS, Hand, HandDescription, hand_files, load_hand
 from foretouch.types import Float64, Grasps
 
 CONFIG = GeoGraspConfig()
@@ -49,7 +49,7 @@ def test_jaws_open_by_the_width_and_palms_stay() -> None:
 
 
 def test_clearance_over_a_block() -> None:
-    """A block that reaches 20 mm up from the line: 46 mm less 20 mm are left from above; a post behind it blocks the palm that leans that way."""
+    """A block that reaches 20 mm up from the line: 46 mm less 20 mm are left from above; a post behind it blocks the palm that tilts that way."""
     jaw = load_hand("franka_hand")
     axis = np.linspace(-0.02, 0.02, 9)
     block = np.stack(np.meshgrid(axis, axis, np.linspace(-0.02, 0.02, 9)), axis=-1).reshape(-1, 3)
@@ -59,15 +59,15 @@ def test_clearance_over_a_block() -> None:
     np.testing.assert_allclose(found[0], found[1])  # jaws are the same on both sides
     post = np.stack([np.zeros(50), np.full(50, 0.06), np.linspace(-0.05, 0.3, 50)], axis=1)
     beside, _ = jaw.clearance(0.04, block, post, 0.3)
-    lean = int(np.argmax(LEANS))
-    assert found[0, lean] > 0.02
-    assert beside[0, lean] < 0.0
+    tilt = int(np.argmax(TILTS))
+    assert found[0, tilt] > 0.02
+    assert beside[0, tilt] < 0.0
     assert beside[0, 0] == found[0, 0]
     ceiling = np.stack(np.meshgrid(np.linspace(-0.2, 0.2, 81), np.linspace(-0.2, 0.2, 81), [0.03]), axis=-1).reshape(
         -1, 3
     )
     assert (jaw.clearance(0.04, block, ceiling, 0.3)[0] < 0.0).all()
-    assert (jaw.clearance(0.04, block, post[:0], 0.001)[0][:, np.abs(LEANS) > 1.0] < 0.0).all()  # the table
+    assert (jaw.clearance(0.04, block, post[:0], 0.001)[0][:, np.abs(TILTS) > 1.0] < 0.0).all()  # the table
 
 
 def test_a_tall_box_is_taken_from_above_near_its_top() -> None:
@@ -87,7 +87,7 @@ def test_a_tall_box_is_taken_from_above_near_its_top() -> None:
             assert way is not None
             assert abs(way.approach @ (grasp.g2 - grasp.g1)) < 1e-9
             assert np.linalg.norm(way.approach) == pytest.approx(1.0)
-            assert way.approaches.shape == (2, len(LEANS))
+            assert way.approaches.shape == (2, len(TILTS))
             at = hand.at(grasp.width_m)
             assert way.depth_m <= max(at.depth_m, hand.depths[1].max()) + 0.002
             pose = way.pose_of_hand @ np.linalg.inv(at.tool)  # the frame of the grasp

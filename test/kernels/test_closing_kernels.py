@@ -142,13 +142,13 @@ def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
     points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
     settings = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])
 
-    def line(beside_middle: float, middle: float, leans: tuple[float, ...] = (0.0,), lift: float = 0.0) -> Any:
+    def line(beside_middle: float, middle: float, tilts: tuple[float, ...] = (0.0,), lift: float = 0.0) -> Any:
         found = np.empty((1, 1, 8))
-        palm = np.array([0.03, 0.01, *leans, *[lift] * len(leans), *[beside_middle] * 20, *[middle] * 20])
+        palm = np.array([0.03, 0.01, *tilts, *[lift] * len(tilts), *[beside_middle] * 20, *[middle] * 20])
         completed._closing_lines(
             *(points, np.ones(len(points)), len(points), np.array([[0.0, 0.0, np.nan]]), 1, 1, settings, np.zeros(15)),
             *(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0, np.empty((0, 3)), 0),
-            *(palm, len(leans), 20, found),
+            *(palm, len(tilts), 20, found),
         )
         return found[0, 0]
 

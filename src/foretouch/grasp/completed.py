@@ -27,7 +27,7 @@ from foretouch.cloud.geometry.pcl_filters import cell_means, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
-from foretouch.grasp.hand import LEANS
+from foretouch.grasp.hand import TILTS
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane, WayIn
@@ -70,10 +70,10 @@ _BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
-_LEAN_M = 0.0004  # of clearance that a degree of leaning is worth
+_TILT_M = 0.0004  # of clearance that a degree of tilting is worth
 _LEAST_M = -0.002  # of clearance, below which a hand does not come
 _MORE_M = 0.004  # of clearance, above which more is of no use
-_SCARCE = 3.0  # worth of what is missing of it, over that of what leaning costs
+_SCARCE = 3.0  # worth of what is missing of it, over that of what tilting costs
 _OTHER_THUMB_M = 0.002  # of clearance, for which the thumb takes g1 instead of g2
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
@@ -207,11 +207,11 @@ class CompletedObject:
         floor_m, way_m = hand.tip_radius + hand.clearance_m, hand.approach_m + hand.tip_radius
         settings = np.array([_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
         palm = hand.hand.palm if hand.hand.limits_depth else np.zeros(2)
-        n_leans = len(LEANS) if hand.hand.limits_depth else 0
+        n_tilts = len(TILTS) if hand.hand.limits_depth else 0
         found = np.empty((len(turns), n_lines, 8))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
-            *(others, len(others), palm, n_leans, (len(palm) - 2) // 2 - n_leans, found),
+            *(others, len(others), palm, n_tilts, (len(palm) - 2) // 2 - n_tilts, found),
         )
         return found
 
@@ -301,7 +301,7 @@ class CompletedObject:
         across = self._basis @ (g2 - g1)
         width = float(np.hypot(across[0], across[1]))
         frame = np.array([[across[0], across[1], 0.0], [-across[1], across[0], 0.0], [0.0, 0.0, width]]) / width
-        clearances, behind = np.full((2, len(LEANS)), np.inf), np.zeros(len(LEANS))
+        clearances, behind = np.full((2, len(TILTS)), np.inf), np.zeros(len(TILTS))
         if hand.limits_depth:
             own, others = ((one - middle) @ frame.T for one in self._around)
             clearances, behind = hand.clearance(width, own, others, float(middle[2]))
@@ -314,17 +314,17 @@ class CompletedObject:
             return None, blocked and bool(
                 (hand.clearance(width, own, others[:0], float(middle[2]))[0] >= _LEAST_M).any()
             )
-        cost = _LEAN_M * np.abs(np.degrees(LEANS)) + _SCARCE * np.maximum(_MORE_M - clearances, 0.0)
+        cost = _TILT_M * np.abs(np.degrees(TILTS)) + _SCARCE * np.maximum(_MORE_M - clearances, 0.0)
         cost[0] += _OTHER_THUMB_M
-        thumb, lean = np.unravel_index(np.argmin(np.where(allowed, cost, np.inf)), cost.shape)
-        angle = LEANS[lean]
+        thumb, tilt = np.unravel_index(np.argmin(np.where(allowed, cost, np.inf)), cost.shape)
+        angle = TILTS[tilt]
         at, pose = hand.at(width), np.eye(4)
         z = -(np.sin(angle) * frame[1] + np.cos(angle) * frame[2]) @ self._basis
         x = frame[0] @ self._basis * (1.0 if thumb else -1.0)
         pose[:3, :3], pose[:3, 3] = np.stack([x, cross(z, x), z], axis=1), (g1 + g2) / 2.0
         joints = tuple(joint.name for joint in hand.config.joints)
         name: Literal["g1", "g2"] = "g2" if thumb else "g1"
-        return WayIn(z, name, float(behind[lean]), clearances, pose @ at.tool, at.posture, joints), False
+        return WayIn(z, name, float(behind[tilt]), clearances, pose @ at.tool, at.posture, joints), False
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Direction and place of the line that is closest to a grasp."""

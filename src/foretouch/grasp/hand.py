@@ -20,7 +20,7 @@ from foretouch.types import Float64, Int64
 
 FINGER, THUMB, PALM = "finger", "thumb", "palm"
 _UNLIMITED_M: Final = 10.0  # depth of a hand without a palm
-LEANS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
+TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
 """Angles of the palm about the line [rad]: 0 is straight above, positive ones come from the side to which z x line points."""
 
 SPARE_M: Final = 0.003
@@ -175,18 +175,18 @@ class Hand:
 
     @cached_property
     def palm(self) -> Float64:
-        """Half of `across_m`, the step of the widths, the angles `LEANS` and the lowest height of a line at each, and free depths by width, beside the middle half of a line and over it [m]."""
+        """Half of `across_m`, the step of the widths, the angles `TILTS` and the lowest height of a line at each, and free depths by width, beside the middle half of a line and over it [m]."""
         lifts = np.min([-self.lowest(float(width)) for width in self.widths], axis=(0, 1))
         widths = _FREE_STEP_M * np.arange(round(self.config.opening_m / _FREE_STEP_M) + 3)
         free = [np.interp(widths, self.widths, depths) - SPARE_M for depths in self.depths]
-        return np.concatenate([[self.config.across_m / 2.0, _FREE_STEP_M], LEANS, lifts, *free])
+        return np.concatenate([[self.config.across_m / 2.0, _FREE_STEP_M], TILTS, lifts, *free])
 
     @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
     def lowest(self, width_m: float) -> Float64:
-        """(2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `LEANS`, with the thumb at its end and at its beginning."""
+        """(2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `TILTS`, with the thumb at its end and at its beginning."""
         corners = self.at(width_m).corners.reshape(-1, 3)
-        below = np.outer(np.cos(LEANS), np.minimum(corners[:, 2], self.config.tip_radius_m))
-        beside = np.outer(np.sin(LEANS), corners[:, 1])
+        below = np.outer(np.cos(TILTS), np.minimum(corners[:, 2], self.config.tip_radius_m))
+        beside = np.outer(np.sin(TILTS), corners[:, 1])
         return np.stack([(sign * beside - below).min(axis=1, initial=_UNLIMITED_M) for sign in (1.0, -1.0)])
 
     def opened(self, width_m: float, share: float = 1.0) -> Float64:
@@ -217,7 +217,7 @@ class Hand:
         return found
 
     def clearance(self, width_m: float, own: Float64, others: Float64, height_m: float) -> tuple[Float64, Float64]:
-        """How much further the hand could go along each of `LEANS` before it meets something [m], negative where it is blocked.
+        """How much further the hand could go along each of `TILTS` before it meets something [m], negative where it is blocked.
 
         Its fingers are open; everything between the hand and where it comes from counts.
 
@@ -234,14 +234,14 @@ class Hand:
         number = round(width_m / _WIDTH_STEP_M)
         fronts = self._fronts(number)
         depth, middle = (float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, one)) for one in self.depths)
-        c, s = np.cos(LEANS)[:, None], np.sin(LEANS)[:, None]
+        c, s = np.cos(TILTS)[:, None], np.sin(TILTS)[:, None]
         z, y = -(c * xyz[:, 2] + s * xyz[:, 1]), s * xyz[:, 2] - c * xyz[:, 1]  # (A, N)
         across_m = self.config.across_m / 2.0
         between = (np.abs(own[:, 0]) <= width_m / 2.0 + _WIDER_M) & (np.abs(y[:, :split]) <= across_m)
         behind = -np.where(between, z[:, :split], 0.0).min(axis=1, initial=0.0)
         free_m = np.where(np.abs(own[:, 0]) <= width_m / 4.0, middle, depth)
         between_m = np.where(between, z[:, :split] + free_m, _UNLIMITED_M).min(axis=1, initial=_UNLIMITED_M)
-        found, lowest = np.empty((2, len(LEANS))), self.lowest(number * _WIDTH_STEP_M)
+        found, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
         for row, thumb in enumerate((1.0, -1.0)):
             cells = (_CELLS + 2) * _cell(thumb * xyz[:, 0]) + _cell(thumb * y)
             for part, front in ((slice(split), fronts[0]), (slice(split, None), fronts[1])):

@@ -350,8 +350,8 @@ INLINE double hidden_ends(const Outline *seen, double c, double s, const double 
 
 /* What an object leaves free of the hand, as it comes at some angles over a line: beside the middle half of a line, and over it. */
 typedef struct {
-    const double *leans, *lifts, *free; /* angles from straight above [rad], upright first; lowest height of a line there; free depths by width, of the middle after those beside it */
-    int64_t n_leans, n_free;
+    const double *tilts, *lifts, *free; /* angles from straight above [rad], upright first; lowest height of a line there; free depths by width, of the middle after those beside it */
+    int64_t n_tilts, n_free;
     double free_step, across;   /* from one width to the next; half the extent across the fingers that counts */
     float tops[2][COLUMNS];     /* second highest point in each column across the direction, beside the middle and in it; the second half of the columns is beyond the centre */
     int64_t from, to;
@@ -375,9 +375,9 @@ INLINE void find_tops(Palm *palm, const float *beside, const float *place, const
     }
 }
 
-/* How far the object reaches from a line towards a palm that leans by an angle [m]; columns count as solid from the table on. */
-INLINE double depth_at(const Palm *palm, const float *tops, double lean, double offset, double z, double step) {
-    const double c = cos(lean), s = sin(lean), t = fabs(s) > 1e-9 ? 1.0 / s : 0.0;
+/* How far the object reaches from a line towards a palm that tilts by an angle [m]; columns count as solid from the table on. */
+INLINE double depth_at(const Palm *palm, const float *tops, double tilt, double offset, double z, double step) {
+    const double c = cos(tilt), s = sin(tilt), t = fabs(s) > 1e-9 ? 1.0 / s : 0.0;
     double deepest = 0.0;
     for (int64_t j = palm->from; j <= palm->to; j++) {
         const double v = (2.0 * (double)(j - COLUMNS / 2) + 1.0) * step - offset;
@@ -395,14 +395,14 @@ INLINE double depth_at(const Palm *palm, const float *tops, double lean, double 
     return deepest;
 }
 
-/* How much deeper the object is than a hand that leans by an angle [m]. */
-INLINE double too_deep(const Palm *palm, double lean, double offset, double width, double z, double step) {
+/* How much deeper the object is than a hand that tilts by an angle [m]. */
+INLINE double too_deep(const Palm *palm, double tilt, double offset, double width, double z, double step) {
     const double at = (width + UNDER_M) / palm->free_step, inside = at < (double)(palm->n_free - 1) ? at : (double)(palm->n_free - 1);
     const int64_t k = (int64_t)inside < palm->n_free - 2 ? (int64_t)inside : palm->n_free - 2;
     double over[2];
     for (int64_t part = 0; part < 2; part++) {
         const double *free_m = palm->free + part * palm->n_free + k;
-        over[part] = depth_at(palm, palm->tops[part], lean, offset, z, step) - (free_m[0] + (inside - (double)k) * (free_m[1] - free_m[0]));
+        over[part] = depth_at(palm, palm->tops[part], tilt, offset, z, step) - (free_m[0] + (inside - (double)k) * (free_m[1] - free_m[0]));
     }
     return over[0] > over[1] ? over[0] : over[1];
 }
@@ -412,8 +412,8 @@ INLINE double fit_palm(const Palm *palm, double offset, double width, double top
     const double up = too_deep(palm, 0.0, offset, width, *z, step);
     double least = up;
     *raised = 0.0;
-    for (int64_t i = 1; i < palm->n_leans && least > -FIT_M; i++) {
-        const double over = *z < palm->lifts[i] ? INFINITY : too_deep(palm, palm->leans[i], offset, width, *z, step);
+    for (int64_t i = 1; i < palm->n_tilts && least > -FIT_M; i++) {
+        const double over = *z < palm->lifts[i] ? INFINITY : too_deep(palm, palm->tilts[i], offset, width, *z, step);
         least = over < least ? over : least;
     }
     if (least > -FIT_M && up > 0.0) {
@@ -430,17 +430,17 @@ INLINE double fit_palm(const Palm *palm, double offset, double width, double top
  * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points.
  * settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal part of the
  * direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
- * palm: half the extent across the fingers that counts, and the step of its widths; then n_leans angles, upright first, the lowest height of a line at
+ * palm: half the extent across the fingers that counts, and the step of its widths; then n_tilts angles, upright first, the lowest height of a line at
  * each, and the n_free free depths by width, beside the middle half of a line and over it; n_free is 0 for a hand without a palm.
  * found (angles, lines, 8): both ends, height, top, the first of `others` in the way of a finger, or -1, how certainly the object is at both ends,
  * 0 ... 1, how much deeper the object is than the hand, and how far the line was raised for it. The first two, the fifth and the sixth are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
                               int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns,
-                              const double *others, int64_t m, const double *palm, int64_t n_leans, int64_t n_free, double *found) {
+                              const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
     const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
-    Palm hand = {palm + 2, palm + 2 + n_leans, palm + 2 + 2 * n_leans, n_leans, n_free, palm[1], palm[0], {{0.0f}}, 0, 0};
+    Palm hand = {palm + 2, palm + 2 + n_tilts, palm + 2 + 2 * n_tilts, n_tilts, n_free, palm[1], palm[0], {{0.0f}}, 0, 0};
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
     const size_t sums = (size_t)bins * (HEIGHTS + 8 + ALONGS) * 2;
     int64_t *start = malloc((size_t)(bins + 1) * 4 * sizeof(int64_t) + ((size_t)n * 12 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));

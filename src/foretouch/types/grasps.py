@@ -21,7 +21,7 @@ class WayIn:
     thumb_at: Literal["g1", "g2"]  # the contact that the thumb takes; of a gripper, its finger on the positive side
     depth_m: float  # how far the object reaches from the line towards the palm [m]
     approaches: (
-        Float64  # (2, A) float64 [m], thumb at g1 and at g2: how much further the hand could go, at each of `LEANS`
+        Float64  # (2, A) float64 [m], thumb at g1 and at g2: how much further the hand could go, at each of `TILTS`
     )
     pose_of_hand: Float64  # (4, 4) float64, the tool frame of the hand's description in the cloud's frame
     posture: Float64  # (J,) float64 [rad], angles of `joints`

@@ -69,7 +69,7 @@ def closing_lines(
     others,
     m,
     palm,
-    n_leans,
+    n_tilts,
     n_free,
     found,
 ):
