@@ -6,6 +6,7 @@ ros2 launch foretouch replay.launch.py path:=recording/
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -24,8 +25,19 @@ ARGUMENTS = [
 
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
-        [*ARGUMENTS, arguments_are_checked(), include_perception(), OpaqueFunction(function=replay)]
+        [*ARGUMENTS, arguments_are_checked(), OpaqueFunction(function=perception), OpaqueFunction(function=replay)]
     )
+
+
+def perception(context: LaunchContext) -> list[Any]:
+    """Include perception with the input that the path holds: whole scenes, or objects that are cut out already."""
+    from foretouch.dataset.playlist import cloud_is_object
+    from foretouch.dataset.source import open_source
+
+    source = open_source(LaunchConfiguration("path").perform(context))
+    if source.info_topic:
+        return [include_perception(input="depth", depth=source.topic)]
+    return [include_perception(input="objects" if cloud_is_object(source) else "points")]
 
 
 def replay(context: LaunchContext) -> list[Node]:

@@ -147,11 +147,11 @@ def test_topics_are_listed_and_one_that_is_absent_empty_ambiguous_or_of_another_
     cases = (
         (r"name one with --topic: /left \(.*\), /right \([^)]*\)$", "bag", None),
         (
-            r"said: /points: no messages of sensor_msgs/msg/PointCloud2: /said \(std_msgs/msg/String, 0\)",
+            r"said: /points: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: /said \(std_msgs/msg/String, 0\)",
             "said",
             "/points",
         ),
-        ("said: no messages of sensor_msgs/msg/PointCloud2: /said", "said", None),
+        ("said: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: /said", "said", None),
         ("empty: no messages of .*: /foretouch/points", "empty", None),
     )
     every_refusal(FileError, cases, lambda name, topic: list(read_bag(tmp_path / name, topic)))
@@ -274,7 +274,7 @@ def test_each_channel_is_read_by_its_own_encoding_and_known_types_need_no_defini
     assert types["/proto"] == "foxglove.PointCloud as protobuf"
     with pytest.raises(
         FileError,
-        match=r"/json: no messages of sensor_msgs/msg/PointCloud2: .*/json \(sensor_msgs/msg/PointCloud2 as json, 1\)",
+        match=r"/json: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: .*/json \(sensor_msgs/msg/PointCloud2 as json, 1\)",
     ):
         list(read_bag(path, "/json"))
 
@@ -300,3 +300,27 @@ def test_compressed_files_without_metadata_are_read_and_an_open_journal_is_named
     (tmp_path / "open" / "open.db3-wal").write_bytes(b"pages")
     with pytest.raises(FileError, match=r"open.db3: was not closed, and holds messages in open.db3-wal: `sqlite3 "):
         list(read_bag(tmp_path / "open"))
+
+
+def test_a_type_is_decoded_by_the_definition_of_its_own_file_and_one_without_is_named(tmp_path):
+    def write(name: str, text: bytes, data: bytes, time_ns: int) -> None:
+        with (tmp_path / name).open("wb") as stream:
+            writer = McapWriter(stream)
+            writer.start("ros2", "others")
+            schema = writer.register_schema("my_msgs/msg/Pair", "ros2msg", text)
+            writer.add_message(writer.register_channel("/pairs", "cdr", schema), time_ns, b"\0\1\0\0" + data, time_ns)
+            writer.finish()
+
+    write("x_0.mcap", b"int32 a\nint32 b\n", bytes([1, 0, 0, 0, 2, 0, 0, 0]), 5)
+    write("x_1.mcap", b"int32 b\nint32 a\n", bytes([1, 0, 0, 0, 2, 0, 0, 0]), 6)
+    with Recording(tmp_path) as recording:
+        found = [recording.content(message) for message in recording.messages()]
+    assert [(one.a, one.b) for one in found] == [(1, 2), (2, 1)]
+    write("x_2.mcap", b"my_msgs/Other c\n", bytes(8), 7)
+    with (
+        Recording(tmp_path) as recording,
+        pytest.raises(
+            FileError, match=r"/pairs\[2\]: cannot be decoded: the recording does not define my_msgs/msg/Other"
+        ),
+    ):
+        recording.content(list(recording.messages())[2])

@@ -23,11 +23,10 @@ def test_one_table_lists_the_executables_of_the_package_and_of_setup():
         for line in ast.parse((Path(__file__).parents[2] / "setup.py").read_text(encoding="utf-8")).body
         if isinstance(line, ast.Assign) and line.targets[0].id == "NODES"
     ]
-    assert set(names) == set(executables.EXECUTABLES)
-    assert {name for nodes in executables.EXECUTABLES.values() for name in nodes} == set(executables.NODES)
-    for name, nodes in executables.EXECUTABLES.items():
+    assert set(names) == set(executables.NODES)
+    for name in names:
         entry_point = getattr(executables, name)
-        assert (entry_point.func, entry_point.args) == (executables.run, nodes)
+        assert (entry_point.func, entry_point.args) == (executables.run, (name,))
     with pytest.raises(AttributeError, match="no attribute 'toaster'"):
         executables.toaster  # noqa: B018
 
@@ -40,13 +39,17 @@ def test_each_executable_answers_help_and_refuses_what_is_not_for_ros(capsys):
             printed = " ".join("".join(capsys.readouterr()).split())
             assert (ended.value.code, text in printed, f"usage: foretouch_{name}" in printed) == (status, True, True)
 
-    every_case([(name,) for name in executables.EXECUTABLES], check)
+    every_case([(name,) for name in executables.NODES], check)
 
 
 @pytest.mark.slow
 def test_three_processes_make_one_chain_and_end_cleanly_on_ctrl_c(lone_graph, scene_cloud, model_card):
     graph = lone_graph
-    arguments = {"segmentation": (), "grasp": (), "touch_predictor": ("-p", f"model:={model_card}")}
+    arguments = {
+        "segmentation": ("-p", "input:=points"),
+        "grasp": (),
+        "touch_predictor": ("-p", f"model:={model_card}"),
+    }
     processes = {name: graph.start(name, *words) for name, words in arguments.items()}
     heard, publisher = graph.listen(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "points")
     graph.matched("points", "grasps", "touch")
@@ -67,7 +70,7 @@ def test_three_processes_make_one_chain_and_end_cleanly_on_ctrl_c(lone_graph, sc
 @pytest.mark.slow
 def test_namespace_and_topics_can_be_remapped(lone_graph, scene_cloud):
     graph = lone_graph
-    remapped = ("-r", "__ns:=/left", "-r", "points:=/camera/points")
+    remapped = ("-r", "__ns:=/left", "-r", "points:=/camera/points", "-p", "input:=points")
     process = graph.start("segmentation", *remapped)
     heard, publisher = graph.listen(PointCloud2, "/left/object_cloud"), graph.talk(PointCloud2, "/camera/points")
     graph.matched("/camera/points", "/left/object_cloud")
@@ -84,7 +87,8 @@ def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
         ("segmentation", "--nonsense", "foretouch: ROS arguments: unknown: ['--nonsense']"),
         ("segmentation", "target.mode:=prettiest", "foretouch: target.mode: 'prettiest' is not one of nearest"),
         ("segmentation", "target.moed:=all", "target.moed: unknown parameter; did you mean target.mode?"),
-        ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
+        ("perception", "queue_depth:=4", "queue_depth: was removed in 0.4"),
+        ("segmentation", "silence_s:=many", "foretouch: silence_s"),
         ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),
     ):
         process = lone_graph.start(name, *(("-p", parameter) if ":=" in parameter else (parameter,)))

@@ -145,5 +145,5 @@ def _short(name: str) -> str:
 def _order(name: str) -> tuple[int, str]:
     """Sort nodes in the order in which the data passes them."""
     short = _short(name)
-    known = ["camera", "replay", "segmentation", "grasp", "touch_predictor", "hand", "markers"]
+    known = ["camera", "replay", "perception", "segmentation", "grasp", "touch_predictor", "hand", "markers"]
     return (known.index(short) if short in known else len(known), short)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
-    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED)
+    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument(
         "--grasp",
         type=partial(inputs.numbers, count=6),
@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud or a grasp was refused."""
+    inputs.check_single(arguments)
     if arguments.prequential:
         return _run_prequential(arguments)
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
@@ -81,12 +82,12 @@ def _answer(
     item: SourceItem,
 ) -> Iterator[inputs.Record]:
     """Predictions for each object of an input."""
-    targets = inputs.target_objects(item, arguments, pipeline)
+    targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
     if adaptation.touched and len(targets) > 1:
         raise ConfigError(
             f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
         )
-    for target in targets:
+    for number, target in enumerate(targets):
         began = time.perf_counter()
         try:
             grasps, reason = _grasps(item, target, arguments, pipeline)
@@ -99,9 +100,12 @@ def _answer(
         predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = predictions.reason[~predictions.ok].tolist()
+        if number == 0:
+            inputs.draw_result(arguments, scene, predictions.grasps, predictions)
         yield {
             **({"sample": item.sample.id} if item.sample is not None else {}),
             "object": target.id,
+            **({"selected": selected} if selected else {}),
             "status": "ok" if predictions and not refused else "refused",
             "reason": "; ".join(refused) or reason,
             "predictions": [prediction_record(one) for one in predictions],
@@ -138,7 +142,7 @@ def _predict(
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     replay_model = laboratory("learning.prequential", "--prequential").replay_model
-    for name in ("tare", "touched", "grasp", "budget_ms"):
+    for name in ("tare", "touched", "grasp", "budget_ms", "mask", "picture", "pixel", "point"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 

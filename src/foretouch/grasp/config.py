@@ -69,7 +69,9 @@ class HandConfig(Settings):
         "two_tips", "Description of the hand: its name (foretouch hand list), or a YAML file of one's own"
     )
     thumb_at: Literal["either", "g1", "g2"] = setting(
-        "either", "Contact that the thumb takes: g1 is left in the image; where the arm stands decides"
+        "either",
+        "Contact that the thumb takes: g1 is left in the image; where the arm stands decides",
+        choices=("either", "g1", "g2"),
     )
     opening_m: float | None = setting(
         None, "Grasps whose contacts are farther apart are not planned; absent: as described", bounds=(0.005, 1.0)

@@ -9,12 +9,14 @@ through the tracker of the sensors' state (`models.tracker`), with the parameter
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import ModelError, TactileError
+from foretouch.errors import FileError, ModelError, TactileError
+from foretouch.files import read_bytes, replace_files, system_errors
 from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
@@ -95,6 +97,15 @@ class Estimator(Protocol):
         ...
 
 
+class HasCloud(Protocol):
+    """What stands for a cloud, such as an object of a scene."""
+
+    @property
+    def cloud(self) -> Cloud:
+        """Its points."""
+        ...
+
+
 class TouchModel:
     """An estimator with its card and its calibration; immutable, so threads may share it.
 
@@ -125,12 +136,34 @@ class TouchModel:
         self.sensor = card_sensor(card, self.name)
         self.ranges = estimator.ranges
         self.estimator = estimator
+        self.path: Path | None = None  # of its card, where it was loaded
+        self.kept: object = None  # lives as long as the model: a temporary folder with its files
         self._widen = widen
 
     @property
     def simulated(self) -> bool:
         """Whether it was trained on simulated grasps, and so predicts for the simulated hand only."""
         return "scene_sha256" in self.card.get("data", {})
+
+    def save(self, folder: str | Path) -> Path:
+        """Write card, weights and calibration to a folder, for `load_model`; returns the path of the card.
+
+        Raises:
+            ModelError: If it was not loaded from files.
+            FileError: If a file exists or cannot be written.
+        """
+        if self.path is None:
+            raise ModelError(f"{self.name}: was not loaded from files, so it cannot be saved")
+        names = [self.path.name, self.card["weights"], (self.card.get("calibration") or {}).get("weights")]
+        folder = Path(folder)
+        files = {folder / name: read_bytes(self.path.with_name(name)) for name in names if name}
+        for path in files:
+            if path.exists():
+                raise FileError(path, "exists already; choose another folder")
+        with system_errors(folder, "cannot be written"):
+            folder.mkdir(parents=True, exist_ok=True)
+        replace_files(files)
+        return folder / self.path.name
 
     def reduced(self, estimator: Estimator, widen: Float64) -> "TouchModel":
         """The same model with a cheaper estimator, and (D,) factors of the half widths of its intervals."""
@@ -142,7 +175,7 @@ class TouchModel:
 
     def predict(
         self,
-        cloud: Cloud,
+        cloud: Cloud | HasCloud,
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
@@ -155,7 +188,7 @@ class TouchModel:
         Predictions are deterministic, and independent of the other grasps of the call to the last bit.
 
         Args:
-            cloud: The object's points [m]; points without depth are ignored.
+            cloud: The object's points [m], or an object of a scene; points without depth are ignored.
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before, of a hand of which nothing else was read.
             history: Readings of the hand so far, which include tares; `tare` must be omitted.
@@ -179,6 +212,7 @@ class TouchModel:
                 raise ModelError("history: has tares and touches of its own")
             if history.tracker.parameters is not self._calibrated().tracker_parameters:
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
+        cloud = cloud if isinstance(cloud, Cloud) else cloud.cloud
         check_object(cloud.xyz, limits)
         columns = Grasps.of(grasps)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)

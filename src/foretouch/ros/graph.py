@@ -18,7 +18,7 @@ from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.laboratory import needs_laboratory
-from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
+from foretouch.ros.runtime.environment import prepare_environment, stale_bytes, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 NODES = {
     "camera": "foretouch.ros.nodes.camera:CameraNode",
+    "perception": "foretouch.ros.nodes.perception:PerceptionNode",
     "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNode",
     "grasp": "foretouch.ros.nodes.grasp:GraspNode",
     "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
@@ -39,7 +40,11 @@ NODES = {
 }
 """Module and class of each node by name; that of the simulated hand is in the laboratory."""
 
-PERCEPTION = ("segmentation", "grasp", "touch_predictor")
+_INPUTS = {
+    "sensor_msgs/msg/Image": "depth",
+    "sensor_msgs/msg/CompressedImage": "depth",
+    "sensor_msgs/msg/PointCloud2": "points",
+}  # of perception, by type of message
 
 _SOURCES = ("replay", "camera")
 
@@ -74,7 +79,7 @@ class Graph:
 
     def __enter__(self) -> Self:
         begin(self._arguments, list(self._parameters), **self._namespace)
-        from foretouch.ros.runtime.executor import GraphExecutor
+        from rclpy.executors import SingleThreadedExecutor
 
         try:
             with uninterrupted():
@@ -89,7 +94,7 @@ class Graph:
             with uninterrupted():
                 served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
                 self._errors = served[0].internal_errors
-                self._executor = GraphExecutor(self._errors)
+                self._executor = SingleThreadedExecutor()
                 for one in served:
                     self._executor.add_node(one)
             for node in self.nodes.values():
@@ -128,11 +133,6 @@ class Graph:
         """The replay, if it is one of the nodes."""
         return cast("ReplayNode | None", self.nodes.get("replay"))
 
-    def default(self, node: str, **values: Any) -> None:
-        """Set parameters of a node which neither its options nor the parameter file have set."""
-        given = getattr(self.nodes[node], "_parameter_overrides", {})
-        self.nodes[node].set_parameters([*_parameters({k: v for k, v in values.items() if k not in given})])
-
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
         for node in self.nodes.values():
@@ -140,8 +140,9 @@ class Graph:
         return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
 
     def played(self) -> int:
-        """Clouds published by the replay or the camera; 0 without one."""
-        return sum(self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes)
+        """Clouds published by the replay or the camera; received from a topic of others."""
+        counts = [self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes]
+        return sum(counts) if counts else self.nodes["perception"].statistics.summary().received
 
     def stop_source(self) -> None:
         """Publish no more clouds."""
@@ -204,6 +205,7 @@ class Graph:
 def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
     """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
     prepare_environment()
+    stale_bytes(free=True)
     check_parameters(arguments, NODES, names, namespace)
     start_rclpy(arguments)
 
@@ -216,6 +218,33 @@ def node_class(name: str) -> "type[ForetouchNode[Any]]":
     module, _, class_name = NODES[name].partition(":")
     with needs_laboratory(f"node {name}"):
         return cast("type[ForetouchNode[Any]]", getattr(import_module(module), class_name))
+
+
+def input_of(topic: str, wait_s: float) -> str:
+    """Find out what a topic of a camera is for `perception`: `depth` or `points`; a `ConfigError` if it is nothing of both.
+
+    Args:
+        topic: Full name.
+        wait_s: Longest wait until somebody publishes it [s].
+    """
+    start_rclpy([])
+    import rclpy
+
+    node, end, kinds = rclpy.create_node("foretouch_look"), time.monotonic() + wait_s, dict[str, list[str]]()
+    try:
+        while topic not in kinds and time.monotonic() < end:
+            time.sleep(0.1)
+            kinds = {name: types for name, types in node.get_topic_names_and_types() if node.count_publishers(name)}
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    for kind in kinds.get(topic, ()):
+        if kind in _INPUTS:
+            return _INPUTS[kind]
+    there = [name for name, types in kinds.items() if any(kind in _INPUTS for kind in types)]
+    rule = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"nobody publishes it within {wait_s:g} s"
+    seen = f"; there are {', '.join(sorted(there))}" if there else "; there is no topic of images or clouds"
+    raise ConfigError(f"{topic}: {rule}, not an image of depth or a cloud{seen}")
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:

@@ -20,7 +20,7 @@ Index = npt.NDArray[np.intp]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 Integer = npt.NDArray[np.integer]
-Objects = npt.NDArray[np.object_]
+Objects = npt.NDArray[Any]
 UInt8 = npt.NDArray[np.uint8]
 Rows: TypeAlias = slice | Index | Bool | Sequence[int]
 

@@ -190,12 +190,12 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(planner):
 
 
 def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
-    graph, real, sizes, handles = planner.graph, type(planner.node._predictor).answer, [], []
+    graph, real, sizes, handles = planner.graph, type(planner.node._step.predictor).answer, [], []
 
     def many(pipeline, targets, header):
-        array = plan_targets(pipeline, targets, header)
+        array, plans = plan_targets(pipeline, targets, header)
         array.grasps = list(array.grasps) * 1000
-        return array
+        return array, plans
 
     def slow(predictor, targets, grasps, *rest):
         sizes.append(len(grasps))
@@ -205,7 +205,7 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
         return real(predictor, targets, grasps, *rest)
 
     monkeypatch.setattr("foretouch.ros.messages.requests.plan_targets", many)
-    monkeypatch.setattr(type(planner.node._predictor), "answer", slow)
+    monkeypatch.setattr(type(planner.node._step.predictor), "answer", slow)
     sent = graph.action_client(SampleGrasps, "sample_grasps").send_goal_async(planner.goal())
     sent.add_done_callback(lambda future: handles.append(future.result()))
     graph.until(lambda: handles)

@@ -32,17 +32,6 @@ _MOST: Final = 32  # frames and sizes that are remembered
 _PATIENCE_S: Final = 3.0  # without a camera info until that is an error, and between those of two publishers
 
 
-def depth_cloud(message: Any, camera: CameraModel) -> Cloud:
-    """Make the cloud of a depth message, raw or compressed, with the frame and stamp of its header.
-
-    Raises:
-        CloudError: If the message holds no depth image, or one of another size than the camera's.
-    """
-    return Cloud.from_depth(
-        decode_depth(message), camera, frame_id=message.header.frame_id, stamp_ns=stamp_ns(message.header.stamp)
-    )
-
-
 def decode_depth(message: Any) -> AnyArray:
     """Decode a `sensor_msgs/Image` or a `sensor_msgs/CompressedImage`.
 
@@ -248,6 +237,21 @@ class CameraInfos:
             was_told, new.alternates_s = _alternates(known, now_s), now_s
             return "" if was_told else self._two(place)
         return f"{info_topic(self.topic)}: the camera of {_named(place)} changed to {camera}"
+
+    def cloud(self, message: Any, now_s: float) -> Cloud:
+        """Make the cloud of a depth message, raw or compressed, with the frame and stamp of its header.
+
+        Args:
+            message: A `sensor_msgs/Image` or a `sensor_msgs/CompressedImage`.
+            now_s: When it arrived [s], as in `add`.
+
+        Raises:
+            CalibrationError: As `camera`.
+            CloudError: As `decode_depth` and `Cloud.from_depth`.
+        """
+        depth, frame_id = decode_depth(message), message.header.frame_id
+        camera = self.camera(frame_id, (depth.shape[0], depth.shape[1]), now_s)
+        return Cloud.from_depth(depth, camera, frame_id=frame_id, stamp_ns=stamp_ns(message.header.stamp))
 
     def camera(self, frame_id: str, shape: tuple[int, int], now_s: float) -> CameraModel:
         """Find the camera of an image.

@@ -13,7 +13,7 @@ from foretouch.grasp.pose import joined_faults, rotation_faults
 from foretouch.pipeline import Object
 from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
-from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.config import TouchSettings
 from foretouch.types import Float64, Grasp, Grasps, Predictions
 from foretouch.types.arrays import objects
 from foretouch.types.channels import Channels
@@ -25,7 +25,7 @@ from foretouch_msgs.msg import Status
 def posed_grasps(
     grasps: Sequence[GraspMsg] | GraspArrays,
     target: Object,
-    config: TouchPredictorConfig,
+    config: TouchSettings,
     posing: GeoGraspConfig | None,
     channels: Channels,
 ) -> Predictions:

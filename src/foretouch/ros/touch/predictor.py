@@ -2,7 +2,6 @@
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
 import statistics
-import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -20,11 +19,12 @@ from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
 from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.posing import posed_grasps, refusal_of
+from foretouch.tactile.description import Sensor
 from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, Grasps, Predictions
-from foretouch.types.channels import NO_CHANNELS
+from foretouch.types.channels import NO_CHANNELS, Channels
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
 
@@ -43,7 +43,6 @@ class Predictor:
         self.fault = ""  # why `model` could not be loaded
         self.flags: tuple[str, ...] = ()  # of every prediction
         self.budget: LatencyBudget | None = None  # chooses the level of each request
-        self._switch_s = 0.0  # before `keep_to`
         try:
             self.model = load_model(model)
         except ForetouchError as err:
@@ -58,15 +57,22 @@ class Predictor:
             for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
 
-    def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], object]) -> None:
+    @property
+    def sensor(self) -> Sensor | None:
+        """Sensor of the model, whose readings are predicted."""
+        return None if self.model is None else self.model.sensor
+
+    @property
+    def channels(self) -> Channels:
+        """Channels of the sensor; without a model none."""
+        return NO_CHANNELS if self.sensor is None else self.sensor.channels
+
+    def keep_to(self, budget_ms: float, config: TouchSettings, say: Callable[[str], object]) -> None:
         """Answer within a budget from now on, if there is a model; measures this machine."""
         from foretouch.models.budget import LatencyBudget, load_warm, profile_scene
 
         if self.model is None:
             return
-        self._switch_s = sys.getswitchinterval()
-        # After so long, a thread gives way to another: Python's 5 ms may be the whole budget.
-        sys.setswitchinterval(min(self._switch_s, 5e-4))
         levels, times = load_warm(self.model)
         around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
         self.budget = LatencyBudget(budget_ms / 1e3, levels, times, around)
@@ -75,13 +81,8 @@ class Predictor:
             name = best.name if best else f"none; the fastest is used, {levels[-1].name}"
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
 
-    def close(self) -> None:
-        """Let threads switch as before `keep_to`."""
-        if self._switch_s:
-            sys.setswitchinterval(self._switch_s)
-
     def _around(
-        self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, Sequence[Grasp]]
+        self, model: TouchModel, config: TouchSettings, scene: tuple[Cloud, Sequence[Grasp]]
     ) -> dict[int, float]:
         """By number of grasps, the time of their messages: what `answer` takes beyond the prediction, as processor time [s]."""
         from foretouch.models.budget import PAUSE_S
@@ -121,7 +122,7 @@ class Predictor:
         targets: Sequence[Object],
         grasps: Sequence[GraspMsg] | GraspArrays,
         header: Header,
-        config: TouchPredictorConfig,
+        config: TouchSettings,
         posing: GeoGraspConfig | None = None,
         model: TouchModel | None = None,
     ) -> TouchAnswer:
@@ -138,9 +139,7 @@ class Predictor:
         Raises:
             RefusalError: If none of the targets is the object of arrays.
         """
-        model = model or self.model
-        sensor = None if model is None else model.sensor
-        channels = NO_CHANNELS if sensor is None else sensor.channels
+        channels, sensor = self.channels, self.sensor
         if isinstance(grasps, GraspArrays):
             try:
                 target = targets[_target_of(grasps.object_id, targets)]
@@ -150,7 +149,7 @@ class Predictor:
             rotations = None
             if grasps.rotations is None:
                 rotations = np.where(posed.ok[:, None, None], posed.grasps.rotation, 0.0)
-            rows = self._on_target(model, target.cloud, posed, config)
+            rows = self.predict(target.cloud, posed, config, model)
             return TouchAnswer(header, rows.grasps, rows, sensor=sensor, arrays=True, rotations=rotations)
         rows = Predictions.refused(Grasps.unknown(len(grasps)), channels, "bad_grasp", "")
         by_target: dict[int, list[int]] = {}
@@ -161,7 +160,7 @@ class Predictor:
                 rows.reason[i] = str(err)
         for k, members in by_target.items():
             posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing, channels)
-            rows = rows.put(members, self._on_target(model, targets[k].cloud, posed, config))
+            rows = rows.put(members, self.predict(targets[k].cloud, posed, config, model))
         if posing is not None:
             grasps = [_as_predicted(grasp, rows, k) for k, grasp in enumerate(grasps)]
         return TouchAnswer(header, grasps, rows, sensor=sensor)
@@ -177,10 +176,14 @@ class Predictor:
             message.model, message.model_sha256 = self.model.name, self.model.sha256
         return message
 
-    def _on_target(
-        self, model: TouchModel | None, cloud: Cloud, posed: Predictions, config: TouchPredictorConfig
+    def predict(
+        self, cloud: Cloud, posed: Predictions, config: TouchSettings, model: TouchModel | None = None
     ) -> Predictions:
-        """The grasps on one object with their predictions, where `posed` is ok and no other reason to refuse is found."""
+        """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
+
+        Readings so far are adapted to; `model` may be a reduced form of the model.
+        """
+        model = model or self.model
         if model is None:
             return Predictions.refused(posed.grasps, posed.channels, "no_model", self.fault)
         usable = posed.ok
