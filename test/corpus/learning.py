@@ -62,10 +62,9 @@ def run_cases() -> Cases:
     for method in ("supervised", "srgan", "contact"):
         yield f"training: {method}, one sample", partial(_run, method, make_samples(1, 1)), few
         yield f"training: {method}, one object", partial(_run, method, make_samples(1, 12))
-        reason = "is the same in all samples" if method == "contact" else None
-        yield f"training: {method}, constant labels", partial(_run, method, same), reason
+        yield f"training: {method}, constant labels", partial(_run, method, same), "are the same in all"
     scaled = partial(_run, "supervised", same, target_scaling="ranges", loss="mse")
-    yield "training: mse of constant labels scaled by their ranges", scaled
+    yield "training: mse of constant labels scaled by their ranges", scaled, "are the same in all"
     run = partial(_run, "supervised", make_samples(3, 4))
     yield "training: a batch of one", partial(run, batch_size=1), "batch_size"
     steep = partial(run, optimiser="sgd", learning_rate=10.0, schedule="constant", epochs=60)
