@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from benchmarks.clutter import lccp, piles
-from benchmarks.clutter.metrics import score
+from benchmarks.clutter.metrics import f_of_best, score
 from benchmarks.clutter.models import hull
 from benchmarks.clutter.scenes import load_scenes
 from foretouch_lab.simulation.depth_scene import CameraView, DepthScene
@@ -27,6 +27,28 @@ def test_scores_of_an_example_worked_by_hand() -> None:
     assert (joined.precision, joined.n_found, joined.n_merged, joined.n_cut) == (0.5, 0, 2, 0)  # F of 20/30 each
     perfect = score(true * 5, true)
     assert (perfect.f, perfect.n_found, perfect.n_merged, perfect.n_cut) == (1.0, 2, 0, 0)
+
+
+def test_what_is_no_object_counts_and_what_is_not_scored_does_not() -> None:
+    true = np.array([[1] * 10 + [0] * 10 + [-1] * 10], np.int32)
+    predicted = np.array([[5] * 9 + [8] * 2 + [9] * 9 + [7] * 10], np.int32)  # 8 is half on 1, 9 is on nothing
+    result = score(predicted, true)
+    assert (result.n_true, result.n_found, result.n_none) == (1, 1, 1)
+    assert result.precision == pytest.approx(9 / 20)  # of 5, 8 and 9
+    assert f_of_best(predicted == 5, true) == pytest.approx(2 * 9 / 19)
+    assert f_of_best(predicted == 9, true) == 0.0
+    assert f_of_best(predicted == 5, np.zeros_like(true)) == 0.0
+
+
+def test_an_image_as_a_driver_publishes_it_is_read_with_its_lens(tmp_path: Path) -> None:
+    depth = np.array([[0, 1000], [500, 2000]], np.uint16)
+    np.savez(tmp_path / "cam_1.npz", depth_mm=depth, K=(2.0, 4.0, 1.0, 0.0), label=np.array([[0, 1], [-1, 2]], np.int8))
+    (scene,) = load_scenes(tmp_path)
+    assert scene.kind == "cam"
+    np.testing.assert_array_equal(scene.labels, [[0, 1], [-1, 2]])
+    np.testing.assert_allclose(
+        scene.cloud.xyz, [[[np.nan] * 3, [0, 0, 1]], [[-0.25, 0.125, 0.5], [0, 0.5, 2]]], atol=1e-6
+    )
 
 
 @pytest.mark.slow

@@ -23,7 +23,13 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?P<target>[^)\s#]*)(?:#(?P<anchor>[^)\s]*))?\)")
-MARKDOWN = [ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("benchmarks/**/*.md"), *ROOT.glob("examples/*.md")]
+MARKDOWN = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *DOCS.rglob("*.md"),
+    *ROOT.glob("benchmarks/**/*.md"),
+    *ROOT.glob("examples/*.md"),
+]
 KEY = re.compile(r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\btell[(=]""")  # quoted names, *titles*, `file.tell()`
 
 
@@ -174,12 +180,12 @@ def test_topics_are_those_of_the_design(reference) -> None:
     assert done.returncode == 0, done.stderr
     rows = {row.split("`")[1]: row for row in done.stdout.splitlines() if row.startswith("| `")}
     for name, ends in {
-        "points": ("`camera`, `replay`", "`segmentation`"),
-        "object_cloud": ("`segmentation`", "`grasp`, `touch_predictor`, `recorder`"),
-        "touch": ("`touch_predictor`", ""),
-        "/rh/tactile": ("`hand`", "`touch_predictor`, `recorder`"),
-        "predict_touch": ("`touch_predictor`",),
-        "sample_grasps": ("`touch_predictor`",),
+        "points": ("`camera`, `replay`", "`perception`, `segmentation`"),
+        "object_cloud": ("`perception`, `segmentation`", "`grasp`, `touch_predictor`, `recorder`"),
+        "touch": ("`perception`, `touch_predictor`", ""),
+        "/rh/tactile": ("`hand`", "`perception`, `touch_predictor`, `recorder`"),
+        "predict_touch": ("`perception`, `touch_predictor`",),
+        "sample_grasps": ("`perception`, `touch_predictor`",),
         "start_recording": ("`recorder`",),
     }.items():
         assert all(f"| {end}" in rows[name] for end in ends if end), rows[name]

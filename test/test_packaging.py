@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from command_answer import run_python
 from packaging.requirements import Requirement
 
@@ -38,6 +39,7 @@ def test_the_version_is_one() -> None:
     for folder in (".", "foretouch_msgs"):
         version = ET.parse(ROOT / folder / "package.xml").getroot().findtext("version")
         assert version == foretouch.__version__, folder
+    assert f"\nversion: {foretouch.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     pytest.importorskip("foretouch_msgs", reason="foretouch_msgs is not installed")
     assert metadata.version("foretouch_msgs") == foretouch.__version__
 
@@ -252,3 +254,13 @@ def test_the_wheel_predicts_without_ros(unpacked_wheel, tmp_path) -> None:
     assert "Requires-Python: >=3.11" in text
     assert "Project-URL: " in text
     assert "==" not in "".join(re.findall(r"^Requires-Dist: (?!.*extra ==).*", text, re.MULTILINE))
+
+
+def test_the_workflow_runs_what_ci_runs() -> None:
+    (job,) = yaml.safe_load((ROOT / ".github/workflows/test.yml").read_text(encoding="utf-8"))["jobs"].values()
+    targets = {entry["target"] for entry in job["strategy"]["matrix"]["include"]}
+    assert "make check" in (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
+    assert "check" in targets
+    assert job["steps"][-1]["run"] == "make ${{ matrix.target }} ROS=${{ matrix.ros }}"
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert all(re.search(rf"^{target}: setup$", makefile, re.MULTILINE) for target in targets)

@@ -17,7 +17,9 @@ def test_what_breaks_a_rule_is_refused() -> None:
 
     zeros, eye = np.zeros, np.eye(3)
     cases = [
-        ("float64 is not float32", CloudError, lambda: Cloud(zeros((4, 3)))),
+        ("dtype bool is not of numbers", CloudError, lambda: Cloud(zeros((4, 3), np.bool_))),
+        ("dtype <U1 is not of numbers", CloudError, lambda: Cloud(np.full((4, 3), "1"))),
+        ("dtype complex128 is not of numbers", CloudError, lambda: Cloud(zeros((4, 3), complex))),
         *(("neither", CloudError, lambda s=s: Cloud(zeros(s, np.float32))) for s in ((3,), (4, 2), (2, 2, 2, 3))),
         ("is not that of xyz", CloudError, lambda: Cloud(zeros((4, 3), np.float32), zeros((5, 3), np.uint8))),
         ("int64 is not uint8", CloudError, lambda: Cloud(zeros((4, 3), np.float32), zeros((4, 3), np.int64))),
@@ -31,6 +33,17 @@ def test_what_breaks_a_rule_is_refused() -> None:
         (r"touch: shape \(49,\)", TactileError, lambda: biotac_touch(zeros(49))),
     ]
     every_case(cases, check)
+
+
+def test_any_numbers_become_float32() -> None:
+    points = [[0.1, 0.2, 0.3], [1.0, np.nan, 1e300]]
+    for xyz in (np.array(points), np.array(points, ">f8"), np.array(points, np.longdouble), points):
+        cloud = Cloud(xyz)
+        assert cloud.xyz.dtype == np.float32
+        np.testing.assert_array_equal(cloud.xyz, np.array([[0.1, 0.2, 0.3], [1.0, np.nan, np.inf]], np.float32))
+    assert Cloud(np.ones((4, 3), np.int16)).xyz.dtype == np.float32
+    single = np.zeros((4, 3), np.float32)
+    assert Cloud(single).xyz is single  # no copy
 
 
 def test_take_by_mask_equals_take_by_index(rng: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import frontier, lccp, models, physics, piles
+from benchmarks.clutter import frontier, lccp, models, physics, piles, whole
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
@@ -24,7 +24,7 @@ HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
 _REPEATS: Final = 5
 _PEER_RUNS: Final = 3
-_COLUMNS: Final = ("precision", "recall", "f", "found", "merged", "cut")
+_COLUMNS: Final = ("precision", "recall", "f", "found", "merged", "cut", "none")
 
 
 def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
@@ -129,11 +129,14 @@ def main() -> None:
     alone = [pieces("rendered, obliquely", rendered[::2]), pieces("rendered, from above", rendered[1::2])]
     if data is not None and (data / "vision2tactile").is_dir():
         alone.append(pieces("recorded", list(recorded_objects(data / "vision2tactile"))))
-    print()
-    print_rows(alone)
+    images = data / "real_scenes" if data is not None else None
+    views = whole.rows(list(load_scenes(images))) if images is not None and images.is_dir() else []
+    for more in (alone, views):
+        print()
+        print_rows(more)
     if options.write:
         write_csv(HERE / "results.csv", rows)
-        tables = (markdown(list(some[0]), [["" if cell is None else cell for cell in row.values()] for row in some]) for some in (rows, alone))  # fmt: skip
+        tables = (markdown(list(some[0]), [["" if cell is None else cell for cell in row.values()] for row in some]) for some in (rows, alone, views) if some)  # fmt: skip
         replace_marked(HERE / "README.md", "\n".join(tables).strip())
 
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Labelled scenes: those of the Object Segmentation Database, and our piles.
+"""Labelled scenes: those of the Object Segmentation Database, whole images that others took, and our piles.
 
 A file of either holds a cloud and the object of each pixel. The database has `depth_100um` (H, W) uint16 and `K` (f, fy, cx,
 cy), or `xyz` (H, W, 3) [m], and `label` with object × 10 + part, 0 to 9 the background. Piles have `xyz`, `labels` (H, W)
-int32 with 1 and up for objects, and `kind`.
+int32 with 1 and up for objects, and `kind`. Whole images have `depth_mm` (H, W) uint16, `K` (fx, fy, cx, cy), and `label` with
+1 and up for objects, negative where nothing is scored.
 """
 
 import os
@@ -35,7 +36,7 @@ class LabelledCloud:
     name: str  # of the file
     kind: str  # of scene
     cloud: Cloud  # organised
-    labels: Int32  # (H, W) int32, 1 and up for objects, 0 for everything else
+    labels: Int32  # (H, W) int32, 1 and up for objects, 0 for everything else, negative where nothing is scored
 
 
 def load_scenes(folder: Path) -> Iterator[LabelledCloud]:
@@ -43,9 +44,14 @@ def load_scenes(folder: Path) -> Iterator[LabelledCloud]:
     for path in sorted(folder.glob("*.npz"), key=lambda path: _numbered(path.stem)):
         with np.load(path) as arrays:
             fields = {name: arrays[name] for name in arrays}
-        xyz = fields["xyz"] if "xyz" in fields else _points(fields["depth_100um"], fields["K"])
-        if "labels" in fields:
-            labels = fields["labels"].astype(np.int32)
+        if "xyz" in fields:
+            xyz = fields["xyz"]
+        elif "depth_mm" in fields:
+            xyz = _points(fields["depth_mm"] * 1e-3, fields["K"])
+        else:
+            xyz = _points(fields["depth_100um"] * 1e-4, fields["K"])
+        if "labels" in fields or "depth_mm" in fields:
+            labels = fields["labels" if "labels" in fields else "label"].astype(np.int32)
         else:
             whole = fields["label"].astype(np.int32)
             labels = np.where(whole < _BACKGROUND, 0, whole // 10)
@@ -53,9 +59,9 @@ def load_scenes(folder: Path) -> Iterator[LabelledCloud]:
         yield LabelledCloud(path.stem, kind, Cloud(np.ascontiguousarray(xyz, np.float32)), labels)
 
 
-def _points(depth_100um: AnyArray, lens: AnyArray) -> Float32:
+def _points(depth_m: AnyArray, lens: AnyArray) -> Float32:
     f, fy, cx, cy = lens
-    z = np.where(depth_100um > 0, depth_100um * 1e-4, np.nan)
+    z = np.where(depth_m > 0, depth_m, np.nan)
     v, u = np.indices(z.shape)
     return np.stack([(u - cx) * z / f, (v - cy) * z / fy, z], axis=-1).astype(np.float32)
 
@@ -68,7 +74,7 @@ def _numbered(stem: str) -> tuple[str, int]:
 def _kind(stem: str) -> str:
     name, number = _numbered(stem)
     kinds = [kind for first, kind in _KINDS.get(name, ()) if first <= number]
-    return kinds[-1] if kinds else "other"
+    return kinds[-1] if kinds else stem.split("_", maxsplit=1)[0]
 
 
 def recorded_objects(folder: Path) -> Iterator[LabelledCloud]:

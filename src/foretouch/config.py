@@ -173,10 +173,10 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
     return infos
 
 
-def load_yaml(path: str | Path) -> dict[str, Any]:
+def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
     """Load one YAML mapping safely; a `ConfigError` if the file cannot be read, is too large or is not a mapping."""
     try:
-        document = _parse_yaml(read_bytes(path, _YAML_BYTES).decode("utf-8"))
+        document = _parse_yaml(read_bytes(path, limit).decode("utf-8"))
     except FileError as err:
         raise ConfigError(str(err)) from err
     except ValueError as err:

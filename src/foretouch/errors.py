@@ -90,6 +90,26 @@ class LimitError(CloudError):
     """An object or a table where the camera cannot see it, or of a size that a hand cannot hold."""
 
 
+class FrameError(LimitError):
+    """An object in another frame than the optical one of its camera."""
+
+
+class CalibrationError(CloudError):
+    """A depth image whose camera is not known.
+
+    Args:
+        message: One line.
+        reason: A short word under which such images are counted.
+    """
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+    def __reduce__(self) -> tuple[type[CalibrationError], tuple[str, str]]:
+        return CalibrationError, (str(self), self.reason)
+
+
 class ContactError(ForetouchError):
     """A contact that cannot be solved: no surface, a fully compressed layer, no convergence."""
 

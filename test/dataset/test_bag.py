@@ -2,6 +2,7 @@
 """Recordings in all containers, and what becomes of damaged ones."""
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from bag_builders import make_clouds, read_bag
 from every_case import every_case, every_refusal
 from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
@@ -145,11 +147,11 @@ def test_topics_are_listed_and_one_that_is_absent_empty_ambiguous_or_of_another_
     cases = (
         (r"name one with --topic: /left \(.*\), /right \([^)]*\)$", "bag", None),
         (
-            r"said: /points: no messages of sensor_msgs/msg/PointCloud2: /said \(std_msgs/msg/String, 0\)",
+            r"said: /points: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: /said \(std_msgs/msg/String, 0\)",
             "said",
             "/points",
         ),
-        ("said: no messages of sensor_msgs/msg/PointCloud2: /said", "said", None),
+        ("said: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: /said", "said", None),
         ("empty: no messages of .*: /foretouch/points", "empty", None),
     )
     every_refusal(FileError, cases, lambda name, topic: list(read_bag(tmp_path / name, topic)))
@@ -188,15 +190,13 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path, rng):
     for suffix in (".mcap", ".db3", ".bag"):
         for number, content in enumerate((b"", b"not what the name says" * 100)):
             (tmp_path / f"{number}{suffix}").write_bytes(content)
-            cases.append((tmp_path / f"{number}{suffix}", f"{number}{suffix}: truncated or damaged: "))
+            rule = "byte 0: is (empty|not an MCAP file)" if suffix == ".mcap" else "truncated or damaged: "
+            cases.append((tmp_path / f"{number}{suffix}", f"{number}{suffix}: {rule}"))
         os.mkfifo(tmp_path / f"fifo{suffix}")
         cases.append((tmp_path / f"fifo{suffix}", "is a FIFO, not a regular file"))
-    for number, metadata in enumerate(
-        ("", "rosbag2_bagfile_information: 3", "a: [", "\0", "rosbag2_bagfile_information: {relative_file_paths: [3]}")
-    ):
-        write_bag(tmp_path / f"bag{number}", make_clouds(rng, 1))
-        (tmp_path / f"bag{number}" / "metadata.yaml").write_text(metadata)
-        cases.append((tmp_path / f"bag{number}", "truncated or damaged"))
+    (tmp_path / "lonely").mkdir()
+    (tmp_path / "lonely" / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    cases.append((tmp_path / "lonely", r"lonely: holds none of the files \(.mcap, .db3\)"))
 
     def check(path: Path, message: str) -> None:
         with pytest.raises(FileError, match=message) as caught:
@@ -205,3 +205,98 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path, rng):
 
     every_case(cases, check)
     assert not any(is_recording(tmp_path / name) for name in ("absent", "notes.txt", "folder"))
+
+
+def test_the_files_of_a_bag_decide_and_what_its_metadata_states_otherwise_is_told(tmp_path, rng):
+    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
+    messages = [foreign_message(KILTED, xyz + k, stamp_ns=k) for k in range(3)]
+    metadata = "bag/metadata.yaml"
+    changes = [
+        ("another QoS", "offered_qos_profiles: .*", "offered_qos_profiles: '- {history: 1, depth: 3}'", []),
+        ("reindexed", "storage_identifier: .*", 'storage_identifier: ""', []),
+        ("a type of its own", "type_description_hash: .*", "type_description_hash: RIHS01_00", []),
+        ("another count", "message_count: 3", "message_count: 5", ["/cloud: states 5 messages, the files hold 3"]),
+        ("another name", "bag\\.(mcap|db3)", "old.mcap", ["does not list bag.", "lists old.mcap, which is absent"]),
+        ("no content", "(?s)^.*$", "", [": cannot be read, the files decide"]),
+        ("no mapping", "(?s)^.*$", "rosbag2_bagfile_information: 3", [": cannot be read, the files decide"]),
+        ("no YAML", "(?s)^.*$", "a: [", [": cannot be read, the files decide"]),
+        ("names no texts", "(?s)^.*$", "rosbag2_bagfile_information: {relative_file_paths: [3]}", [": cannot be read"]),
+    ]
+
+    def check(name: str, pattern: str, text: str, notes: list[str], plugin: StoragePlugin) -> None:
+        folder = tmp_path / f"{name} {plugin.name}"
+        folder.mkdir()
+        write_foreign(folder / "bag", messages, plugin)
+        good = (folder / metadata).read_text()
+        changed, count = re.subn(pattern, lambda _: text, good)
+        assert count
+        (folder / metadata).write_text(changed)
+        with Recording(folder / "bag") as recording:
+            found = recording.notes
+        assert [cloud.stamp_ns for cloud in read_bag(folder / "bag")] == [0, 1, 2]
+        assert len(found) == len(notes)
+        for line, note in zip(found, notes, strict=True):
+            assert line.startswith(str(folder / metadata))
+            assert note in line
+
+    every_case([(*change, plugin) for change in changes for plugin in StoragePlugin], check)
+
+
+def test_each_channel_is_read_by_its_own_encoding_and_known_types_need_no_definition(tmp_path, rng):
+    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
+    path = tmp_path / "mixed.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("of a fleet", "others")
+        cloud = foreign_message(KILTED, xyz, stamp_ns=7)
+        cdr = bytes(KILTED.serialize_cdr(cloud, POINT_CLOUD_TYPE))
+        old = bytes(NOETIC.serialize_ros1(foreign_message(NOETIC, xyz, stamp_ns=8, seq=1), POINT_CLOUD_TYPE))
+        text1 = NOETIC.generate_msgdef(POINT_CLOUD_TYPE)[0].encode()
+        kinds = [
+            ("/bare", "sensor_msgs/msg/PointCloud2", "", b"", "cdr", cdr),
+            ("/short", "sensor_msgs/PointCloud2", "ros2msg", b"", "cdr", cdr),
+            ("/ros1", "sensor_msgs/PointCloud2", "ros1msg", text1, "ros1", old),
+            ("/json", "sensor_msgs/msg/PointCloud2", "jsonschema", b"{}", "json", b"{}"),
+            ("/proto", "foxglove.PointCloud", "protobuf", b"x", "protobuf", b"\x08\x01"),
+        ]
+        for topic, kind, schema_encoding, text, encoding, data in kinds:
+            schema = writer.register_schema(kind, schema_encoding, text)
+            writer.add_message(writer.register_channel(topic, encoding, schema), 5, data, 5)
+        writer.add_message(writer.register_channel("/plain", "json", 0), 5, b"{}", 5)
+        writer.finish()
+    stamps = {topic: next(read_bag(path, topic)).stamp_ns for topic in ("/bare", "/short", "/ros1")}
+    assert stamps == {"/bare": 7, "/short": 7, "/ros1": 8}
+    np.testing.assert_array_equal(next(read_bag(path, "/ros1")).xyz, xyz)
+    with Recording(path) as recording:
+        types = {topic.name: topic.type for topic in recording.topics}
+        assert len(list(recording.messages())) == 6
+    assert types["/json"] == "sensor_msgs/msg/PointCloud2 as json"
+    assert types["/proto"] == "foxglove.PointCloud as protobuf"
+    with pytest.raises(
+        FileError,
+        match=r"/json: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: .*/json \(sensor_msgs/msg/PointCloud2 as json, 1\)",
+    ):
+        list(read_bag(path, "/json"))
+
+
+def test_compressed_files_without_metadata_are_read_and_an_open_journal_is_named(tmp_path, rng):
+    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
+    messages = [foreign_message(KILTED, xyz, stamp_ns=3)]
+
+    def check(plugin: StoragePlugin, mode: CompressionMode) -> None:
+        path = tmp_path / f"{plugin.name}{mode.name}"
+        write_foreign(path, messages, plugin, mode)
+        (path / "metadata.yaml").unlink()
+        (file,) = path.iterdir()
+        assert [cloud.stamp_ns for cloud in (*read_bag(path), *read_bag(file))] == [3, 3]
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+        with pytest.raises(FileError, match=f"{file.name}: "):
+            list(read_bag(path))
+
+    every_case(
+        [(plugin, mode) for plugin in StoragePlugin for mode in (CompressionMode.FILE, CompressionMode.MESSAGE)], check
+    )
+    write_foreign(tmp_path / "open", messages)
+    (tmp_path / "open" / "open.db3-wal").write_bytes(b"pages")
+    with pytest.raises(FileError, match=r"open.db3: was not closed, and holds messages in open.db3-wal: `sqlite3 "):
+        list(read_bag(tmp_path / "open"))

@@ -63,3 +63,20 @@ def test_recorded_times_are_kept_or_a_rate_paces_the_clouds():
     pace = Pace()
     due((CLOUDS, 7))
     assert pace.length_ns == STAMP_STEP_NS  # of a single cloud
+
+
+def test_a_pause_where_a_clock_was_set_is_cut_and_told():
+    pace = Pace(longest_pause_s=2.0)
+    now_ns = 1_700_000_000_000_000_000
+    times = (5_000_000_000, 6_500_000_000, now_ns, now_ns + 500_000_000, 2**64 - 1)
+    due, cuts = [], []
+    for at_ns in times:
+        due.append(round(pace.due_s(Entry("", CLOUDS, at_ns, b"")), 3))
+        cuts.append(round(pace.cut_s))
+    assert due == [0.0, 1.5, 3.5, 4.0, 6.0]
+    assert cuts == [0, 0, 1_699_999_992, 0, 16_746_744_071]
+    assert round(pace.length_s, 3) == 7.5  # with a mean period after the last
+    assert pace.length_ns > 2**64 - 1 - 5_000_000_000
+    paced = Pace(rate_hz=2.0)
+    assert [paced.due_s(Entry("", CLOUDS, at_ns, b"")) for at_ns in times[:3]] == [0.0, 0.5, 1.0]
+    assert paced.cut_s == 0.0

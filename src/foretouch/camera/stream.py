@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The depth stream of one open device: frames in, organised clouds out. Live, recorded and synthetic frames share this code.
+"""The depth stream of one open device: frames in, depth images out. Live, recorded and synthetic frames share this code.
 
 Frames wait in our own queue, so that none is lost without a count: from Python, the library's `frame_queue` is filled
 while its thread holds the interpreter lock, so a full queue that waits for its reader (a recording read at the reader's
@@ -9,16 +9,32 @@ pace) never ends.
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.camera.config import FILTERS, RealSenseConfig
-from foretouch.camera.deproject import Deprojector
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
-from foretouch.types import Cloud
+from foretouch.types import AnyArray, Cloud
+from foretouch.types.camera import CameraModel
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFrame:
+    """A depth image and its camera."""
+
+    depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 where there is none
+    scale_m: float  # metres per unit of it
+    camera: CameraModel
+    frame_id: str  # optical frame of the camera
+    stamp_ns: int  # time of measurement [ns]
+
+    def cloud(self) -> Cloud:
+        """Make the organised cloud of the image."""
+        return Cloud.from_depth(self.depth, self.camera, self.scale_m, frame_id=self.frame_id, stamp_ns=self.stamp_ns)
 
 
 class FrameStream:
@@ -31,7 +47,7 @@ class FrameStream:
     def __init__(self, device: Any, config: RealSenseConfig) -> None:
         self._config = config
         self._filters = filter_blocks(config.filters)
-        self._lens: tuple[str, Deprojector] | None = None
+        self._camera: tuple[str, CameraModel] | None = None
         waits = device.is_playback() and not config.real_time
         # Unlimited until the stream has started: the library must not wait while it starts.
         queue = self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
@@ -51,14 +67,14 @@ class FrameStream:
         """The next depth frame; None if there was none in time [s]."""
         return self._queue.get(timeout_s)
 
-    def cloud(self, depth: Any) -> Cloud:
-        """(H, W, 3) points of a depth frame, filtered and deprojected."""
+    def frame(self, depth: Any) -> DepthFrame:
+        """Filter a depth frame, and copy it out of the library's memory."""
         stamp_ns = self._stamp_ns(depth, time.time_ns())
         for block in self._filters:
             depth = block.process(depth)
         image = depth.as_depth_frame()
-        points = self._deprojector(image).points(np.asanyarray(image.get_data()), image.get_units())
-        return Cloud(points, None, self._config.optical_frame, stamp_ns)
+        pixels, camera = np.array(image.get_data()), self._camera_of(image)
+        return DepthFrame(pixels, image.get_units(), camera, self._config.optical_frame, stamp_ns)
 
     def close(self) -> None:
         """Stop and release the device; errors of one that was unplugged are ignored."""
@@ -67,12 +83,12 @@ class FrameStream:
             with suppress(RuntimeError):  # never started, or unplugged: it is closed anyway
                 step()
 
-    def _deprojector(self, depth: Any) -> Deprojector:
+    def _camera_of(self, depth: Any) -> CameraModel:
         intrinsics = depth.get_profile().as_video_stream_profile().get_intrinsics()
         key = repr(intrinsics)
-        if self._lens is None or self._lens[0] != key:
-            self._lens = (key, _lens_of(intrinsics))
-        return self._lens[1]
+        if self._camera is None or self._camera[0] != key:
+            self._camera = (key, library_camera(intrinsics))
+        return self._camera[1]
 
     def _stamp_ns(self, depth: Any, arrived_ns: int) -> int:
         """Hardware clocks count from when the camera was plugged in, so that they are not used by default."""
@@ -96,13 +112,12 @@ def filter_blocks(names: Sequence[str]) -> list[Any]:
     return blocks
 
 
-def _lens_of(intrinsics: Any) -> Deprojector:
-    """Pixel directions from the library's intrinsics; a `CameraError` if the image is not rectified."""
+def library_camera(intrinsics: Any) -> CameraModel:
+    """The library's intrinsics; a `CameraError` if their distortion is not OpenCV's."""
     i = intrinsics
-    if any(i.coeffs):
-        raise CameraError(f"depth stream: distortion {list(i.coeffs)} ({i.model}): only rectified images are supported")
-    matrix = np.array([[i.fx, 0.0, i.ppx], [0.0, i.fy, i.ppy], [0.0, 0.0, 1.0]])
-    return Deprojector.of_lens(matrix, i.width, i.height)
+    if any(i.coeffs) and i.model != realsense().distortion.brown_conrady:
+        raise CameraError(f"depth stream: distortion {list(i.coeffs)} ({i.model}): only brown_conrady can be undone")
+    return CameraModel(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy, tuple(i.coeffs))
 
 
 def _find_profile(device: Any, config: RealSenseConfig | None) -> tuple[Any, Any]:

@@ -270,6 +270,8 @@ def _import(arguments: argparse.Namespace) -> int:
         result = import_samples(
             arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
         )
+    for note in result.notes:
+        warn(note)
     record = {"out": str(arguments.out), **vars(result), "left_out": +result.left_out}
     return print_result("imported", record, as_json=arguments.json)
 

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from foretouch.cloud.geometry.frames import has_depth
 from foretouch.cloud.io.pointcloud2 import DATATYPES, decode, encode
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile.messages.table import stamp_ns
@@ -86,7 +87,7 @@ def decode_cloud(message: Any) -> Cloud:
 
 
 def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
-    """The objects of an `object_cloud` in their order; a cloud without labels is one object, without its NaN points.
+    """The objects of an `object_cloud` in their order; a cloud without labels is one object, without points that have no depth.
 
     Raises a `CloudError` as `decode_cloud`, and if a label, row or column is of another type.
     """
@@ -95,7 +96,7 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
         return ()
     labels, rows, columns = (_integer_field(message, name) for name in ("label", "row", "column"))
     if labels is None:
-        finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
+        finite = np.flatnonzero(has_depth(cloud.xyz))
         return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
     shape = pixels = None
     if rows is not None and columns is not None:

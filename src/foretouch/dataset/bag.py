@@ -1,33 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads ROS recordings without ROS: rosbag2 directories (MCAP, SQLite), bare files, ROS 1 bags.
 
-`rosbags` reads the containers and message definitions. `Recording` returns the messages as they were recorded, for
-replay, and the clouds in them. For writing see `foretouch.dataset.bag_writer`.
+`rosbags` reads SQLite, ROS 1 bags and message definitions, `McapReader` MCAP files, also where an index or their end is
+missing. What a `metadata.yaml` states is compared with the files, which decide. `Recording` returns the messages as they
+were recorded, for replay, and the clouds in them. For writing see `foretouch.dataset.bag_writer`.
 """
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
+from heapq import merge
+from itertools import islice
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final, Self
 
+from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, info_topic
 from foretouch.cloud.messages import decode_cloud
-from foretouch.errors import CloudError, FileError
+from foretouch.config import load_yaml
+from foretouch.dataset.mcap_reader import MAGIC, Damage, McapReader
+from foretouch.errors import CloudError, FileError, ForetouchError
 from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
+    from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
 
 
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
+_PACKED: Final = ".zstd"  # at the end of the names of files that were compressed as a whole
+_PACKED_SUFFIXES: Final = (".mcap.zstd", ".db3.zstd")
+_METADATA: Final = "metadata.yaml"
+_ZSTD: Final = bytes.fromhex("28b52ffd")  # with which no CDR begins
 _TAXELS = "/foretouch/taxels/"  # clouds that are no camera's, in recordings of foretouch 0.3 and older
 
 
@@ -60,27 +78,25 @@ class Recording:
     Args:
         path: A rosbag2 directory, a directory of `.mcap` or `.db3` files, such a file, or a ROS 1 `.bag`.
 
+    Attributes:
+        topics: What it holds; of an MCAP file without an index, as far as it is intact.
+        notes: Where its `metadata.yaml` states something else than is in the files, one line each.
+
     Raises:
-        FileError: If the path is not a recording, or is truncated or damaged.
+        FileError: If the path is not a recording, or is truncated or damaged. An MCAP file is read as far as it is intact.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        files = _storage_paths(self.path)
-        with _known_failures(self.path):
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-
-            # Recordings of ROS 2 before Iron hold no definitions: fall back to those of a current release.
-            self._reader: AnyReader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_KILTED))
-            self._reader.open()
-        try:
+        files = _storage_files(self.path)
+        with ExitStack() as stack:
+            self._readers = [_opened(file, stack) for file in files]
             with _known_failures(self.path):
-                self._store = self._reader.typestore if self._reader.is2 else _without_seq(self._reader.typestore)
+                self._connections = [one for reader in self._readers for one in reader.connections]
+                self._store = _typestore(self._connections)
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
-        except FileError:
-            self.close()
-            raise
+            self.notes = tuple(_contradictions(self.path, files, self.topics))
+            self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -90,34 +106,92 @@ class Recording:
 
     def close(self) -> None:
         """Close the files; may be called more than once."""
-        if self._reader.stack is not None:
-            self._reader.close()
+        self._stack.close()
 
     def cloud_topic(self, topic: str | None = None) -> str:
-        """The topic of the clouds, which is checked, or found if `topic` is None.
+        """Find the topic of the clouds or depth images.
 
-        Raises a `FileError` if the topic is absent, holds other messages or none, or if several qualify.
+        Args:
+            topic: The topic, which is checked; None for the only one. A topic of clouds is preferred to depth images, and
+                an image to the compressed form of it.
+
+        Raises:
+            FileError: If the topic is absent, holds other messages or none, has no camera info, or if several qualify.
         """
-        named = [t for t in self.topics if (t.name == topic if topic else not t.name.startswith(_TAXELS))]
-        clouds = [t for t in named if t.type == POINT_CLOUD_TYPE and t.count]
-        if len(clouds) != 1:
-            rule = "several topics of clouds, name one with --topic" if clouds else f"no messages of {POINT_CLOUD_TYPE}"
-            raise FileError(self.path, f"{rule}: {_listed(clouds or self.topics)}", field=topic)
-        return clouds[0].name
+        named = [
+            t for t in self.topics if t.count and (t.name == topic or (not topic and not t.name.startswith(_TAXELS)))
+        ]
+        found = [t for t in named if t.type == POINT_CLOUD_TYPE]
+        if not found:
+            found = [t for t in named if self._is_depth(t)]
+            raw = {t.name for t in found if t.type == IMAGE_TYPE}
+            found = [t for t in found if t.type == IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
+        if len(found) != 1:
+            rule = "several topics of clouds or depth images, name one with --topic"
+            if not found:
+                rule = f"no messages of {POINT_CLOUD_TYPE}, nor depth images ({', '.join(ENCODINGS)}, compressedDepth)"
+            raise FileError(self.path, f"{rule}: {_listed(found or self.topics)}", field=topic)
+        name = found[0].name
+        if found[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
+            rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too"
+            raise FileError(self.path, rule, field=name)
+        return name
+
+    def _is_depth(self, topic: Topic) -> bool:
+        if topic.type == COMPRESSED_TYPE:
+            return topic.name.endswith("/compressedDepth")
+        if topic.type != IMAGE_TYPE:
+            return False
+        try:
+            return self.content(next(self.messages([topic.name]))).encoding in ENCODINGS
+        except (FileError, StopIteration):
+            return False
+
+    def info_topic(self, topic: str) -> str:
+        """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
+        types = {one.name: one.type for one in self.topics if one.count}
+        beside = info_topic(topic)
+        return beside if types[topic] != POINT_CLOUD_TYPE and types.get(beside) == CAMERA_INFO_TYPE else ""
+
+    def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
+        """Read the messages of a topic of clouds or depth images, each with what decodes it.
+
+        A depth image has the camera of the last info before it, the first ones that of the first info. What decodes a
+        message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
+        """
+        beside, infos = self.info_topic(topic), CameraInfos(topic)
+        for first in islice(self.messages([beside]), 1):
+            infos.add(self.content(first), first.bag_time_ns * 1e-9)
+        for message in self.messages({topic, beside}):
+            if message.topic == topic:
+                yield message, partial(self.decode_cloud, message, infos)
+            else:
+                infos = deepcopy(infos)  # images before it are perhaps decoded later
+                infos.add(self.content(message), message.bag_time_ns * 1e-9)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of some topics, or of all, in order of their bag time.
 
-        Raises a `FileError` where the recording is damaged, and at its end if it holds other counts than it declares.
+        Raises a `FileError` where the recording is damaged (of an MCAP file after all messages that are intact), and at its
+        end if it holds other counts than it declares.
         """
-        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         counts: Counter[str] = Counter()
-        if wanted:
-            with _known_failures(self.path):
-                for connection, time_ns, raw in self._reader.messages(wanted):
-                    data = raw if self._reader.is2 else bytes(self._store.ros1_to_cdr(raw, connection.msgtype))
-                    yield Message(connection.topic, connection.msgtype, counts[connection.topic], time_ns, data)
-                    counts[connection.topic] += 1
+        runs = []
+        for reader in self._readers:
+            wanted = [one for one in reader.connections if topics is None or one.topic in topics]
+            runs += [reader.messages(wanted)] if wanted or isinstance(reader, _McapFile) else []
+        with _known_failures(self.path):
+            for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
+                kind, topic = _type_of(connection), connection.topic
+                data = bytes(self._store.ros1_to_cdr(raw, kind)) if _is_ros1(connection) else _plain(raw)
+                yield Message(topic, kind, counts[topic], time_ns, data)
+                counts[topic] += 1
+        faults = [one.fault for one in self._readers if isinstance(one, _McapFile) and one.fault]
+        if faults:
+            also = ", ".join(one.path.name for one in faults[1:])
+            raise FileError(
+                faults[0].path, f"{faults[0].rule}{also and '; also damaged: '}{also}", field=faults[0].field
+            )
         for topic in self.topics:
             if (topics is None or topic.name in topics) and counts[topic.name] != topic.count:
                 rule = f"declares {topic.count} messages, holds {counts[topic.name]}"
@@ -128,43 +202,191 @@ class Recording:
         with _known_failures(self.path, _position(message)):
             return self._store.deserialize_cdr(message.data, message.type)
 
-    def decode_cloud(self, message: Message) -> Cloud:
-        """The cloud in a `PointCloud2`, with the frame and stamp of its header; a `FileError` if it is damaged."""
+    def decode_cloud(self, message: Message, infos: CameraInfos | None = None) -> Cloud:
+        """Decode a cloud or a depth image, with the frame and stamp of its header; a `FileError` if that fails."""
+        content = self.content(message)
         try:
-            return decode_cloud(self.content(message))
+            if infos is None or message.type == POINT_CLOUD_TYPE:
+                return decode_cloud(content)
+            return infos.cloud(content, message.bag_time_ns * 1e-9)
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
 
     def _topics(self) -> Iterator[Topic]:
         definitions = self._store.fielddefs
-        for name, info in sorted(self._reader.topics.items()):
-            fields = definitions[info.msgtype][1] if info.msgtype in definitions else []
+        for name in sorted({one.topic for one in self._connections}):
+            connections = [one for one in self._connections if one.topic == name]
+            types = {_type_of(one) for one in connections}
+            kind = types.pop() if len(types) == 1 else ""
+            fields = definitions[kind][1] if kind in definitions else []
             stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
-            latched = any(_is_latched(connection) for connection in info.connections)
-            yield Topic(name, info.msgtype or "", info.msgcount, tuple(f[0] for f in fields), stamped, latched)
+            count, latched = sum(one.msgcount for one in connections), any(map(_is_latched, connections))
+            yield Topic(name, kind, count, tuple(f[0] for f in fields), stamped, latched)
+
+
+class _McapFile:
+    """An MCAP file behind the interface of the readers of `rosbags`."""
+
+    def __init__(self, path: Path, shown: Path) -> None:
+        from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
+        from rosbags.rosbag2.metadata import parse_qos
+
+        self.fault: FileError | None = None
+        self._shown = shown
+        self._file = McapReader(path)
+        if self._file.data[: len(MAGIC)] != MAGIC:
+            raise next(one for one in self._file.messages() if isinstance(one, Damage)).error(shown)
+        counts = self._file.count_messages()
+        self.connections: list[Connection] = []
+        formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros1msg": MessageDefinitionFormat.MSG}
+        formats |= dict.fromkeys(("ros2idl", "omgidl"), MessageDefinitionFormat.IDL)
+        for number, channel in sorted(self._file.channels.items()):
+            schema = self._file.schemas.get(channel.schema_id)
+            form = formats.get(schema.encoding if schema else "", MessageDefinitionFormat.NONE)
+            text = schema.data.decode("utf-8", "replace") if schema else ""
+            qos: list[Any] = []
+            with suppress(Exception):  # is advice, and others write texts of their own
+                qos = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
+            ext = ConnectionExtRosbag2(channel.message_encoding or "cdr", qos)
+            definition = MessageDefinition(form, text)
+            kind = schema.name if schema else ""
+            self.connections.append(Connection(number, channel.topic, kind, definition, "", counts[number], ext, self))
+
+    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        """The messages of some connections with their times [ns], in order; damage then is the `fault`."""
+        by_number = {one.id: one for one in connections}
+        faults: list[Damage] = []
+        for found in self._file.in_time({one.topic for one in connections}):
+            if isinstance(found, Damage):
+                faults.append(found)
+            elif found[0].channel in by_number:
+                yield by_number[found[0].channel], found[0].log_time_ns, found[1]
+        if faults:
+            first = faults[0].error(self._shown)
+            cure = f"what is intact was read; `foretouch dataset repair {self._shown}` makes a complete file of it"
+            self.fault = FileError(self._shown, f"{first.rule}: {cure}", field=first.field)
+
+
+def _opened(file: Path, stack: ExitStack) -> Any:
+    """A reader of one file, with `connections` and `messages`; it is closed with the stack."""
+    from rosbags.rosbag1 import Reader as Ros1Reader
+    from rosbags.rosbag2 import Reader as Ros2Reader
+
+    opened = file
+    if file.suffix == _PACKED:
+        opened = _unpacked(file, Path(stack.enter_context(TemporaryDirectory())))
+    if opened.suffix == ".mcap":
+        return _McapFile(opened, file)
+    journal = opened.with_name(f"{opened.name}-wal")
+    if journal.is_file() and journal.stat().st_size:
+        cure = (
+            f"was not closed, and holds messages in {journal.name}: `sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
+        )
+        raise FileError(file, cure)
+    with _known_failures(file):
+        return stack.enter_context(Ros1Reader(opened) if opened.suffix == ".bag" else Ros2Reader(opened))
+
+
+def _unpacked(file: Path, folder: Path) -> Path:
+    """A file that was compressed as a whole, unpacked into a folder."""
+    import zstandard
+
+    unpacked = folder / file.stem
+    with _known_failures(file), open_regular(file) as packed, unpacked.open("wb") as out:
+        zstandard.ZstdDecompressor().copy_stream(packed, out)
+    return unpacked
+
+
+def _plain(data: bytes) -> bytes:
+    """A message, which may have been compressed by itself."""
+    if not data.startswith(_ZSTD):
+        return data
+    import zstandard
+
+    return bytes(zstandard.ZstdDecompressor().decompressobj().decompress(data))
+
+
+def _typestore(connections: Collection[Connection]) -> Typestore:
+    """The recorded definitions of messages; for types without one, as before ROS 2 Iron, those of a current release."""
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+    standard = get_typestore(Stores.ROS2_KILTED).fielddefs
+    types: Typesdict = {}
+    for definition, name in {(one.msgdef, _type_of(one)) for one in connections}:
+        with suppress(TypesysError):  # costs this type alone
+            if not definition.data.strip() and name in standard:
+                continue  # it is missing
+            if definition.format == MessageDefinitionFormat.MSG:
+                types.update(get_types_from_msg(definition.data, name))
+            elif definition.format == MessageDefinitionFormat.IDL:
+                for part in re.split(r"^=+\nIDL: .*\n", definition.data, flags=re.MULTILINE):
+                    types.update(get_types_from_idl(part) if part.strip() else {})
+    if any(map(_is_ros1, connections)):
+        types[HEADER_TYPE] = standard[HEADER_TYPE]  # of ROS 2, without `seq`
+    needed = [_type_of(one) for one in connections]
+    for name in needed:  # which grows meanwhile
+        if name in types or name in standard:
+            needed += set(types_in(types.setdefault(name, standard.get(name, ([], [])))[1])) - {*needed}
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
+    return store
+
+
+def types_in(fields: Any) -> Iterator[str]:
+    """The names of message types in the fields of another, the only texts there with a slash."""
+    for part in fields:
+        if isinstance(part, tuple | list):
+            yield from types_in(part)
+        elif isinstance(part, str) and "/" in part:
+            yield part
+
+
+def _contradictions(path: Path, files: Collection[Path], topics: Collection[Topic]) -> Iterator[str]:
+    """What the `metadata.yaml` of a directory states otherwise than the files have it."""
+    file = path / _METADATA
+    if not file.is_file():
+        return
+    try:
+        stated = load_yaml(file, 10_000_000)["rosbag2_bagfile_information"]
+        names = {Path(name).name for name in stated["relative_file_paths"]}
+        found = {one["topic_metadata"]["name"]: one["message_count"] for one in stated["topics_with_message_count"]}
+    except (ForetouchError, KeyError, TypeError, AttributeError) as err:
+        yield f"{file}: cannot be read, the files decide: {' '.join(str(err).split())}"
+        return
+    present = {one.name for one in files}
+    for name in sorted(names ^ present):
+        yield f"{file}: {f'lists {name}, which is absent' if name in names else f'does not list {name}, which was read'}"
+    counts = {topic.name: topic.count for topic in topics}
+    for name in sorted(found.keys() | counts.keys()):
+        if found.get(name, 0) != counts.get(name, 0):
+            yield f"{file}: {name}: states {found.get(name, 0)} messages, the files hold {counts.get(name, 0)}"
 
 
 def is_recording(path: Path) -> bool:
     """Whether the path looks like a recording, by its name or, for a directory, by the files in it."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() or bool(_loose_files(path))
-    return path.suffix in RECORDING_SUFFIXES
+        return (path / _METADATA).is_file() or bool(_loose_files(path))
+    return path.suffix in RECORDING_SUFFIXES or path.name.endswith(_PACKED_SUFFIXES)
 
 
-def _storage_paths(path: Path) -> list[Path]:
-    """The directory or file itself, or the files of a directory without metadata; all of them are regular files."""
+def _storage_files(path: Path) -> list[Path]:
+    """The files of a recording, all of them regular ones."""
     require_existing(path)
     if not is_recording(path):
         raise FileError(
             path, f"is not a recording: neither a rosbag2 directory nor a file of {', '.join(RECORDING_SUFFIXES)}"
         )
-    for file in (one for one in (path.iterdir() if path.is_dir() else [path]) if not one.is_dir()):
+    files = _loose_files(path) if path.is_dir() else [path]
+    for file in files:
         open_regular(file).close()  # opening a FIFO would wait without end
-    return _loose_files(path) if path.is_dir() and not (path / "metadata.yaml").is_file() else [path]
+    if not files:
+        raise FileError(path, f"holds none of the files (.mcap, .db3) that its {_METADATA} is about")
+    return files
 
 
 def _loose_files(path: Path) -> list[Path]:
-    return sorted(p for suffix in (".mcap", ".db3") for p in path.glob(f"*{suffix}"))
+    return sorted(p for p in path.iterdir() if p.suffix in {".mcap", ".db3"} or p.name.endswith(_PACKED_SUFFIXES))
 
 
 @contextmanager
@@ -183,13 +405,15 @@ def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
         raise FileError(path, f"truncated or damaged: {cause}", field=position) from err
 
 
-def _without_seq(recorded: Typestore) -> Typestore:
-    """The definitions of a ROS 1 bag with the `std_msgs/Header` of ROS 2, which has no `seq`."""
-    from rosbags.typesys import Stores, get_typestore
+def _is_ros1(connection: Connection) -> bool:
+    return getattr(connection.ext, "serialization_format", "ros1") == "ros1"  # bags of ROS 1 have no other
 
-    store = get_typestore(Stores.EMPTY)
-    store.register({**recorded.fielddefs, HEADER_TYPE: get_typestore(Stores.ROS2_KILTED).fielddefs[HEADER_TYPE]})
-    return store
+
+def _type_of(connection: Connection) -> str:
+    """The ROS 2 name of a type, such as `std_msgs/msg/String`; with its encoding where that is not one of ROS."""
+    kind, encoding = connection.msgtype, getattr(connection.ext, "serialization_format", "ros1")
+    kind = kind if kind.count("/") != 1 else kind.replace("/", "/msg/")
+    return kind if encoding in {"cdr", "ros1"} else f"{kind} as {encoding}"
 
 
 def _is_latched(connection: Connection) -> bool:

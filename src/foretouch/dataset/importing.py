@@ -60,6 +60,7 @@ class ImportResult:
     labelled: int = 0  # those with a touch
     readings: int = 0  # those in their series, or a touch without one
     left_out: Counter[str] = field(default_factory=Counter)  # what was not imported, by reason
+    notes: tuple[str, ...] = ()  # where the `metadata.yaml` of a bag states something else than is in its files
 
 
 def import_samples(
@@ -91,6 +92,7 @@ def import_samples(
             found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
+            result.notes = bag.notes
             holding = [topic.name for topic in bag.topics if topic.type in SAMPLE_TYPES]
             if holding:
                 found, records, sensor = _own_samples(bag, holding)

@@ -62,10 +62,17 @@ class Pace:
 
     Args:
         rate_hz: Clouds per second; 0 keeps the times of the recording. Other topics follow the cloud before them.
+        longest_pause_s: Longer pauses of a recording, as where its clock was set, are cut to this [s].
+
+    Attributes:
+        cut_s: What was cut of the pause before the latest entry [s].
     """
 
-    def __init__(self, rate_hz: float = 0.0) -> None:
+    def __init__(self, rate_hz: float = 0.0, longest_pause_s: float = 10.0) -> None:
+        self.cut_s = 0.0
         self._rate_hz = rate_hz
+        self._longest_ns = int(longest_pause_s * 1e9)
+        self._cut_ns = 0  # in all
         self._clouds = 0
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -73,12 +80,15 @@ class Pace:
     def due_s(self, entry: Entry) -> float:
         """Time from the start of the round at which to publish the entry [s]; called once per entry, in order."""
         if self._first_ns is None:
-            self._first_ns = entry.at_ns
+            self._first_ns = self._last_ns = entry.at_ns
+        cut_ns = max(entry.at_ns - self._last_ns - self._longest_ns, 0) if self._rate_hz <= 0.0 else 0
+        self.cut_s = cut_ns * 1e-9
+        self._cut_ns += cut_ns
         self._last_ns = max(self._last_ns, entry.at_ns)
         self._clouds += entry.topic == CLOUDS
         if self._rate_hz > 0.0:
             return max(self._clouds - 1, 0) / self._rate_hz
-        return max(entry.at_ns - self._first_ns, 0) * 1e-9
+        return max(entry.at_ns - self._first_ns - self._cut_ns, 0) * 1e-9
 
     @property
     def length_ns(self) -> int:
@@ -86,12 +96,12 @@ class Pace:
         if self._first_ns is None or self._clouds < 2:
             return STAMP_STEP_NS
         span = self._last_ns - self._first_ns
-        return max(span + span // (self._clouds - 1), 1)
+        return max(span + (span - self._cut_ns) // (self._clouds - 1), 1)
 
     @property
     def length_s(self) -> float:
         """Played duration of a round [s]."""
-        return self._clouds / self._rate_hz if self._rate_hz > 0.0 else self.length_ns * 1e-9
+        return self._clouds / self._rate_hz if self._rate_hz > 0.0 else (self.length_ns - self._cut_ns) * 1e-9
 
 
 def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:

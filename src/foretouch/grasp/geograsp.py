@@ -19,7 +19,7 @@ import numpy as np
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
 from foretouch.cloud.geometry.pcl_filters import count_without_normal, mean_neighbour_distance
 from foretouch.cloud.timing import timed
-from foretouch.errors import CloudError, GraspError
+from foretouch.errors import CloudError, FrameError, GraspError
 from foretouch.grasp.axis import find_axis
 from foretouch.grasp.completed import (
     APART_M,
@@ -37,9 +37,9 @@ from foretouch.grasp.hold import HeldGrasp, held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
-from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, Plane
+from foretouch.types import NO_GRASPS, Cloud, Float32, Float64, Grasp, Grasps, Integer, Plane
 
-PlanStatus = Literal["ok", "initial_points", "no_grasp"]
+PlanStatus = Literal["ok", "initial_points", "no_grasp", "unknown_frame"]
 
 
 @dataclass(eq=False)
@@ -52,7 +52,7 @@ class GraspPlan:
 
     status: PlanStatus = "no_grasp"
     reason: str = ""  # explanation of the status
-    grasps: tuple[Grasp, ...] = ()  # best first
+    grasps: Grasps = NO_GRASPS  # best first
     initial_points: Float64 | None = (
         None  # (2, 3) float64 [m], extremes near the grasp plane; `completed`: its contacts
     )
@@ -102,7 +102,8 @@ def plan_grasps(
         obstacles: What stands around the object; method "completed" only.
 
     Returns:
-        The plan. If the cloud allows no grasp, its status is "no_grasp" and it contains the reason.
+        The plan. If the cloud allows no grasp, its status is "no_grasp", or "unknown_frame" if it is not in the optical
+        frame of its camera, and it contains the reason.
 
     Raises:
         CloudError: If `pixels` do not belong to the cloud.
@@ -115,15 +116,18 @@ def plan_grasps(
     points = finite_points(cloud, pixels, image_shape)
     plan = GraspPlan(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
+        check_object(points.xyz, limits)
         check_table(plane, limits)
         if config.method == "completed":
             keep = None if held is None else (held, hold)
-            _plan_completed(plan, points, plane, config, rng, limits, keep, hand, obstacles)
+            _plan_completed(plan, points, plane, config, rng, keep, hand, obstacles)
         else:
-            _plan_original(plan, points, plane, config, rng, limits)
+            _plan_original(plan, points, plane, config, rng)
     except CloudError as err:
         plan.reason = str(err)
+        plan.status = "unknown_frame" if isinstance(err, FrameError) else "no_grasp"
     plan.ms["total"] = sum(plan.ms.values())
+    plan.grasps = plan.grasps.replace(status=plan.status, reason=plan.reason)
     return plan
 
 
@@ -134,17 +138,11 @@ def _random_slide(xyz: Float32, centroid: Float64, axis: Float64, fraction: floa
 
 
 def _plan_original(
-    plan: GraspPlan,
-    points: FinitePoints,
-    plane: Plane,
-    config: GeoGraspConfig,
-    rng: np.random.Generator | None,
-    limits: ObjectLimits,
+    plan: GraspPlan, points: FinitePoints, plane: Plane, config: GeoGraspConfig, rng: np.random.Generator | None
 ) -> None:
     counts = plan.counts
     with timed(plan.ms, "outliers"):
         downsampled = points.downsampled(config)
-        check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         xyz = downsampled.without_flying(config, counts).without_outliers(config)
         counts["n_filtered"] = len(xyz)
@@ -185,7 +183,7 @@ def _best_grasps(
             contacts = [(sides[0].initial.xyz[0], sides[1].initial.xyz[0], score)]
             reason = f"grasp at the initial points: none of {pairs} pairs of candidates passes the filters"
         axis = grasp_plane.normal
-        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts)
+        plan.grasps = Grasps.of([Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts])
         parallel = sum(is_parallel(g.g1, g.g2, axis) for g in plan.grasps)
     notes = [reason, unscored] if unscored else [reason]
     if parallel:
@@ -199,7 +197,6 @@ def _plan_completed(
     plane: Plane,
     config: GeoGraspConfig,
     rng: np.random.Generator | None,
-    limits: ObjectLimits,
     held: tuple[HeldGrasp, float] | None,
     hand: HandConfig,
     obstacles: Obstacles | None,
@@ -208,7 +205,6 @@ def _plan_completed(
     counts = plan.counts
     with timed(plan.ms, "outliers"):
         downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))
-        check_object(points.xyz, limits)
         xyz = downsampled.without_flying(config, counts).xyz
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         spacing = mean_neighbour_distance(xyz, config.neighbours)
@@ -232,13 +228,13 @@ def _plan_completed(
         best = best_lines(completed, lines, config.count)
         ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
         found = [(*pair, SCORE_OF_NONE - float(lines.cost[one])) for pair, one in zip(ends, best, strict=True)]
-        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found)
+        plan.grasps = Grasps.of([Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found])
         if held is not None and plan.grasps:
             last, margin = held
             cost = float(lines.cost[completed.nearest_line(last[0])])
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
-            plan.grasps = (first, *plan.grasps[1:])
+            plan.grasps = Grasps.of([first, *plan.grasps[1:]])
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"best of {counts['n_free']} of {counts['n_lines']} closing lines"

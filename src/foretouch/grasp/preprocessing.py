@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.cloud.geometry.flying import flying_mask
+from foretouch.cloud.geometry.frames import has_depth
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
@@ -112,7 +113,7 @@ def _canonical_order(xyz: Float32) -> Int64:
 def finite_points(
     cloud: Cloud, pixels: Integer | None = None, image_shape: tuple[int, int] | None = None
 ) -> FinitePoints:
-    """Drop and count the points that are not finite.
+    """Drop and count the points that are not finite, or at (0, 0, 0), which cameras send for a pixel without depth.
 
     Args:
         cloud: An object's points, organised or not.
@@ -131,7 +132,7 @@ def finite_points(
         raise CloudError("pixels, image_shape: one is given without the other")
     if pixels is not None and pixels.shape != (len(xyz),):
         raise CloudError(f"pixels: shape {pixels.shape} does not match {len(xyz)} points")
-    finite = np.isfinite(xyz[:, 0]) & np.isfinite(xyz[:, 1]) & np.isfinite(xyz[:, 2])
+    finite = has_depth(xyz)
     n_dropped = len(xyz) - int(np.count_nonzero(finite))
     if n_dropped:
         xyz = xyz[finite]

@@ -11,12 +11,18 @@ from typing import Final, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.camera.deproject import Deprojector, pinhole_matrix
 from foretouch.errors import ConfigError
 from foretouch.types import Bool, Cloud, Float32, Float64, Int32, UInt8
 from foretouch_lab.simulation.solids import LYING, Primitive, about_z, footprint_m
 
 Window = tuple[slice, slice]
+
+
+def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
+    """(3, 3) float64 intrinsics [px] of square pixels, a centred axis and a horizontal field of view; the D415 has 65 deg."""
+    # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
+    focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
+    return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,9 +190,8 @@ class DepthImage:
         self, frame_id: str = "camera_depth_optical_frame", stamp_ns: int = 0, *, with_rgb: bool = False
     ) -> Cloud:
         """The frame as an organised cloud, NaN where there is no depth."""
-        height, width = self.depth_mm.shape
-        xyz = Deprojector.of_lens(self.K, width, height).points(self.depth_mm)
-        return Cloud(xyz, self.rgb if with_rgb else None, frame_id, stamp_ns)
+        rgb = self.rgb if with_rgb else None
+        return Cloud.from_depth(self.depth_mm, self.K, frame_id=frame_id, stamp_ns=stamp_ns, rgb=rgb)
 
 
 @dataclass(frozen=True, eq=False)

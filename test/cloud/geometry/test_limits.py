@@ -8,8 +8,9 @@ import pytest
 from every_case import every_case
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.errors import ConfigError
-from foretouch.types import Plane
+from foretouch.errors import ConfigError, FrameError
+from foretouch.grasp import GeoGraspConfig, plan_grasps
+from foretouch.types import Cloud, Plane, assumed_table
 
 
 def _ball(radius_m: float, distance_m: float) -> np.ndarray:
@@ -32,3 +33,23 @@ def test_objects_within_the_limits_which_are_settings_and_tables_that_a_camera_s
         ObjectLimits(min_extent_m=0.7)
     seen = [(0, 0, 1, -1.27), (0, 0, -1, 1.27), (0, 1, 0, 0), (1, 0, 0, 0), (0, -1, 0, 0.4), (0, 1, 0, 0.4)]
     every_case([*seen, (0, -0.9, -0.4, 1.2)], lambda *plane: check_table(Plane.from_coefficients(plane)))
+
+
+TO_BASE = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float32)  # x forward, y left, z up
+FRAMES = {  # a ball at 0.6 m, as others store it
+    "link of a camera": (TO_BASE, "but in view along x, as in the frame of a link"),
+    "OpenGL": (np.diag([1.0, -1.0, -1.0]), "100% of the points are at z <= 0, behind the camera"),
+    "beside a robot": (np.array([[1, 0, 0], [0, 0, 1], [0, 0, 0.1]]), "100% of the points are out of view along z:"),
+}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_an_object_in_another_frame_is_refused_by_every_function_that_takes_one(name: str) -> None:
+    turn, rule = FRAMES[name]
+    xyz = (_ball(0.04, 0.6) @ turn.T.astype(np.float32)).astype(np.float32)
+    with pytest.raises(FrameError, match=f"not_optical: .*{rule}.*transform the points"):
+        check_object(xyz)
+    check_object(xyz, ObjectLimits(min_range_m=0.0))  # in the object's own frame there is no camera
+    for method in ("completed", "original"):
+        plan = plan_grasps(Cloud(xyz), assumed_table(Cloud(xyz)), GeoGraspConfig(method=method))
+        assert (plan.status, len(plan.grasps), plan.reason[:12]) == ("unknown_frame", 0, "not_optical:")

@@ -143,7 +143,7 @@ def test_a_broken_pcd_is_named(tmp_path: Path) -> None:
 
 def test_a_broken_ply_is_named(tmp_path: Path) -> None:
     vertices = "element vertex 1\nproperty float x\nproperty float y\n"
-    z = "property float z\n"
+    z, grid = "property float z\n", "element range_grid 1\nproperty list uchar int a\n"
     cases = [
         ("ply\nformat ascii 1.0\nend_heade", "header: no line end_header: truncated"),
         ("ply\nformat ascii 1.0\nend_header\n", "header: element vertex is missing"),
@@ -152,18 +152,25 @@ def test_a_broken_ply_is_named(tmp_path: Path) -> None:
             "property: is not a list of numbers: field .z. occurs more than once",
         ),
         (
-            f"ply\nformat ascii 1.0\n{vertices}property list uchar int a\nend_header\n",
-            "list uchar int a: is not a plain",
-        ),
-        ("ply\nformat ascii 1.0\nelement face 1\nend_header\n", "element: face comes before the vertices"),
-        (
-            f"ply\nformat ascii 1.0\nobj_info num_cols 2\n{vertices}{z}end_header\n1 2 3\n",
-            "obj_info: 2 x 1 is not the number of vertices, 1",
+            f"ply\nformat ascii 1.0\n{vertices}property list uchar number a\nend_header\n",
+            "list uchar number a: is neither a number nor a list",
         ),
         (
-            f"ply\nformat ascii 1.0\n{vertices}{z}end_header\n1 2\n",
-            "vertex: .* are fewer than 1 lines of 3 numbers|lines of numbers",
+            f"ply\nformat ascii 1.0\n{vertices}{z}property list int int a\nend_header\n1 2 3 -1\n",
+            "a: a list of -1.0 entries",
         ),
+        (
+            f"ply\nformat ascii 1.0\n{vertices}{z}property list int int a\nend_header\n1 2 3 2 7\n",
+            "element vertex: the data ends within its 1",
+        ),
+        (
+            f"ply\nformat ascii 1.0\nobj_info num_cols 1\n{vertices}{z}{grid}end_header\n1 2 3 1 1\n",
+            "range_grid: there is no vertex 1, only 1",
+        ),
+        (f"ply\nformat ascii 1.0\n{vertices}{z}end_header\n1 2\n", "vertex: 4 bytes are fewer than 3 numbers"),
+        (f"ply\nformat ascii 1.0\n{vertices}{z}end_header\n1 22222\n", "vertex: 2 numbers are fewer than 3: truncated"),
+        (f"ply\nformat ascii 1.0\n{vertices}{z}end_header\n1 2 three\n", "vertex: holds a word between its numbers"),
+        (f"ply\nformat ascii 1.0\n{vertices}{z}element vertex 1\nend_header\n1 2 3\n", "element: vertex occurs twice"),
     ]
     every_case(cases, lambda text, rule: _assert_refused(tmp_path / "a.ply", text, rule))
 

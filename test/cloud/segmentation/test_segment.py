@@ -143,3 +143,28 @@ def test_shared_scenes_and_real_object_clouds(real_data: Path) -> None:
         np.testing.assert_allclose(segmentation.plane.coefficients, plane, atol=5e-4)
     for path in sorted(real_data.glob("vision2tactile/*/*/cloud-object.pcd"))[::10]:
         _checked(read_cloud(path))
+
+
+def _assert_equal(image: Segmentation, other: Segmentation) -> None:
+    assert (image.status, image.counts) == (other.status, other.counts)
+    np.testing.assert_array_equal(image.labels, other.labels)
+    if image.plane is not None and other.plane is not None:
+        np.testing.assert_array_equal(image.plane.coefficients, other.plane.coefficients)
+    for mine, theirs in zip(image.objects, other.objects, strict=True):
+        np.testing.assert_array_equal(mine.cloud.xyz, theirs.cloud.xyz)
+        np.testing.assert_array_equal(mine.pixels, theirs.pixels)
+
+
+def test_a_known_camera_gives_what_is_recovered_without_one() -> None:
+    for seed in range(3):
+        cloud = _image(seed, flying_pixels=True).cloud()
+        assert cloud.camera is not None
+        _assert_equal(_checked(cloud), _checked(Cloud(cloud.xyz)))
+
+
+@pytest.mark.real_data
+def test_depth_images_of_others_give_what_their_clouds_give(real_data: Path) -> None:
+    for file in sorted((real_data / "real_scenes").glob("*.npz")):
+        with np.load(file) as scene:
+            cloud = Cloud.from_depth(scene["depth_mm"], scene["K"])
+        _assert_equal(_checked(cloud), _checked(Cloud(cloud.xyz)))

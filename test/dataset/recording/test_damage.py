@@ -20,6 +20,7 @@ from recording_builders import IDENTITY, QUICK, TACTILE, assert_same_sample, rec
 
 from foretouch.dataset.editing import drop
 from foretouch.dataset.info import describe
+from foretouch.dataset.mcap_reader import _IN_DATA
 from foretouch.dataset.recording.reader import RecordedDataset, samples_in
 from foretouch.dataset.recording.records import RecordingFile
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
@@ -49,7 +50,7 @@ def chunks(path: Path) -> list[tuple[int, int]]:
 
 def records(path: Path) -> list[Any]:
     file = RecordingFile(path)
-    return [one for one in file._records(8, len(file.data)) if hasattr(one, "opcode")]
+    return [one for one in file._records(file.data, 8, len(file.data), _IN_DATA) if hasattr(one, "opcode")]
 
 
 def numbers(path: Path) -> list[int]:

@@ -4,11 +4,12 @@
 import sys
 import time
 
+import depth_builders
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_typestore
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 
 from foretouch.cloud.io.files import write_cloud
@@ -86,6 +87,31 @@ def test_every_cloud_is_played_once_in_order_and_in_time_as_recorded_and_the_end
     assert (summary.received, summary.used, summary.waiting) == (11, 11, 0)
     values = node.notes()
     assert (values["replay"], values["clouds"], values["played./foretouch/points"]) == ("finished", "11", "11")
+
+
+@pytest.mark.parametrize("form", ["", "/compressedDepth"])
+def test_depth_images_and_their_infos_keep_their_topics(graph, tmp_path, form):
+    folder = "/foretouch/depth"  # as the camera node of this package: what a graph publishes itself is else left out
+    topic, info_topic, sent = f"{folder}/image_rect_raw{form}", f"{folder}/camera_info", []
+    pixels = np.full((480, 848), 700, np.uint16)
+    for k in range(3):
+        head = {"header": depth_builders.header(stamp_ns=START_NS + k * STEP_NS)}
+        message = depth_builders.image(pixels, "16UC1", **head)
+        if form:
+            message = depth_builders.compressed(depth_builders.png(pixels))
+            message.header = head["header"]
+        sent += [
+            (info_topic, START_NS + k * STEP_NS, depth_builders.info(**head)),
+            (topic, START_NS + k * STEP_NS + 1, message),
+        ]
+    path = depth_builders.write_bag(tmp_path / "bag", sent)
+    kinds = {topic: CompressedImage if form else Image, info_topic: CameraInfo}
+    node, received = play(graph, path, kinds)
+    with Recording(path) as recording:
+        for name, kind in kinds.items():
+            assert received[name] == [deserialize_message(one.data, kind) for one in recording.messages([name])]
+    assert (node.outcome, dict(node.played)) == ("finished", {topic: 3, info_topic: 3})
+    assert node.clouds_topic == topic
 
 
 def test_nothing_is_played_before_subscribers_are_there_but_the_wait_has_a_limit(graph, bag, capfd):
@@ -193,11 +219,11 @@ def test_in_lockstep_a_cloud_waits_for_the_answer_to_the_last_and_a_missing_one_
 
 def test_a_source_that_breaks_off_or_is_none_is_a_failure_with_its_reason(graph, bag, tmp_path, capfd):
     path, _ = bag()
-    metadata = path / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("message_count: 5", "message_count: 6"))
+    file = path / "bag.mcap"
+    file.write_bytes(file.read_bytes()[:-20])
     node, received = play(graph, path)
     assert (len(received["points"]), node.outcome) == (5, "failed")
-    assert "declares 6 messages, holds 5" in node.reason
+    assert f"what is intact was read; `foretouch dataset repair {file}` makes a complete file of it" in node.reason
     assert node.errors() == (node.reason,)
     for nothing, reason in (("", "path: is empty"), ("/nowhere", "/nowhere: does not exist")):
         node = start(graph, nothing)
@@ -206,6 +232,19 @@ def test_a_source_that_breaks_off_or_is_none_is_a_failure_with_its_reason(graph,
         graph.remove(node)
     with pytest.raises(ConfigError, match=r"table: \[0.0, 0.0, 0.0, 1.0\] is not a plane"):
         start(graph, tmp_path, table=[0.0, 0.0, 0.0, 1.0])
+
+
+def test_a_pause_of_decades_where_the_clock_was_set_is_cut_and_logged(graph, tmp_path, rng, capfd):
+    with BagWriter(tmp_path / "bag") as writer:
+        for cloud, time_ns in zip(make_clouds(rng, 4), (0, STEP_NS, START_NS, 2**63 - 1), strict=True):
+            writer.write_cloud(cloud, "/points", bag_time_ns=time_ns)
+    began = time.monotonic()
+    node, received = play(graph, tmp_path / "bag", longest_pause_s=0.3)
+    assert (len(received["points"]), node.outcome) == (4, "finished")
+    assert 0.6 < time.monotonic() - began < 5.0
+    logged = capfd.readouterr().err
+    assert f"/points[2]: {START_NS // 10**9} s of the pause before it are left out" in logged
+    assert "/points[3]: " in logged
 
 
 def test_which_topics_are_playable():

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.cloud.geometry.columns import bounds
+from foretouch.cloud.geometry.frames import TANGENT, not_optical
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, LimitError
+from foretouch.errors import ConfigError, FrameError, LimitError
 from foretouch.types import Float32, Plane
-
-_WIDEST = math.tan(math.radians(60.0))  # largest |x/z| and |y/z| that a depth camera sees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,15 +33,16 @@ DEFAULT_LIMITS = ObjectLimits()
 
 
 def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
-    """Check range and size of an object.
+    """Check range, size and frame of an object.
 
     Args:
         xyz: (..., 3) float32 [m], its points, the sensor at the origin. Points that are not finite are ignored;
             without two different points nothing is checked.
-        limits: Range and size.
+        limits: Range and size; with a `min_range_m` of 0 the points may be in any frame.
 
     Raises:
         LimitError: Names the measure and its limit.
+        FrameError: If the points are not in the optical frame of a camera that can have seen them.
     """
     low, high = bounds(np.asarray(xyz.reshape(-1, 3), np.float32))
     extent = float((high - low).max())
@@ -59,11 +59,14 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
     ):
         if broken:
             raise LimitError(reason)
+    seen = low[2] > 0.0 and max(abs(float(end)) for end in (*low[:2], *high[:2])) <= TANGENT * low[2]
+    if not seen and limits.min_range_m > 0.0 and (fault := not_optical(xyz, alone=True)):
+        raise FrameError(fault)
 
 
 def _unit(length: float) -> str:
     """A question that is added to the refusal of a length that is likely in millimetres."""
-    return "; is it in metres?" if abs(length) > 10.0 else ""
+    return "; is it in metres? Multiply millimetres by 0.001" if abs(length) > 10.0 else ""
 
 
 def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
@@ -83,7 +86,7 @@ def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
     if limits.min_range_m == 0.0:  # the cloud may be in the object's own frame, without a camera
         return
     x, y, z = plane.normal.tolist()
-    sideways = _WIDEST * (abs(x) + abs(y))
+    sideways = TANGENT * (abs(x) + abs(y))
     # n·p + d = 0 has no solution p = t (u, v, 1) with t > 0 in the field of view.
     if (plane.offset > 0.0 and z - sideways >= 0.0) or (plane.offset < 0.0 and z + sideways <= 0.0):
         raise LimitError(f"plane: {plane.coefficients.tolist()} is behind the camera")

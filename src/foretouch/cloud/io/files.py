@@ -12,6 +12,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -39,7 +40,7 @@ def read_cloud(path: str | Path) -> Cloud:
             `stamp_ns`) or `.npy`. Coordinates are float32 or float64 [m].
 
     Returns:
-        The cloud, organised if it is in the file; NaN is kept.
+        The cloud, organised if it is in the file. Points at (0, 0, 0) are NaN, as all without depth.
 
     Raises:
         FileError: With the file, the field and the rule; also if the file cannot be read or is truncated.
@@ -50,9 +51,14 @@ def read_cloud(path: str | Path) -> Cloud:
         raise FileError(path, f"the extension is not one of {', '.join(CLOUD_SUFFIXES)}")
     try:
         with system_errors(path):
-            return reader(path)
+            cloud = reader(path)
     except CloudError as err:
         raise FileError(path, str(err)) from err
+    x, y, z = np.moveaxis(cloud.xyz, -1, 0)
+    at_sensor = (x == 0.0) & (y == 0.0) & (z == 0.0)
+    if not at_sensor.any():
+        return cloud
+    return replace(cloud, xyz=np.where(at_sensor[..., None], np.float32(np.nan), cloud.xyz))
 
 
 def write_cloud(path: str | Path, cloud: Cloud) -> None:

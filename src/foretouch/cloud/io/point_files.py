@@ -3,7 +3,7 @@
 
 Both are decoded here: the libraries for them take the memory that a header asks for (plyfile, which is GPL besides), return
 fewer points of a truncated file (pypcd4), or fill up with zeros and warn (Open3D). What a header declares is compared with
-the file before memory is taken.
+the file before memory is taken. Text of PLY is a series of numbers, however it is divided into lines; that of PCD has a line for each point.
 
 Compressed data of PCD are LZF, and hold all values of one field before those of the next; VIEWPOINT is ignored, since clouds
 are in their own frame. The shape of an organised cloud in PLY is in the two `obj_info` lines `num_cols` and `num_rows`, as in
@@ -13,7 +13,9 @@ Stanford's range scans.
 import io
 import re
 import struct
+import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,6 +42,7 @@ _TYPES: Final = dict(
 _NAMES: Final = _TYPES | {np.dtype(kind).name: kind for kind in _TYPES.values()}  # int8 and so on
 _ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOURS: Final = ("red", "green", "blue")
+_PLY_END: Final = re.compile(rb"[\r\n]end_header[ \t]*(?:\r\n|\n|\r)")
 
 _Records = AnyArray  # (N,) of a structured dtype
 
@@ -65,7 +68,7 @@ def read_pcd(path: Path) -> Cloud:
     if data == "binary_compressed":
         records = _unpacked(path, content[start:], dtype, points)
     else:
-        records = _records(path, content[start:], dtype, points, "DATA", text=data == "ascii", alone=True)
+        records = _records(path, content[start:], dtype, points, "DATA", text=data == "ascii")
     return _to_cloud(records, _colours(records), height, width)
 
 
@@ -154,10 +157,11 @@ def _colours(records: _Records) -> UInt8 | None:
 
 
 def read_ply(path: Path) -> Cloud:
-    """Read the vertices of an ASCII or binary PLY file, which must be its first element.
+    """Read the vertices of an ASCII or binary PLY file; other elements and lists are skipped.
 
     Returns:
-        (H, W, 3) if `obj_info` gives the shape, else (N, 3), with colours of red, green and blue of uchar.
+        (H, W, 3) if `obj_info` gives the shape, NaN for pixels that an element `range_grid` leaves out, else (N, 3); with
+        colours of red, green and blue of uchar.
 
     Raises:
         FileError: If the header is incomplete, there is no x, y, z, or the data is truncated.
@@ -166,25 +170,34 @@ def read_ply(path: Path) -> Cloud:
     content = read_bytes(path, SIZE_LIMIT)
     if not content.startswith(b"ply"):
         raise FileError(path, "does not start with ply", field="header")
-    end = content.find(b"end_header", 0, _HEADER_LIMIT)
-    newline = content.find(b"\n", end)
-    if end < 0 or newline < 0:
+    end = _PLY_END.search(content, 0, _HEADER_LIMIT)
+    if end is None:
         raise FileError(path, "no line end_header: truncated", field="header")
-    encoding, numbers, properties = _ply_header(path, content[:end].decode("ascii", errors="replace"))
+    encoding, elements, shape = _ply_header(path, content[: end.start()].decode("ascii", errors="replace"))
     if encoding not in _ORDERS:
         raise FileError(path, f"{encoding or 'nothing'} is not one of {', '.join(_ORDERS)}", field="format")
-    if "element vertex" not in numbers:
+    if "vertex" not in elements:
         raise FileError(path, "element vertex is missing", field="header")
-    points = numbers["element vertex"]
-    columns, rows = numbers.get("num_cols", points), numbers.get("num_rows", 1)
-    if columns * rows != points:
-        raise FileError(path, f"{columns} x {rows} is not the number of vertices, {points}", field="obj_info")
-    dtype = _point_dtype(path, [(name, _ORDERS[encoding] + kind) for name, kind in properties], "property")
-    text, body = encoding == "ascii", content[newline + 1 :]
-    records = _records(path, body, dtype, points, "vertex", text=text, alone=False)
-    coloured = {(name, "u1") for name in _COLOURS} <= set(properties)
-    rgb = np.stack([records[name] for name in _COLOURS], axis=-1) if coloured else None
-    return _to_cloud(records, rgb, rows, columns)
+    vertex, grid = elements["vertex"], elements.get("range_grid")
+    columns, rows = shape.get("num_cols", vertex.count), shape.get("num_rows", 1)
+    if grid is not None and grid.count != columns * rows:
+        grid = None
+    last = max(list(elements).index(one.name) for one in (vertex, grid) if one)
+    needed = list(elements.values())[: last + 1]
+    numbers = [(one.name, one.kind) for one in vertex.properties if not one.counted]
+    _point_dtype(path, numbers, "property")
+    body, text = content[end.end() :], encoding == "ascii"
+    data = _PlyData(path, _ply_numbers(path, body, needed) if text else body, None if text else _ORDERS[encoding])
+    found = {element.name: data.read(element) for element in needed}
+    records = found["vertex"][0]
+    rgb = None
+    if {(name, "u1") for name in _COLOURS} <= set(numbers):
+        with np.errstate(invalid="ignore"):
+            rgb = np.stack([records[name].astype(np.uint8) for name in _COLOURS], axis=-1)
+    if grid is not None:
+        return _on_grid(path, _to_cloud(records, rgb, 1, vertex.count), found["range_grid"][1], (rows, columns, 3))
+    organised = columns * rows == vertex.count  # otherwise points were removed since
+    return _to_cloud(records, rgb, *((rows, columns) if organised else (1, vertex.count)))
 
 
 def write_ply(path: Path, cloud: Cloud) -> None:
@@ -203,27 +216,116 @@ def write_ply(path: Path, cloud: Cloud) -> None:
     path.write_bytes("\n".join([*lines, "end_header", ""]).encode("ascii") + records.tobytes())
 
 
-def _ply_header(path: Path, text: str) -> tuple[str, dict[str, int], list[tuple[str, str]]]:
-    """The format; sizes of elements and image by name; and name and NumPy type of each property of a vertex."""
-    encoding = element = ""
-    numbers: dict[str, int] = {}
-    properties: list[tuple[str, str]] = []
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    kind: str  # of a number, in NumPy's letters
+    counted: str = ""  # kind of the count before a list; "" for a single number
+
+
+@dataclass(frozen=True)
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property]
+
+
+def _ply_header(path: Path, text: str) -> tuple[str, dict[str, _Element], dict[str, int]]:
+    """The format, the elements by name in order, and the shape of the image."""
+    encoding = ""
+    elements: dict[str, _Element] = {}
+    shape: dict[str, int] = {}
+    own: list[_Property] = []
     for line in text.splitlines():
         match words := line.split():
             case ["format", encoding, *_]:
                 pass
             case ["obj_info", ("num_cols" | "num_rows") as name, count]:
-                numbers[name] = _whole_number(path, count, name)
+                shape[name] = _whole_number(path, count, name)
             case ["element", name, count]:
-                if element == "" and name != "vertex":
-                    raise FileError(path, f"{name} comes before the vertices", field="element")
-                element = name
-                numbers[f"element {name}"] = _whole_number(path, count, f"element {name}")
-            case ["property", *_] if element == "vertex":
-                if len(words) != 3 or words[1] not in _NAMES:
-                    raise FileError(path, f"{' '.join(words[1:])}: is not a plain number", field="property")
-                properties.append((words[2], _NAMES[words[1]]))
-    return encoding, numbers, properties
+                if name in elements:
+                    raise FileError(path, f"{name} occurs twice", field="element")
+                own = []
+                elements[name] = _Element(name, _whole_number(path, count, f"element {name}"), own)
+            case ["property", "list", counted, kind, name] if counted in _NAMES and kind in _NAMES:
+                own.append(_Property(name, _NAMES[kind], _NAMES[counted]))
+            case ["property", kind, name] if kind in _NAMES:
+                own.append(_Property(name, _NAMES[kind]))
+            case ["property", *_]:
+                raise FileError(path, f"{' '.join(words[1:])}: is neither a number nor a list", field="property")
+    return encoding, elements, shape
+
+
+def _ply_numbers(path: Path, body: bytes, needed: Sequence[_Element]) -> bytes:
+    """The numbers of a text as float64: lines have no meaning in PLY."""
+    expected = sum(
+        element.count * len(element.properties) for element in needed
+    )  # of which lists may be empty, of one number
+    if 2 * expected > len(body) + 1:
+        raise FileError(path, f"{len(body)} bytes are fewer than {expected} numbers", field="vertex")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # NumPy 1 warns where NumPy 2 raises
+            found = np.fromstring(body, np.float64, sep=" ") if body.strip() else np.empty(0)
+    except (ValueError, DeprecationWarning) as err:
+        raise FileError(path, "holds a word between its numbers", field="vertex") from err
+    if len(found) < expected:
+        raise FileError(path, f"{len(found)} numbers are fewer than {expected}: truncated", field="vertex")
+    return found.tobytes()
+
+
+class _PlyData:
+    """The elements of a PLY file in order; without an `order` of bytes, all numbers are float64."""
+
+    def __init__(self, path: Path, body: bytes, order: str | None) -> None:
+        self._path, self._body, self._order, self._start = path, body, order, 0
+
+    def read(self, element: _Element) -> tuple[_Records, list[int]]:
+        """The (count,) records of single numbers, and the first entry of the first list of each, -1 of an empty one."""
+        single = np.dtype([(one.name, self._dtype(one.kind)) for one in element.properties if not one.counted])
+        if not any(one.counted for one in element.properties):
+            size = element.count if single.itemsize else 0
+            return self._numbers(element, single, size), []
+        parts: list[AnyArray] = []
+        firsts: list[int] = []
+        for _ in range(element.count):
+            lists: list[AnyArray] = []
+            for one in element.properties:
+                size = 1
+                if one.counted:
+                    (number,) = self._numbers(element, self._dtype(one.counted), 1).tolist()
+                    if not 0 <= number < 2**31:
+                        raise FileError(self._path, f"a list of {number} entries", field=one.name)
+                    size = int(number)
+                found = self._numbers(element, self._dtype(one.kind), size)
+                (lists if one.counted else parts).append(found)
+            firsts.append(int(lists[0][0]) if lists[0].size and abs(lists[0][0]) < 2**31 else -1)
+        joined = b"".join(part.tobytes() for part in parts)
+        return np.frombuffer(joined, single) if joined else np.empty(0, single), firsts
+
+    def _dtype(self, kind: str) -> np.dtype[Any]:
+        return np.dtype(np.float64 if self._order is None else self._order + kind)
+
+    def _numbers(self, element: _Element, dtype: np.dtype[Any], count: int) -> AnyArray:
+        size = count * dtype.itemsize
+        if len(self._body) - self._start < size:
+            raise FileError(self._path, f"the data ends within its {element.count}", field=f"element {element.name}")
+        self._start += size
+        return np.frombuffer(self._body, dtype, count, self._start - size) if size else np.empty(0, dtype)
+
+
+def _on_grid(path: Path, cloud: Cloud, index: list[int], shape: tuple[int, int, int]) -> Cloud:
+    """The image whose pixels are vertices by their number, -1 of a pixel without depth, as in Stanford's range scans."""
+    place = np.array(index, np.int64)
+    if place.max(initial=-1) >= cloud.size:
+        raise FileError(path, f"there is no vertex {place.max()}, only {cloud.size}", field="range_grid")
+    xyz = np.full((len(place), 3), np.nan, np.float32)
+    xyz[place >= 0] = cloud.xyz[place[place >= 0]]
+    rgb = None
+    if cloud.rgb is not None:
+        rgb = np.zeros((len(place), 3), np.uint8)
+        rgb[place >= 0] = cloud.rgb[place[place >= 0]]
+    return Cloud(xyz.reshape(shape), None if rgb is None else rgb.reshape(shape))
 
 
 def _whole_number(path: Path, text: str, field: str) -> int:
@@ -257,10 +359,8 @@ def _point_dtype(path: Path, parts: Sequence[tuple[Any, ...]], field: str) -> np
     return dtype
 
 
-def _records(
-    path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str, *, text: bool, alone: bool
-) -> _Records:
-    """The first records of some bytes, or of a text with a line each and nothing else if `alone`; a `FileError` if there are fewer."""
+def _records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str, *, text: bool) -> _Records:
+    """The first records of some bytes, or those of a text with a line each; a `FileError` if there are fewer."""
     width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
     expected = points * (2 * width if text else dtype.itemsize)
     if len(body) + text < expected or (text and points and not body.strip()):
@@ -273,7 +373,7 @@ def _records(
     if not points:
         return np.zeros(0, dtype)
     try:
-        table = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=points + alone, comments=None)
+        table = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=points + 1, comments=None)
     except ValueError as err:
         raise FileError(path, f"not a table of numbers: {shown(str(err))}", field=field) from err
     if table.shape != (points, width):

@@ -10,18 +10,13 @@ import math
 
 import numpy as np
 
+from foretouch.cloud.geometry.frames import FIELD_OF_VIEW_DEG, TANGENT
 from foretouch.types import Bool, Float32, Float64, Index
 
 _FITTED = 128  # points that the rays are fitted to
 _DEVIATION = 0.05  # distance of a point from the ray of its pixel, per depth, beyond which it is dropped
-_CHECKED = 1024  # points of a cloud, to check its frame
-_FARTHEST_M = 100.0  # no camera measures farther
-_FORWARD = 0.9  # share of points in view along x in the frame of a link
-_HALF = 0.5
 _MAX_OFF = 0.5  # share of points beside their rays, or out of view, beyond which the whole cloud is refused
 _NO_SLOPE = 1e-7  # per column or row: less than the rounding of a point
-_FIELD_OF_VIEW_DEG = 120.0  # across and down, at most; a D415 has 65 x 40 degrees, the widest RealSense 90
-_TANGENT = math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2.0)  # the largest |x/z| and |y/z| in it
 _TRIALS = 128  # triples of pixels: if half of them are damaged, all triples are with probability 4e-8
 
 
@@ -52,9 +47,9 @@ class RayFilter:
                 f"{share:.0%} of the points are beside the rays of their pixels, more than {_MAX_OFF:.0%}: "
                 "is the cloud an image in the optical frame?"
             )
-        elif widest > _TANGENT:
+        elif widest > TANGENT:
             angle = 2.0 * math.degrees(math.atan(widest))
-            self.reason = f"rays: {angle:.0f} degrees is more than a field of view of {_FIELD_OF_VIEW_DEG:g}"
+            self.reason = f"rays: {angle:.0f} degrees is more than a field of view of {FIELD_OF_VIEW_DEG:g}"
 
     def beside(self, xyz: Float32, rows: Index, columns: Index) -> Bool:
         """(...) bool: whether points (..., 3) with a positive depth are beside their ray; false where one number is NaN."""
@@ -78,7 +73,7 @@ def out_of_view(xyz: Float32) -> Bool:
     """(N,) bool: points (N, 3) float32 [m] with a positive depth that are out of the field of view, or not finite."""
     z = xyz[:, 2]
     with np.errstate(invalid="ignore", over="ignore"):
-        reach = z * np.float32(_TANGENT)
+        reach = z * np.float32(TANGENT)
         off = ~((np.abs(xyz[:, 0]) <= reach) & (np.abs(xyz[:, 1]) <= reach))
         return np.asarray(off & (z > 0.0) & np.isfinite(z), np.bool_)
 
@@ -87,42 +82,7 @@ def view_fault(off: int, usable: int) -> str:
     """Why a list of points is not usable, by those of the usable ones that are out of view; "" if it is."""
     if off <= _MAX_OFF * usable:
         return ""
-    return f"{off} of {usable} points are out of a field of view of {_FIELD_OF_VIEW_DEG:g} degrees"
-
-
-def not_optical(xyz: Float32) -> str:
-    """Why a cloud is not in the optical frame of its camera, with x right, y down and z away from it; "" if it may be.
-
-    Args:
-        xyz: (..., 3) float32 [m]; points that are not finite, or all zero, are left out.
-
-    Returns:
-        A reason that begins with `not_optical` if most points are at z <= 0, or if most are out of view, while nearly
-        all are in view along x, as in the frame of a camera's link.
-    """
-    points = xyz.reshape(-1, 3)
-    columns = points[:: max(1, len(points) // _CHECKED)].T.astype(np.float64, order="C")  # rows of three are slow
-    size = np.abs(columns).max(axis=0, initial=0.0)
-    columns = columns[:, (size > 0.0) & (size < np.inf)]
-    x, y, z = columns
-    hidden = 1.0 - _share((z > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= _TANGENT * z))
-    if hidden <= _HALF:
-        return ""
-    behind = _share(z <= 0.0)
-    forward = _share((x > 0.0) & (x < _FARTHEST_M) & (np.maximum(np.abs(y), np.abs(z)) <= _TANGENT * x))
-    along_x = ", but in view along x, as in the frame of a link" if forward >= _FORWARD else ""
-    if behind > _HALF:
-        what = f"{behind:.0%} of the points are at z <= 0, behind the camera{along_x}"
-    elif along_x:
-        what = f"{hidden:.0%} of the points are out of view along z{along_x}"
-    else:
-        return ""
-    return f"not_optical: {what}: an optical frame (x right, y down, z forward) is needed"
-
-
-def _share(chosen: Bool) -> float:
-    """Share of the chosen ones; 1 of none."""
-    return np.count_nonzero(chosen) / chosen.size if chosen.size else 1.0
+    return f"{off} of {usable} points are out of a field of view of {FIELD_OF_VIEW_DEG:g} degrees"
 
 
 def finite_rows(points: Float32) -> Bool:

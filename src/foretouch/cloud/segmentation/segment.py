@@ -11,7 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from foretouch.cloud.geometry.pixel_grid import PixelGrid
+from foretouch.cloud.geometry.frames import TANGENT, not_optical
+from foretouch.cloud.geometry.pixel_grid import listed_image
 from foretouch.cloud.segmentation.clusters import (
     NOISE_FACTOR,
     ClusterConfig,
@@ -25,7 +26,7 @@ from foretouch.cloud.segmentation.clusters import (
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, not_optical, out_of_view, view_fault
+from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, out_of_view, view_fault
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
@@ -77,7 +78,7 @@ class Segmentation:
 
     Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
     points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
-    affect the result are checked; background is the table, points below it, isolated points and those without x or y;
+    affect the result are checked, of one whose camera is known none has to be; background is the table, points below it, isolated points and those without x or y;
     rejected are the points of `n_rejected` implausible clusters. `clusters` are split into `parts`; `joined_small`,
     `joined_border` and `joined_hidden` are the fragments that were joined again, by reason (see `parts`), all 0 where nothing
     calls for splitting.
@@ -109,7 +110,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
         status, reason, plane, objects, labels = _segment_list(cloud, config, counts, ms)
-        if status != "ok" and (frame := not_optical(cloud.xyz)):
+        if status != "ok" and cloud.camera is None and (frame := not_optical(cloud.xyz)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
     counts["background"] = cloud.size - sum(counts[name] for name in _DROPPED)
@@ -123,30 +124,22 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
     """As `_segment`; a list of the points of an image, in any order, is processed as that image."""
     if cloud.organised or cloud.size > _LARGEST_LIST:
         return _segment(cloud, config, counts, ms)
-    rows = np.flatnonzero(in_range(cloud.xyz[:, 2], config.crop) & finite_rows(cloud.xyz))
-    points = cloud.xyz[rows]
-    in_view = len(rows) >= _MIN_POINTS and not out_of_view(points).any()
-    grid = PixelGrid.from_rays(points) if in_view else None
-    if grid is None or min(grid.height, grid.width) < 2:
+    image = listed_image(cloud.xyz, config.crop.min_range_m, config.crop.max_range_m, TANGENT)
+    # Of a thinned image clusters would fall apart.
+    if image is None or image.connected < _CONNECTED * image.n_points or min(image.xyz.shape[:2]) < 2:
         return _segment(cloud, config, counts, ms)
-    place = np.full(grid.height * grid.width, -1, np.intp)
-    place[grid.row * grid.width + grid.column] = rows
-    connected = np.count_nonzero((place[1:] >= 0) & (place[:-1] >= 0))
-    if connected < _CONNECTED * len(rows):  # thinned: clusters would fall apart
-        return _segment(cloud, config, counts, ms)
-    xyz = np.full((grid.height, grid.width, 3), np.nan, np.float32)
-    xyz[grid.row, grid.column] = points
-    status, reason, plane, found, image = _segment(Cloud(xyz), config, counts, ms)
+    status, reason, plane, found, image_labels = _segment(Cloud(image.xyz), config, counts, ms)
     finite, usable = _count_depths(cloud.xyz, config.crop)
     counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
     labels = np.zeros(cloud.size, np.int32)
-    labels[rows] = image[grid.row, grid.column]
-    return status, reason, plane, tuple(_listed(one, cloud, place) for one in found), labels
+    labelled = np.flatnonzero(image_labels)
+    labels[image.place[labelled]] = image_labels.reshape(-1)[labelled]
+    return status, reason, plane, tuple(_listed(one, cloud, image.place) for one in found), labels
 
 
-def _listed(one: ObjectSegment, cloud: Cloud, place: Index) -> ObjectSegment:
+def _listed(one: ObjectSegment, cloud: Cloud, place: Int32) -> ObjectSegment:
     """An object of an image as one of the list of its points, by the row of each pixel in that list."""
-    pixels = np.sort(place[one.pixels])
+    pixels = np.sort(place[one.pixels]).astype(np.int64)
     rgb = None if cloud.rgb is None else cloud.rgb[pixels]
     return replace(one, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
 
@@ -170,11 +163,11 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
             index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, fault = None, ""
-        if image:
+        if image and cloud.camera is None:  # else each point is on its ray
             rays = _rays(sample, index, coarse.shape[1], stride, xyz.shape[1])
             sample, fault = sample[~rays.off_sample], rays.reason
             counts["off_ray"] = rays.count_dropped(xyz)
-        else:
+        elif not image:
             fault = view_fault(counts["off_ray"], usable)
         if fault:
             return "bad_cloud", fault, None, (), labels

@@ -2,7 +2,7 @@
 """An MCAP file that always ends where a chunk ends.
 
 `mcap.writer` makes the bytes. Each chunk is passed to the system in one call, and the remains of a failed write are cut
-off again. Chunks are not compressed: a reader finds a message by its offset, and one damaged byte costs one chunk.
+off again. By default chunks are not compressed: a reader finds a message by its offset, and one damaged byte costs one chunk.
 """
 
 import os
@@ -12,7 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
-from mcap.records import Message
+from mcap.records import Attachment, Channel, Header, Message, Schema
 from mcap.writer import CompressionType, Writer
 
 from foretouch import __version__
@@ -23,36 +23,43 @@ LIBRARY: Final = f"foretouch {__version__}"
 
 
 class McapFile:
-    """A new MCAP file of the profile `ros2`; a `FileError` if the path exists or cannot be written. Not thread-safe.
+    """A new MCAP file, by default of the profile `ros2`; a `FileError` if the path exists or cannot be written. Not thread-safe.
 
     So do all methods that write; nothing of what they were to write is then in the file.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(
+        self, path: str | Path, header: Header | None = None, compression: CompressionType = CompressionType.NONE
+    ) -> None:
         self.path = Path(path)
         self.types: dict[str, str] = {}  # of the messages, by declared topic
         self.size = 0  # so far [bytes]
         with system_errors(self.path):
             self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         self._parts: list[bytes] = []  # made by the writer, and not in the file yet
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._channels: dict[str, int] = {}
         self._failed = False
         end = lambda: self.size + sum(map(len, self._parts))  # noqa: E731
         output: Any = SimpleNamespace(write=self._parts.append, tell=end, flush=lambda: None)
-        self._writer: Any = Writer(
-            output, chunk_size=sys.maxsize, compression=CompressionType.NONE, enable_data_crcs=True
-        )
-        self._writer.start("ros2", LIBRARY)
+        self._writer: Any = Writer(output, chunk_size=sys.maxsize, compression=compression, enable_data_crcs=True)
+        self._writer.start(*(("ros2", LIBRARY) if header is None else (header.profile, header.library)))
         self._commit()
 
-    def declare(self, topic: str, type_name: str, definition: str) -> None:
-        """Declare a topic of messages such as `std_msgs/msg/String`, with their definition as `ros2msg`."""
-        if type_name not in self._schemas:
-            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", definition.encode())
-        metadata = {"offered_qos_profiles": ""}
-        self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[type_name], metadata)
+    def declare(self, topic: str, type_name: str, definition: str) -> int:
+        """Declare a topic of messages such as `std_msgs/msg/String`, with their definition as `ros2msg`; gives its number."""
+        schema = Schema(0, definition.encode(), "ros2msg", type_name)
+        self._channels[topic] = self.add_channel(Channel(0, topic, "cdr", {"offered_qos_profiles": ""}, 0), schema)
         self.types[topic] = type_name
+        return self._channels[topic]
+
+    def add_channel(self, channel: Channel, schema: Schema | None) -> int:
+        """Declare a channel as another file does, with the schema of its messages if it has one; gives its number here."""
+        number = 0
+        if schema is not None:
+            key = schema.name, schema.encoding, schema.data
+            number = self._schemas.get(key) or self._schemas.setdefault(key, self._writer.register_schema(*key))
+        return int(self._writer.register_channel(channel.topic, channel.message_encoding, number, channel.metadata))
 
     def message(self, topic: str, data: bytes, log_time_ns: int, sent_ns: int, sequence: int) -> Message:
         """A message of a declared topic, to be written; a `DatasetError` if the topic or a time [ns] is invalid."""
@@ -67,6 +74,11 @@ class McapFile:
         """Append messages as one chunk: afterwards, either all of it is in the file or nothing."""
         for one in messages:
             self._writer.add_message(one.channel_id, one.log_time, one.data, one.publish_time, one.sequence)
+        self._commit()
+
+    def write_attachment(self, attachment: Attachment) -> None:
+        """Append a file of others that belongs to the recording."""
+        self._writer.add_attachment(**vars(attachment))
         self._commit()
 
     def write_metadata(self, name: str, values: dict[str, str]) -> None:

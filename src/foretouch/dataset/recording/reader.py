@@ -8,18 +8,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from foretouch.dataset.mcap_reader import MAGIC, Damage, RecordedMessage
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.edits import EditLog, read_edits
-from foretouch.dataset.recording.folder import is_dataset, recorded_files, recorded_sensor, session_files
-from foretouch.dataset.recording.records import (
-    MAGIC,
-    Damage,
-    MessageCounts,
-    RecordedMessage,
-    RecordingFile,
-    TopicCounts,
+from foretouch.dataset.recording.folder import (
+    SESSIONS,
+    is_dataset,
+    recorded_files,
+    recorded_sensor,
+    session_files,
+    stated,
 )
-from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, StoredSample, decode_sample
+from foretouch.dataset.recording.records import MessageCounts, RecordingFile, TopicCounts
+from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TOPIC, SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, FileError, VersionError
 from foretouch.files import open_regular
@@ -59,9 +60,9 @@ class RecordedDataset:
         """One sample before any edit (raises as indexing)."""
         file, message = self._samples[index]
         try:
-            return decode_sample(file.data[message.start : message.end], self.stated_sensor, convert=self._convert)
+            return decode_sample(file.content(message), self.stated_sensor, convert=self._convert)
         except DatasetError as err:
-            raise FileError(file.path, str(err), field=f"sample at byte {message.start}") from err
+            raise FileError(file.path, str(err), field=f"sample at byte {message.offset}") from err
 
     def message_counts(self) -> dict[str, dict[str, Any]]:
         """The message counts by topic, summed over the last ones of each recording."""
@@ -71,9 +72,10 @@ class RecordedDataset:
         return total.to_record()
 
     def name(self, index: int) -> str:
-        """File and offset of a sample, for messages."""
+        """File and offset of a sample, for messages; in a compressed chunk also that in its content."""
         file, message = self._samples[index]
-        return f"{file.path}[{message.start}]"
+        inside = f"+{message.start}" if message.chunk else ""
+        return f"{file.path}[{message.offset}{inside}]"
 
 
 def recognise(path: Path) -> bool:
@@ -120,9 +122,9 @@ def samples_in(file: RecordingFile) -> list[RecordedMessage]:
     another number of samples than it counts.
     """
     found = []
-    for item in file.messages(samples_only=True):
+    for item in file.messages(only=SAMPLE_TYPES):
         if isinstance(item, RecordedMessage):
-            found.append(item)
+            found += [item] if item.type in SAMPLE_TYPES else []
         elif not file.finished and (item.rule.startswith("cut off") or len(file.data) < len(MAGIC)):
             break
         else:
@@ -136,7 +138,7 @@ def samples_in(file: RecordingFile) -> list[RecordedMessage]:
 def readable(file: RecordingFile, message: RecordedMessage) -> StoredSample | None:
     """The sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
     try:
-        return decode_sample(file.data[message.start : message.end])
+        return decode_sample(file.content(message))
     except VersionError:
         raise
     except DatasetError:
@@ -155,3 +157,19 @@ def recorded_ids(path: Path) -> set[str]:
             elif file.finished:
                 raise FileError(session, "holds a damaged sample: run `foretouch dataset repair`")
     return ids
+
+
+def known_sessions(path: Path) -> dict[str, str]:
+    """The ids of the sessions in a dataset by file: those that the manifest states, and of others what is in the file."""
+    known: dict[str, str] = stated(path, SESSIONS)
+    for session in session_files(path):
+        if session.name not in known:
+            known[session.name] = session_id(session)
+    return known
+
+
+def session_id(path: Path) -> str:
+    """The id in a session; "" if it has none, as before 0.4."""
+    file = RecordingFile(path)
+    next(file.messages(only=SAMPLE_TYPES), None)
+    return file.metadata.get(ABOUT, {}).get("id", "")

@@ -1,27 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Repairs an unfinished or damaged recording, and keeps the original.
 
-Every chunk with a valid checksum is kept, and each sample has a chunk of its own. Losses are reported with their offsets.
-The repaired file replaces the original in one step, and the original is kept beside it as `<name>.before-repair`.
+Every chunk with a valid checksum is kept, of one that is cut off the messages before the cut, and each sample has a chunk of
+its own. Losses are reported with their offsets. The repaired file replaces the original in one step, and the original is kept
+beside it as `<name>.before-repair`. Any MCAP file can be repaired; where nothing could be kept, it stays as it is.
 """
 
 import os
+import struct
 from collections import Counter
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Final
 
-from mcap.records import Message
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Message, Metadata
+from mcap.writer import CompressionType
 
 from foretouch.dataset.files import sync_folder
+from foretouch.dataset.mcap_reader import MAGIC, Damage
+from foretouch.dataset.recording import folder
 from foretouch.dataset.recording.edits import EDITS, read_edits
-from foretouch.dataset.recording.folder import lock, recorded_files
+from foretouch.dataset.recording.folder import SESSIONS, is_dataset, lock, recorded_files, restate, stated
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
-from foretouch.dataset.recording.reader import readable
-from foretouch.dataset.recording.records import MAGIC, Damage, MessageCounts, RecordingFile, TopicCounts
-from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, sample_types
+from foretouch.dataset.recording.reader import readable, session_id
+from foretouch.dataset.recording.records import MessageCounts, RecordingFile, TopicCounts
+from foretouch.dataset.recording.sample_codec import (
+    ABOUT,
+    COUNTS,
+    SAMPLE_TOPIC,
+    SAMPLE_TYPE,
+    SAMPLE_TYPES,
+    sample_types,
+)
 from foretouch.dataset.recording.verify import verify_file
-from foretouch.errors import FileError, VersionError
+from foretouch.errors import FileError, VersionError, described
 from foretouch.files import free_name, system_errors
 
 _CHUNK_BYTES: Final = 4_000_000
@@ -43,20 +59,34 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
     """Repair every recording of a dataset that needs it, or a single file; a log of edits that is damaged is renamed.
 
     Raises:
-        FileError: If another process records into it, it is not a recording or of another version, or the disk is full.
+        FileError: If another process records into it, it is not a recording or of another version, the disk is full, or
+            a file holds nothing that could be kept.
     """
     path = Path(path)
-    recorded_files(path)  # refuses other folders, before a lock file is created there
-    if not path.is_dir():
-        return [_repair_file(path)]
+    files = recorded_files(path, complete=False)  # refuses other folders, before a lock file is created there
+    if not is_dataset(path):
+        return [_repair_file(file) for file in files]
     with lock(path):
-        reports = [_repair_file(file) for file in recorded_files(path)]
+        reports = [_repair_file(file) for file in files]
+        found = {file.name: session_id(file) for file in files}
+        for name, session in stated(path, SESSIONS).items():
+            if found.get(name) != session:
+                rule = (
+                    "has another id than the manifest listed, and is now"
+                    if name in found
+                    else "is absent, and no longer"
+                )
+                reports.append(RepairReport(path / name, changed=True, lost=[Damage(0, f"{rule} listed")]))
+        if found != stated(path, SESSIONS):
+            restate(path, SESSIONS, found)
         try:
             read_edits(path)
         except FileError as err:
-            kept = free_name(path / EDITS, "before-repair")
+            kept = free_name(path / EDITS, "before-repair") if (path / EDITS).exists() else None
             with system_errors(path / EDITS):
-                (path / EDITS).rename(kept)
+                if kept is not None:
+                    (path / EDITS).rename(kept)
+            restate(path, folder.EDITS, {})
             reports.append(RepairReport(path / EDITS, changed=True, original=kept, lost=[Damage(0, err.rule)]))
         return reports
 
@@ -74,7 +104,13 @@ def _repair_file(path: Path) -> RepairReport:
     try:
         if not MAGIC.startswith(file.data[: len(MAGIC)]) and file.next_chunk(0) == len(file.data):
             raise FileError(path, "is not an MCAP file, and holds no part of one")
-        _copy_intact(file, McapFile(part), report)
+        name = "" if file.is_own else file.compression.upper()
+        compression = CompressionType.__members__.get(name, CompressionType.NONE)
+        _copy_intact(file, McapFile(part, None if file.is_own else file.header, compression), report)
+        only_cut = len(file.data) <= len(MAGIC) or all(one.rule.startswith("cut off") for one in report.lost)
+        if not report.messages and not (file.is_own and only_cut):
+            rule = report.lost[0].rule if report.lost else "it has no end"
+            raise FileError(path, f"holds no message that could be kept, and stays as it is: {rule}")
         report.original = _replace(path, part)
     except VersionError as err:
         raise FileError(path, str(err)) from err
@@ -100,39 +136,65 @@ def _copy_intact(file: RecordingFile, out: McapFile, report: RepairReport) -> No
     """Copy the intact parts of a file that was verified into a new one, and add to the report what is lost."""
     pending: list[Message] = []
     written: Counter[str] = Counter()
+    numbers: dict[int, int] = {}  # of channels in the new file
+    samples = undeclared = sample_number = 0
 
     def flush() -> None:
         out.write_chunk(pending)
         pending.clear()
 
     try:
-        out.write_metadata(ABOUT, {**file.about, "repaired_by": LIBRARY})
-        out.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))  # the file's own may be damaged
-        for channel in file.channels.values():
+        if file.is_own:
+            out.write_metadata(ABOUT, {**file.metadata.get(ABOUT, {}), "repaired_by": LIBRARY})
+            sample_number = out.declare(
+                SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE)
+            )  # the file's own may be damaged
+        _copy_extras(file, out, report)
+        for number, channel in file.channels.items():
             schema = file.schemas.get(channel.schema_id)
-            if schema is not None and channel.topic not in out.types:
-                out.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
+            if not file.is_own or (schema is not None and channel.topic != SAMPLE_TOPIC):
+                numbers[number] = out.add_channel(channel, schema)
         for one in file.messages():
             if isinstance(one, Damage):
                 report.lost.append(one)
                 continue
-            is_sample = one.topic not in out.types or one.topic == SAMPLE_TOPIC
+            is_sample = one.type in SAMPLE_TYPES or (file.is_own and one.channel not in numbers)
             if is_sample and readable(file, one) is None:
-                report.lost.append(Damage(one.start, "a message whose declaration or content is damaged"))
+                report.lost.append(Damage(one.offset, "a message whose declaration or content is damaged"))
+                continue
+            if not is_sample and one.channel not in numbers:
+                undeclared += 1
                 continue
             if is_sample or sum(len(message.data) for message in pending) > _CHUNK_BYTES:
                 flush()
-            topic, cdr = SAMPLE_TOPIC if is_sample else one.topic, file.data[one.start : one.end]
-            pending.append(out.message(topic, cdr, one.log_time_ns, one.publish_time_ns, one.sequence))
-            written[topic] += 1
+            number = numbers.get(one.channel, sample_number)
+            pending.append(Message(number, one.log_time_ns, file.content(one), one.publish_time_ns, one.sequence))
+            written[SAMPLE_TOPIC if number == sample_number else one.topic] += 1
+            samples += is_sample
             if is_sample:  # which gets a chunk of its own
                 flush()
         flush()
-        report.messages, report.samples = written.total(), written[SAMPLE_TOPIC]
-        out.write_metadata(COUNTS, _corrected(file.counts or MessageCounts(), written).to_mapping())
+        report.messages, report.samples = written.total(), samples
+        if undeclared:
+            report.lost.append(Damage(0, f"{undeclared} messages of channels that are not declared"))
+        if file.is_own:
+            out.write_metadata(COUNTS, _corrected(file.counts or MessageCounts(), written).to_mapping())
         out.finish()
     finally:
         out.abandon()
+
+
+def _copy_extras(file: RecordingFile, out: McapFile, report: RepairReport) -> None:
+    """Copy attachments, and metadata that are not the recorder's, as far as they are intact."""
+    for record in file.extras:
+        stream = ReadDataStream(BytesIO(file.data[record.start : record.end]))
+        try:
+            if record.opcode == Opcode.ATTACHMENT:
+                out.write_attachment(Attachment.read(stream))
+            elif (metadata := Metadata.read(stream)).name not in {ABOUT, COUNTS} or not file.is_own:
+                out.write_metadata(metadata.name, metadata.metadata)
+        except (ValueError, struct.error, McapError) as err:
+            report.lost.append(Damage(record.offset, f"damaged: {described(err)}"))
 
 
 def _corrected(counts: MessageCounts, written: Counter[str]) -> MessageCounts:

@@ -20,7 +20,7 @@ import os
 import re
 import struct
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +31,7 @@ import numpy as np
 
 from foretouch import __version__
 from foretouch.cloud.messages import cloud_fields, decode_cloud, header_fields
-from foretouch.dataset.bag import POINT_CLOUD_TYPE
+from foretouch.dataset.bag import POINT_CLOUD_TYPE, types_in
 from foretouch.dataset.files import require_version
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
@@ -312,7 +312,7 @@ class Definitions:
             if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
                 raise DatasetError(f"{type_name!r} is not a message type, such as std_msgs/msg/String")
             self.register(type_name, _find(type_name))
-        for needed in _types_in(self.store.fielddefs[type_name][1]):
+        for needed in types_in(self.store.fielddefs[type_name][1]):
             self._require(needed)
 
 
@@ -325,12 +325,3 @@ def _find(type_name: str) -> str:
         if file.is_file():
             return file.read_text(encoding="utf-8")
     raise DatasetError(f"{type_name}: no definition is known, and {package} is not installed")
-
-
-def _types_in(fields: Any) -> Iterator[str]:
-    """The names of message types in the fields of another, the only texts there with a slash."""
-    for part in fields:
-        if isinstance(part, tuple | list):
-            yield from _types_in(part)
-        elif isinstance(part, str) and "/" in part:
-            yield part

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verifies that a recording is unchanged: every byte of it is covered by a checksum.
 
-Each chunk has a CRC-32, the whole data section another, and the index a third; each sample has its own SHA-256, and so does
+In a file of others, what has a checksum and what it counts is verified. Each chunk has a CRC-32, the whole data section another, and the index a third; each sample has its own SHA-256, and so does
 the manifest. Besides the bytes: samples can be decoded, ids are unique, and the message counts match the contents.
 """
 
@@ -10,10 +10,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from foretouch.dataset.mcap_reader import Damage
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import recorded_files, recorded_sensor
-from foretouch.dataset.recording.records import Damage, MessageCounts, RecordingFile
-from foretouch.dataset.recording.sample_codec import decode_sample
+from foretouch.dataset.recording.folder import SESSIONS, is_dataset, recorded_files, recorded_sensor, stated
+from foretouch.dataset.recording.reader import session_id
+from foretouch.dataset.recording.records import MessageCounts, RecordingFile
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, decode_sample
 from foretouch.errors import DatasetError
 from foretouch.tactile.description import Sensor
 
@@ -47,12 +49,18 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     dataset, or its manifest or log is damaged; a `ConfigError` if the sensor's description in the manifest is.
     """
     path = Path(path)
-    files = recorded_files(path)
-    if not path.is_dir():
-        return [verify_file(RecordingFile(path))]
+    files = recorded_files(path, complete=False)
+    if not is_dataset(path):
+        return [verify_file(RecordingFile(file)) for file in files]
     sensor = recorded_sensor(path)
     read_edits(path)
     reports = [verify_file(RecordingFile(file), sensor) for file in files]
+    for name, session in sorted(stated(path, SESSIONS).items()):
+        report = next((one for one in reports if one.path.name == name), None)
+        if report is None:
+            reports.append(FileReport(path / name, faults=[Damage(0, "is absent, though the manifest lists it")]))
+        elif session_id(report.path) != session:
+            report.faults.append(Damage(0, "is another recording than the manifest lists under this name"))
     owners: dict[str, Path] = {}
     for report in reports:
         for sample_id in report.ids:
@@ -70,18 +78,18 @@ def verify_file(file: RecordingFile, sensor: Sensor | None = None) -> FileReport
             report.faults.append(item)
             continue
         report.messages[item.topic] += 1
-        if not item.type:
-            report.faults.append(Damage(item.start, "a message of a channel that is not declared"))
-        elif item.is_sample:
+        if item.channel not in file.channels or (file.channels[item.channel].schema_id and not item.type):
+            report.faults.append(Damage(item.offset, "a message of a channel or schema that is not declared"))
+        elif item.type in SAMPLE_TYPES:
             try:
-                report.ids.append(decode_sample(file.data[item.start : item.end], sensor).record.sample.id)
+                report.ids.append(decode_sample(file.content(item), sensor).record.sample.id)
             except DatasetError as err:
-                report.faults.append(Damage(item.start, f"sample: {err}"))
+                report.faults.append(Damage(item.offset, f"sample: {err}"))
     report.counts = file.counts
     if report.clean and not report.finished:
         report.faults.append(Damage(report.size, "not finished: no index; repair creates one"))
     if report.clean:
-        report.faults += _count_faults(report)
+        report.faults += _count_faults(report) if file.is_own else _index_faults(file, report)
     del report.faults[100:]  # so many are reported for one file
     return report
 
@@ -98,3 +106,10 @@ def _count_faults(report: FileReport) -> Iterator[Damage]:
             yield Damage(0, f"{topic}: received {counts.received} is not {total}")
         if counts.written != found:
             yield Damage(0, f"{topic}: {counts.written} messages are counted as written, {found} are there")
+
+
+def _index_faults(file: RecordingFile, report: FileReport) -> Iterator[Damage]:
+    """Compare the counts in the index of a file of others, if it has some, with the contents."""
+    counted, found = file.statistics.message_count if file.statistics else 0, report.messages.total()
+    if file.statistics and counted != found:
+        yield Damage(0, f"the index counts {counted} messages, {found} are there")

@@ -7,7 +7,7 @@ network per modality. The mean of the remaining labels, and trees on the geometr
 the baselines. `training` describes how both are trained, `results` how they are compared.
 
 Both models are trained by the recipe that had the lowest error among six of each on held-out labelled samples, at T50
-and T90 (docs/results/label_ratio_tuning, made with foretouch 0.3.0 at commit 54168b29); neither test samples nor labels
+and T90 (docs/results/earlier.md); neither test samples nor labels
 that a ratio withholds were used to choose it. The preset `p2_as_printed` trains both by P2's own recipe.
 """
 

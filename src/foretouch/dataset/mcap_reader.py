@@ -1,0 +1,385 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads MCAP files with any of their optional parts, also cut off or damaged ones, without trusting any length in them.
+
+`mcap` parses the records; its readers, like those of `rosbags`, require a complete file with particular indexes. Only
+requested bytes are read. No length in the file can make the reader allocate more memory than the size of the file, or of
+a chunk that really unpacks to so much.
+"""
+
+import heapq
+import re
+import struct
+import zlib
+from collections import Counter, deque
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from io import BytesIO
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+from foretouch.errors import DatasetError, FileError, described
+from foretouch.files import FileBytes
+
+MAGIC: Final[bytes] = MCAP0_MAGIC
+
+_HEAD = struct.Struct("<BQ")  # opcode, length
+_CHUNK = struct.Struct("<QQQII")  # start, end, size, crc, length of the name of the compression
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of log and publication
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the index, of its offsets, checksum
+_CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4))", re.DOTALL)
+_UNPACKERS: Final[dict[str, Any]] = {
+    "": lambda packed: packed,
+    "zstd": lambda packed: zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True),
+    "lz4": lz4.frame.open,
+}
+_BLOCK: Final = 1 << 20
+_MOST_UNPACKED: Final = 1 << 30  # of one chunk [bytes]
+_PARSED: Final[dict[int, Any]] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.STATISTICS: Statistics,
+}
+_EXTRAS: Final = {Opcode.ATTACHMENT, Opcode.METADATA}
+_OWN_USE: Final = range(0x80, 0x100)  # records of applications, which readers skip
+_IN_CHUNK: Final = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, *_OWN_USE}
+_IN_DATA: Final = {
+    *_IN_CHUNK, Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
+}  # fmt: skip
+_IN_INDEX: Final = {
+    *_IN_CHUNK, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.STATISTICS, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
+}  # fmt: skip
+
+
+class Damage(NamedTuple):
+    """An invalid part of a file."""
+
+    offset: int  # its position [bytes]
+    rule: str  # the rule that it breaks
+
+    def error(self, path: Path) -> FileError:
+        """As an error that names file and position."""
+        return FileError(path, self.rule, field=f"byte {self.offset}")
+
+
+class Record(NamedTuple):
+    """A record in a file, or in the content of a chunk."""
+
+    opcode: int
+    offset: int  # of the record [bytes]
+    start: int  # of its content
+    end: int  # also where the file ends before
+
+
+class RecordedMessage(NamedTuple):
+    """A message in a file; its topic is "" if its channel is not declared, its type if its schema is not."""
+
+    topic: str
+    type: str
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    channel: int  # its number in the file
+    start: int  # of its data in the file, or in the content of its chunk [bytes]
+    end: int
+    chunk: Record | None  # the compressed chunk that it is in
+
+    @property
+    def offset(self) -> int:
+        """Its position in the file, or that of its chunk [bytes]."""
+        return self.start if self.chunk is None else self.chunk.offset
+
+
+class _Chunk(NamedTuple):
+    """The head of a chunk."""
+
+    first_ns: int  # time of its first message
+    size: int  # of its content [bytes]
+    crc: int  # of its content; 0 if it was not computed
+    compression: str
+    start: int  # of the packed content in the file [bytes]
+    end: int  # as stated, which may be behind the end of the file
+
+
+class McapReader:
+    """One MCAP file; `messages` walks over it, and fills the attributes meanwhile.
+
+    Attributes:
+        header: Profile and library.
+        channels, schemas: What is declared, by number; later declarations replace earlier ones.
+        metadata: The last one of each name.
+        extras: Attachments and metadata in order.
+        statistics: Counts in the index; None if there are none.
+        compression: Of the latest chunk.
+        finished: Whether it was closed, so that its end is that of an MCAP file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.data = path, FileBytes(path)
+        self.header = Header("", "")
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.extras: list[Record] = []
+        self.statistics: Statistics | None = None
+        self.compression = ""
+        self.finished = len(self.data) > 2 * len(MAGIC) and self.data[-len(MAGIC) :] == MAGIC
+        self._unpacked: tuple[int, bytes] = (-1, b"")  # offset and content of the latest compressed chunk
+
+    def messages(self, only: Collection[str] = ()) -> Iterator[RecordedMessage | Damage]:
+        """The messages in the order of the file, and all damage, after which it continues at the next intact chunk.
+
+        With types in `only`, no checksum is verified, and uncompressed chunks that begin with a message of another type are
+        skipped.
+        """
+        for record in self._top(verified=not only):
+            if isinstance(record, Damage):
+                yield record
+            elif record.opcode == Opcode.MESSAGE:
+                yield self._message(self.data, record, None)
+            elif record.opcode == Opcode.CHUNK:
+                yield from self._in_chunk(record, only)
+
+    def in_time(self, topics: Collection[str]) -> Iterator[tuple[RecordedMessage, bytes] | Damage]:
+        """The messages of some topics with their data, in order of their log times, and all damage at the end."""
+        faults: list[Damage] = []
+        bare: list[tuple[int, RecordedMessage]] = []
+        runs: list[Iterator[tuple[int, Any]]] = []
+        for record in self._top(verified=False):
+            if isinstance(record, Damage):
+                faults.append(record)
+            elif record.opcode == Opcode.CHUNK and topics:
+                runs.append(self._chunk_in_time(record, topics, faults))
+            elif record.opcode == Opcode.MESSAGE:
+                message = self._message(self.data, record, None)
+                bare += [(message.log_time_ns, message)] if message.topic in topics else []
+        bare.sort(key=itemgetter(0))
+        in_file = ((time_ns, (message, self.content(message))) for time_ns, message in bare)
+        for _, found in heapq.merge(in_file, *runs, key=itemgetter(0)):
+            if found is not None:
+                yield found
+        yield from faults
+        if not faults and isinstance(index := self._read_index(), Damage):
+            yield index
+
+    def count_messages(self) -> Counter[int]:
+        """The number of messages by channel, all of which are then declared; by the index, else by a walk over the file."""
+        self._read_index()
+        counts = Counter(self.statistics.channel_message_counts if self.statistics else ())
+        declared = (self.channels.get(number) for number in counts)
+        if (
+            all(channel and (not channel.schema_id or channel.schema_id in self.schemas) for channel in declared)
+            and counts
+        ):
+            return counts
+        return Counter(one.channel for one in self.messages() if isinstance(one, RecordedMessage))
+
+    def content(self, message: RecordedMessage) -> bytes:
+        """The data of a message."""
+        source = self.data if message.chunk is None else self._unpack(message.chunk)
+        return source[message.start : message.end]
+
+    def next_chunk(self, start: int) -> int:
+        """Offset of the first intact chunk from `start` on; the size of the file if there is none."""
+        for at in self.data.find_all(_CHUNK_START, 64, start, len(self.data)):
+            found = next(self._records(self.data, at, len(self.data), _IN_DATA))
+            if isinstance(found, Record):
+                head = self._head(found)
+                if not self._fault(found, head, unpacked=bool(head.compression)):
+                    return at
+        return len(self.data)
+
+    def _top(self, *, verified: bool) -> Iterator[Record | Damage]:
+        """The records in front of the index, and all damage of them."""
+        data, start, index = self.data, len(MAGIC), self._read_index()
+        self.extras.clear()
+        if data[:start] != MAGIC:
+            yield Damage(0, "is not an MCAP file: it does not begin as one" if len(data) else "is empty")
+        while start < len(data):
+            for one in self._records(data, start, len(data), _IN_DATA):
+                yield one
+                if isinstance(one, Damage):
+                    break
+                if one.opcode == Opcode.DATA_END:
+                    yield from self._end_damage(one, index) if verified else ()
+                    return
+                if one.opcode == Opcode.ATTACHMENT and verified and not self._fits(one.end - 4, one.start, one.end - 4):
+                    yield Damage(one.offset, "damaged: an attachment that does not match its checksum")
+            else:
+                return
+            start = self.next_chunk(one.offset + 1)
+
+    def _in_chunk(
+        self, record: Record, only: Collection[str] = (), *, unpacked: bool = False
+    ) -> Iterator[RecordedMessage | Damage]:
+        head = self._head(record)
+        self.compression = head.compression
+        packed, is_cut = record if head.compression or unpacked else None, head.end > record.end
+        fault = "" if is_cut or (only and not packed) else self._fault(record, head, unpacked=packed is not None)
+        if fault:
+            yield Damage(record.offset, fault)
+            return
+        source = self._unpack(record) if packed else self.data
+        start, end = (0, len(source)) if packed else (head.start, record.end)
+        for one in self._records(source, start, end, _IN_CHUNK):
+            if isinstance(one, Damage):  # where a chunk is cut off, so is its last message
+                yield from () if is_cut else [Damage(record.offset if packed else one.offset, one.rule)]
+            elif one.opcode == Opcode.MESSAGE:
+                message = self._message(source, one, packed)
+                if only and not packed and message.type not in only:
+                    return
+                yield message
+
+    def _chunk_in_time(
+        self, record: Record, topics: Collection[str], faults: list[Damage]
+    ) -> Iterator[tuple[int, tuple[RecordedMessage, bytes] | None]]:
+        """The messages of a chunk by time, after None at the time of the first: until then the chunk is not read."""
+        yield self._head(record).first_ns, None
+        found = []
+        for one in self._in_chunk(record, unpacked=True):
+            if isinstance(one, Damage):
+                faults.append(one)
+            elif one.topic in topics:
+                found.append((one.log_time_ns, (one, self.content(one))))
+        yield from sorted(found, key=itemgetter(0))
+
+    def _message(self, source: FileBytes | bytes, record: Record, chunk: Record | None) -> RecordedMessage:
+        start = record.start + _MESSAGE.size
+        number, sequence, logged_ns, sent_ns = _MESSAGE.unpack(source[record.start : start])
+        channel = self.channels.get(number)
+        schema = None if channel is None else self.schemas.get(channel.schema_id)
+        names = "" if channel is None else channel.topic, "" if schema is None else schema.name
+        return RecordedMessage(*names, sequence, logged_ns, sent_ns, number, start, record.end, chunk)
+
+    def _head(self, chunk: Record) -> _Chunk:
+        """The head of a chunk, whose record was found valid."""
+        start = chunk.start + _CHUNK.size
+        first_ns, _, size, crc, length = _CHUNK.unpack(self.data[chunk.start : start])
+        compression = self.data[start : start + length].decode("utf-8", "replace")
+        start += length + 8
+        return _Chunk(
+            first_ns, size, crc, compression, start, start + int.from_bytes(self.data[start - 8 : start], "little")
+        )
+
+    def _fault(self, record: Record, head: _Chunk, *, unpacked: bool) -> str:
+        """What is wrong with the content of a chunk; "" if nothing."""
+        if head.compression not in _UNPACKERS:
+            return f"a chunk is compressed by {head.compression!r}, which is not supported"
+        if head.size > _MOST_UNPACKED and head.compression:
+            return f"a chunk unpacks to {head.size} bytes, more than {_MOST_UNPACKED}"
+        content = self._unpack(record) if unpacked else None
+        size = head.end - head.start if content is None else len(content)
+        crc = 0 if not head.crc else self.data.crc32(head.start, record.end) if content is None else zlib.crc32(content)
+        return (
+            "" if (size, crc) == (head.size, head.crc) else "damaged: a chunk that does not match its checksum or size"
+        )
+
+    def _unpack(self, record: Record) -> bytes:
+        """The content of a chunk, as far as it unpacks."""
+        if self._unpacked[0] != record.offset:
+            head, parts, size = self._head(record), list[bytes](), 0
+            packed = BytesIO(self.data[head.start : record.end])
+            with suppress(zstandard.ZstdError, EOFError, RuntimeError):  # of a cut or damaged one
+                stream = _UNPACKERS[head.compression](packed)
+                while size <= head.size and (part := stream.read1(_BLOCK)):
+                    parts.append(part)
+                    size += len(part)
+            self._unpacked = record.offset, b"".join(parts)
+        return self._unpacked[1]
+
+    def _records(
+        self, source: FileBytes | bytes, start: int, end: int, allowed: Collection[int]
+    ) -> Iterator[Record | Damage]:
+        """The records between two offsets, which are declared; it ends at damage that leaves open where the next one begins."""
+        while start < end:
+            left = end - start - _HEAD.size
+            opcode, length = _HEAD.unpack(source[start : start + _HEAD.size]) if left >= 0 else (0, 0)
+            record = Record(opcode, start, start + _HEAD.size, start + _HEAD.size + min(length, max(left, 0)))
+            fault = ""
+            if left >= 0 and opcode not in allowed:
+                fault = f"damaged: a record of number {opcode} is not allowed here"
+            elif length <= left or (opcode == Opcode.CHUNK and left > _CHUNK.size):
+                fault = self._declare(source, record, length)
+                if not fault:
+                    yield record
+            if not fault and not 0 <= length <= left:
+                fault = f"cut off or damaged: a record of {length} bytes, {max(0, left)} are left"
+            if fault:
+                yield Damage(start, fault)
+                return
+            start = record.end
+
+    def _declare(self, source: FileBytes | bytes, record: Record, length: int) -> str:
+        """Add what a record of some length declares, if anything; what is wrong if its content is not what it must be."""
+        opcode, kind = record.opcode, _PARSED.get(record.opcode)
+        if opcode == Opcode.MESSAGE:
+            fits = length >= _MESSAGE.size
+        elif opcode == Opcode.CHUNK:
+            fits = length >= _CHUNK.size + 8 and self._head(record).end == record.start + length
+        elif opcode == Opcode.MESSAGE_INDEX:
+            fits = length >= 6 and length - 6 == int.from_bytes(source[record.start + 2 : record.start + 6], "little")
+        else:
+            fits = opcode != Opcode.DATA_END or length == 4
+        if not fits:
+            return "damaged: the content of a record is not as long as it states"
+        if opcode in _EXTRAS:
+            self.extras.append(record)
+        if kind is None:
+            return ""
+        stream = ReadDataStream(BytesIO(source[record.start : record.end]))
+        try:
+            content: Any = kind.read(stream)
+            if stream.count != length:
+                raise ValueError("extra bytes")
+            self._declared(content)
+        except (McapError, ValueError, struct.error, EOFError, OverflowError, DatasetError) as err:
+            return f"damaged {kind.__name__.lower()}: {described(err)}"
+        return ""
+
+    def _declared(self, content: Header | Schema | Channel | Metadata | Statistics) -> None:
+        """Keep what was declared; a `DatasetError` if it breaks a rule."""
+        if isinstance(content, Schema):
+            self.schemas[content.id] = content
+        elif isinstance(content, Channel):
+            self.channels[content.id] = content
+        elif isinstance(content, Metadata):
+            self.metadata[content.name] = content.metadata
+        elif isinstance(content, Statistics):
+            self.statistics = content
+        else:
+            self.header = content
+
+    def _read_index(self) -> tuple[int, int] | Damage:
+        """Start and end of the index of a finished file, verified by its checksum if it has one, and declared."""
+        data, at = self.data, len(self.data) - len(MAGIC) - _FOOTER.size
+        if at < len(MAGIC) or not self.finished:
+            return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
+        opcode, _, start, _, crc = _FOOTER.unpack(data[at : at + _FOOTER.size])
+        if opcode != Opcode.FOOTER or start > at or (crc and data.crc32(start or at, at + _FOOTER.size - 4) != crc):
+            return Damage(at, "damaged: the index at the end does not match its checksum")
+        deque(self._records(data, start or at, at, _IN_INDEX), 0)  # it repeats what damaged chunks may have declared
+        return start or at, at
+
+    def _fits(self, place: int, start: int, end: int) -> bool:
+        """Whether bytes match the checksum at a place, if there is one."""
+        crc = int.from_bytes(self.data[place : place + 4], "little")
+        return not crc or crc == self.data.crc32(start, end)
+
+    def _end_damage(self, record: Record, index: tuple[int, int] | Damage) -> Iterator[Damage]:
+        """Compare the checksum in the record that ends the data, if there is one, and what follows it."""
+        if not self._fits(record.start, 0, record.offset):
+            yield Damage(record.offset, "damaged: the bytes before do not match this checksum")
+        if isinstance(index, Damage):
+            yield index
+        elif index[0] != record.end:
+            yield Damage(record.end, "damaged: the index does not follow the data")

@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The intrinsics of a depth camera, and the points of its images: the one place where depth becomes points.
+
+The ray of each pixel depends on the camera only. It is computed once for a camera, in double precision, and rounded once to
+float32; each image then takes two multiplications a pixel. Distortion is undone there too, so that it costs nothing later.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import CloudError, quoted
+
+_Float32 = npt.NDArray[np.float32]
+_Float64 = npt.NDArray[np.float64]
+
+MODELS: Final = ("plumb_bob", "rational_polynomial")
+"""Distortion models of `sensor_msgs/CameraInfo` that are undone."""
+
+_COEFFICIENTS: Final = 8  # k1, k2, p1, p2, k3, k4, k5, k6
+_LARGEST_SIDE: Final = 16_384  # [px]
+_WIDEST: Final = 4.0  # largest x / z of a pixel, 76 degrees from the axis
+_NARROWEST: Final = 0.01  # smallest x / z at the side of an image, 0.6 degrees from the axis
+_OFF_CENTRE: Final = 0.12  # of the side, between its middle and the principal point of a whole image
+_UNDONE: Final = 0.5  # of the pixels must have a ray
+_STEPS: Final = 12  # of Newton's method; three are usual
+_EXACT: Final = 1e-9  # residual of a ray that counts as undone
+_MILLIMETRE: Final = 1e-3
+_NEAREST_M, _FARTHEST_M = 0.02, 100.0  # between them is the middle depth of any image of a depth camera
+_SAMPLED: Final = 4096  # pixels of which the middle depth is taken
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A pinhole camera with OpenCV's distortion, as in a `sensor_msgs/CameraInfo`.
+
+    Args:
+        width: Columns of its images [px].
+        height: Rows of its images [px].
+        fx: Focal length across [px].
+        fy: Focal length down [px].
+        cx: Column of the principal point [px]; the middle of the first pixel is 0.
+        cy: Row of the principal point [px].
+        distortion: k1, k2, p1, p2, k3 (`plumb_bob`), and k4, k5, k6 (`rational_polynomial`); what is missing is 0.
+
+    Raises:
+        CloudError: If a number is not finite or not possible for a camera. The message names it.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, side in (("width", self.width), ("height", self.height)):
+            if not 1 <= side <= _LARGEST_SIDE:
+                raise CloudError(f"{name}: {side} px is not between 1 and {_LARGEST_SIDE}")
+        numbers = [float(one) for one in (self.fx, self.fy, self.cx, self.cy)]
+        names = ("fx", "fy", "cx", "cy")
+        if not numbers[0] and not numbers[1]:
+            raise CloudError("K: fx and fy are 0: the camera is not calibrated")
+        for name, value in zip(names, numbers, strict=True):
+            if not np.isfinite(value):
+                raise CloudError(f"K: {name} {value} is not finite")
+            object.__setattr__(self, name, value)
+        for name, focal, side in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
+            if focal <= 0.0:
+                raise CloudError(f"K: {name} {focal:g} px is not above 0")
+            if not _NARROWEST < side / 2.0 / focal < _WIDEST and side > 1:
+                degrees = 2.0 * np.degrees(np.arctan(side / 2.0 / focal))
+                raise CloudError(
+                    f"K: {name} {focal:g} px sees {degrees:.3g} degrees on {side} px: is it in pixels of this image?"
+                )
+        object.__setattr__(self, "distortion", _coefficients(self.distortion))
+
+    @classmethod
+    def of(cls, K: npt.ArrayLike, width: int, height: int, distortion: Any = None) -> Self:  # noqa: N803
+        """Make the camera of whole images, as of a driver.
+
+        Args:
+            K: (3, 3) intrinsics, or fx, fy, cx, cy [px].
+            width: [px]
+            height: [px]
+            distortion: As in the class; None for none.
+
+        Raises:
+            CloudError: As the class, and if `K` has another form, a skew, or a principal point far from the middle, as the
+                K of another image size has.
+        """
+        try:
+            numbers = np.asarray(K, np.float64)
+        except (TypeError, ValueError) as err:
+            raise CloudError(f"K: {err}") from err
+        if numbers.shape == (9,):
+            numbers = numbers.reshape(3, 3)
+        if numbers.shape == (3, 3):
+            if numbers.any() and (numbers[[0, 1, 2, 2], [1, 0, 0, 1]].any() or numbers[2, 2] != 1.0):
+                raise CloudError("K: is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+            numbers = numbers[[0, 1, 0, 1], [0, 1, 2, 2]]
+        if numbers.shape != (4,):
+            raise CloudError(f"K: shape {numbers.shape} is neither (3, 3) nor the four numbers fx, fy, cx, cy")
+        fx, fy, cx, cy = numbers.tolist()
+        found = cls(width, height, fx, fy, cx, cy, () if distortion is None else distortion)
+        off = max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
+        if off > _OFF_CENTRE:
+            raise CloudError(
+                f"K: cx, cy {cx:g}, {cy:g} are far from the middle of {width}x{height}: is it of another image size? "
+                "(for a part of an image pass a CameraModel, or the whole image with zeros around the part)"
+            )
+        return found
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of its images."""
+        return self.height, self.width
+
+    @property
+    def matrix(self) -> _Float64:
+        """(3, 3) float64 K [px]."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def rays(self) -> tuple[_Float32, _Float32]:
+        """Return x / z and y / z of the pixels, read-only float32, made once for a camera.
+
+        Returns:
+            Arrays that broadcast to (H, W): (1, W) and (H, 1) without distortion, else (H, W). A pixel whose distortion
+            cannot be undone has NaN.
+
+        Raises:
+            CloudError: If the distortion cannot be undone for most of the image.
+        """
+        return _rays(self)
+
+    def points(self, depth: npt.NDArray[Any], scale: float | None = None) -> _Float32:
+        """Compute the points of a depth image.
+
+        Args:
+            depth: (H, W) uint16, float32 or float64: distance along the optical axis. Numbers that are not finite or not
+                above 0 are no depth.
+            scale: Metres per unit; by default 0.001 for uint16 (millimetres) and 1 for floats (metres).
+
+        Returns:
+            (H, W, 3) float32 [m], optical frame (x right, y down, z forward); NaN in all three where there is no depth.
+
+        Raises:
+            CloudError: If the image has another size or type, or the unit is not plausible. The message names it.
+        """
+        z = self._depths(depth, scale)
+        x, y = self.rays
+        xyz = np.empty((*z.shape, 3), np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            np.multiply(x, z, out=xyz[..., 0])
+            np.multiply(y, z, out=xyz[..., 1])
+        if self.distortion:
+            z[np.isnan(xyz[..., 0])] = np.nan
+        xyz[..., 2] = z
+        return xyz
+
+    def _depths(self, depth: npt.NDArray[Any], scale: float | None) -> _Float32:
+        """(H, W) float32 [m], NaN where there is none."""
+        height, width = check_image(depth)
+        if (height, width) != self.shape:
+            raise CloudError(f"depth: {width}x{height} is not the size of the camera, {self.width}x{self.height}")
+        kind = depth.dtype.newbyteorder("=")
+        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else float(scale)
+        if not 0.0 < scale < np.inf:
+            raise CloudError(f"scale: {scale} is not a number of metres above 0")
+        with np.errstate(over="ignore", invalid="ignore"):
+            z: _Float32 = depth.astype(np.float32)  # a copy, of the machine's byte order
+            if scale != 1.0:
+                z *= np.float32(scale)
+            z[~((z > 0.0) & (z < np.inf))] = np.nan
+        _check_unit(z, kind, scale)
+        return z
+
+
+def check_image(depth: npt.NDArray[Any]) -> tuple[int, int]:
+    """Rows and columns of a depth image; a `CloudError` if it is none."""
+    if depth.ndim != 2:
+        colour = " of a colour image" if depth.ndim == 3 and depth.shape[2] in (3, 4) else ""
+        raise CloudError(f"depth: shape {depth.shape}{colour} is not (H, W)")
+    if depth.dtype.newbyteorder("=") not in (np.uint16, np.float32, np.float64):
+        bits = ": 8 bits hold no depth" if depth.dtype.itemsize == 1 else ""
+        raise CloudError(f"depth: dtype {depth.dtype} is not uint16 (millimetres), float32 or float64 (metres){bits}")
+    return depth.shape[0], depth.shape[1]
+
+
+def _check_unit(z: _Float32, kind: np.dtype[Any], scale: float) -> None:
+    """Refuse depths (H, W) [m] that no depth camera measures, as millimetres that are given as metres."""
+    step = max(1, int(np.sqrt(z.size / _SAMPLED)))
+    for some in (z[::step, ::step], z):
+        found = some[np.isfinite(some)]
+        if found.size:
+            break
+    else:
+        return
+    middle = float(np.partition(found, found.size // 2)[found.size // 2])
+    if _NEAREST_M <= middle <= _FARTHEST_M:
+        return
+    unit = f"{kind} with scale {scale:g}"
+    cure = "for millimetres pass scale=0.001" if middle > _FARTHEST_M else "for metres pass scale=1"
+    raise CloudError(
+        f"depth: half of the image is {'beyond' if middle > _FARTHEST_M else 'within'} {middle:.3g} m ({unit}): {cure}"
+    )
+
+
+def _coefficients(given: Any) -> tuple[float, ...]:
+    """Distortion coefficients without zeros at the end."""
+    try:
+        numbers = np.asarray(given, np.float64).ravel().tolist()
+    except (TypeError, ValueError) as err:
+        raise CloudError(f"distortion: {quoted(given)} is not a list of numbers ({err})") from err
+    if not np.isfinite(numbers).all():
+        raise CloudError(f"distortion: {numbers} is not finite")
+    while numbers and not numbers[-1]:
+        numbers.pop()
+    if len(numbers) > _COEFFICIENTS:
+        raise CloudError(
+            f"distortion: {len(numbers)} coefficients, more than the {_COEFFICIENTS} of {MODELS[1]} "
+            "(k1, k2, p1, p2, k3, k4, k5, k6): rectify the image"
+        )
+    return tuple(numbers)
+
+
+@lru_cache(maxsize=8)
+def _rays(camera: CameraModel) -> tuple[_Float32, _Float32]:
+    x = ((np.arange(camera.width) - camera.cx) / camera.fx)[None]
+    y = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
+    if camera.distortion:
+        full = np.zeros(camera.shape)
+        x, y = _undistorted(x + full, y + full, camera.distortion)
+        undone = np.count_nonzero(np.isfinite(x)) / x.size
+        if undone < _UNDONE:
+            raise CloudError(
+                f"distortion: {list(camera.distortion)} cannot be undone for {1.0 - undone:.0%} of the pixels: "
+                "are they k1, k2, p1, p2, k3, k4, k5, k6?"
+            )
+    rays = x.astype(np.float32), y.astype(np.float32)
+    for one in rays:
+        one.flags.writeable = False
+    return rays
+
+
+def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tuple[_Float64, _Float64]:
+    """Undo OpenCV's distortion of rays (H, W) by Newton's method; NaN where no ray has that image.
+
+    It starts at the ray that radial distortion alone would have moved there. Rays are sought up to where the image of a ray
+    that is farther from the axis is nearer to it again: beyond, a lens folds.
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(distortion, (0, _COEFFICIENTS - len(distortion))).tolist()
+
+    def radial(s: _Float64) -> tuple[_Float64, _Float64]:
+        """The factor of a ray at the square s of its radius, and its derivative by s."""
+        over, under = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))
+        slope = (k1 + s * (2.0 * k2 + s * 3.0 * k3)) - over / under * (k4 + s * (2.0 * k5 + s * 3.0 * k6))
+        return over / under, slope / under
+
+    with np.errstate(all="ignore"):
+        radii = np.linspace(0.0, _WIDEST, 4001)
+        images = radii * radial(radii * radii)[0]
+        folded = np.flatnonzero(~(np.diff(images) > 0.0))
+        end = int(folded[0]) + 1 if len(folded) else len(radii)
+        distance = np.hypot(u, v)
+        ratio = np.interp(distance, images[:end], radii[:end]) / np.maximum(distance, 1e-12)
+        x, y = np.where(distance > 0.0, u * ratio, 0.0), np.where(distance > 0.0, v * ratio, 0.0)
+        for step in range(_STEPS + 1):
+            s = x * x + y * y
+            factor, slope = radial(s)
+            a = x * factor + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x) - u
+            b = y * factor + p1 * (s + 2.0 * y * y) + 2.0 * p2 * x * y - v
+            largest = np.maximum(np.abs(a), np.abs(b))
+            if step == _STEPS or np.nanmax(largest, initial=0.0) < 1e-13:
+                break
+            xx = factor + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+            xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+            yy = factor + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+            determinant = xx * yy - xy * xy
+            x, y = x - (yy * a - xy * b) / determinant, y - (xx * b - xy * a) / determinant
+        undone = (largest < _EXACT) & (np.sqrt(x * x + y * y) <= radii[end - 1])
+    return np.where(undone, x, np.nan), np.where(undone, y, np.nan)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PLY and PCD with the optional parts of each format in all combinations hold the points that were drawn."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from foretouch.cloud.io.files import read_cloud
+from foretouch.errors import FileError
+
+WORDS = {
+    "char": "b",
+    "uchar": "B",
+    "int16": "h",
+    "ushort": "H",
+    "int32": "i",
+    "uint": "I",
+    "float": "f",
+    "float64": "d",
+}
+_NUMBER = st.floats(-4.0, 4.0, width=32).filter(lambda value: value != 0.0)
+_POINT = st.one_of(st.tuples(_NUMBER, _NUMBER, _NUMBER), st.just((0.0, 0.0, 0.0)), st.just((np.nan,) * 3))
+QUICK = settings(
+    max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+def expected(points: list[tuple[float, ...]]) -> Any:
+    """The points as they are read: (0, 0, 0) is a pixel without depth."""
+    xyz = np.array(points, np.float32).reshape(-1, 3)
+    xyz[~xyz.any(axis=1)] = np.nan
+    return xyz
+
+
+@st.composite
+def ply_files(draw: Any) -> tuple[bytes, Any, Any]:
+    """A file, its points as they are read, and its colours."""
+    order = draw(st.sampled_from(["ascii", "<", ">"]))
+    points = draw(st.lists(_POINT, max_size=7))
+    kinds = draw(st.lists(st.sampled_from(["float", "float64"]), min_size=3, max_size=3))
+    parts = [(f"property {kind} {axis}", axis) for kind, axis in zip(kinds, "xyz", strict=True)]
+    colours = draw(
+        st.none() | st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=len(points), max_size=len(points))
+    )
+    if colours is not None:
+        parts += [(f"property uchar {name}", name) for name in ("red", "green", "blue")]
+    parts += [
+        (f"property {kind} more{k}", kind)
+        for k, kind in enumerate(draw(st.lists(st.sampled_from([*WORDS]), max_size=2)))
+    ]
+    parts += [
+        (f"property list uchar {kind} row{k}", [kind])
+        for k, kind in enumerate(draw(st.lists(st.sampled_from(["int32", "float"]), max_size=1)))
+    ]
+    parts = draw(st.permutations(parts))
+    numbers: list[tuple[str, float]] = []  # of the data, with their types
+
+    def lists(kind: str) -> None:
+        entries = draw(st.lists(st.integers(0, 9), max_size=3))
+        numbers.extend([("uchar", len(entries)), *((kind, one) for one in entries)])
+
+    lines = [
+        f"format {dict(zip(['ascii', '<', '>'], ['ascii', 'binary_little_endian', 'binary_big_endian'], strict=True))[order]} 1.0"
+    ]
+    lines += draw(
+        st.lists(st.sampled_from(["comment made up", "obj_info is_mesh 0", "comment end_header of it"]), max_size=2)
+    )
+    place = None
+    if draw(st.booleans()) and points:  # an image whose pixels are in an element of their own
+        place = draw(
+            st.lists(st.integers(-1, len(points) - 1), min_size=4, max_size=6).filter(lambda one: len(one) % 2 == 0)
+        )
+        lines += ["obj_info num_cols 2", f"obj_info num_rows {len(place) // 2}"]
+    if draw(st.booleans()):
+        lines += ["element camera 1", "property float view", "property list uchar int32 names"]
+        numbers.append(("float", 1.5))
+        lists("int32")
+    lines += [f"element vertex {len(points)}", *(line for line, _ in parts)]
+    for k, point in enumerate(points):
+        for line, name in parts:
+            if isinstance(name, list):
+                lists(name[0])
+            elif name in ("x", "y", "z"):
+                numbers.append((line.split()[1], point["xyz".index(name)]))
+            elif name in ("red", "green", "blue"):
+                numbers.append(("uchar", colours[k][("red", "green", "blue").index(name)]))
+            else:
+                numbers.append((name, draw(st.integers(0, 99))))
+    if draw(st.booleans()):
+        lines += ["element face 1", "property list uchar int32 vertex_indices"]
+        lists("int32")
+    if place is not None:
+        lines += [f"element range_grid {len(place)}", "property list uchar int32 vertex_indices"]
+        for one in place:
+            numbers.extend([("uchar", 1), ("int32", one)] if one >= 0 else [("uchar", 0)])
+    newline = draw(st.sampled_from(["\n", "\r\n"]))
+    if order == "ascii":  # lines have no meaning
+        body = "".join(
+            f"{value!r}{draw(st.sampled_from([' ', chr(10), ' ' + chr(13) + chr(10)]))}" for _, value in numbers
+        ).encode()
+    else:
+        body = b"".join(struct.pack(order + WORDS[kind], value) for kind, value in numbers)
+    xyz = expected(points)
+    rgb = None if colours is None else np.array(colours, np.uint8).reshape(-1, 3)
+    if place is not None:
+        index = np.array(place).reshape(-1, 2)
+        rgb = None if rgb is None else np.where(index[..., None] >= 0, rgb[index], 0)
+        xyz = np.where(index[..., None] >= 0, xyz[index], np.nan)
+    return newline.join(["ply", *lines, "end_header", ""]).encode() + body, xyz, rgb
+
+
+@QUICK
+@given(ply_files())
+def test_any_ply_holds_its_points(tmp_path: Path, file: tuple[bytes, Any, Any]) -> None:
+    content, xyz, rgb = file
+    (tmp_path / "a.ply").write_bytes(content)
+    cloud = read_cloud(tmp_path / "a.ply")
+    assert_array_equal(cloud.xyz, xyz)
+    assert_array_equal(cloud.rgb, rgb)
+
+
+@QUICK
+@given(ply_files(), st.data())
+def test_a_ply_that_is_cut_off_is_refused_or_keeps_its_points(
+    tmp_path: Path, file: tuple[bytes, Any, Any], data: Any
+) -> None:
+    content, xyz, _ = file
+    (tmp_path / "a.ply").write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    try:
+        cloud = read_cloud(tmp_path / "a.ply")
+    except FileError:
+        return
+    flat = xyz.reshape(-1, 3)
+    same = (cloud.xyz.reshape(-1, 3) == flat) | np.isnan(flat)
+    assert same[:-1].all()  # the last number of a text may have lost digits
+
+
+@st.composite
+def pcd_files(draw: Any) -> tuple[bytes, Any]:
+    """A file, and its points as they are read."""
+    width, height = draw(st.sampled_from([(0, 1), (1, 1), (5, 1), (2, 3)]))
+    points = draw(st.lists(_POINT, min_size=width * height, max_size=width * height))
+    fields = [(axis, "F", draw(st.sampled_from([4, 8])), 1) for axis in "xyz"]
+    more = st.tuples(
+        st.sampled_from(["intensity", "_", "label"]),
+        st.sampled_from([("F", 4), ("U", 2), ("I", 1), ("U", 8)]),
+        st.integers(1, 3),
+    )
+    fields += [
+        (name, *kind, count) for name, kind, count in draw(st.lists(more, max_size=2, unique_by=lambda one: one[0]))
+    ]
+    fields = draw(st.permutations(fields))
+    version, counted, counts, viewpoint = (draw(st.booleans()) for _ in range(4))
+    text = draw(st.booleans())
+    lines = ["# .PCD v0.7"] * version + [f"VERSION {'0.7' if version else '.5'}"]
+    lines += [f"{name} {' '.join(str(one[k]) for one in fields)}" for k, name in enumerate(["FIELDS", "TYPE", "SIZE"])]
+    if counts or any(one[3] > 1 for one in fields):
+        lines.append(f"COUNT {' '.join(str(one[3]) for one in fields)}")
+    lines += (
+        [f"WIDTH {width}", f"HEIGHT {height}"]
+        + ["VIEWPOINT 0 0 0 1 0 0 0"] * viewpoint
+        + [f"POINTS {len(points)}"] * counted
+    )
+    lines.append(f"DATA {'ascii' if text else 'binary'}")
+    rows = []
+    for point in points:
+        values = [
+            point["xyz".index(name)] if name in "xyz" else 7 for name, _, _, count in fields for _ in range(count)
+        ]
+        kinds = [(kind, size) for _, kind, size, count in fields for _ in range(count)]
+        if text:
+            rows.append((" ".join(repr(value) for value in values) + "\n").encode())
+        else:
+            letters = {("F", 4): "f", ("F", 8): "d", ("U", 2): "H", ("I", 1): "b", ("U", 8): "Q"}
+            rows.append(struct.pack("<" + "".join(letters[kind] for kind in kinds), *values))
+    xyz = expected(points)
+    newline = draw(st.sampled_from(["\n", "\r\n"]))
+    return newline.join([*lines, ""]).encode() + b"".join(rows), xyz.reshape(height, width, 3) if height > 1 else xyz
+
+
+@QUICK
+@given(pcd_files())
+def test_any_pcd_holds_its_points(tmp_path: Path, file: tuple[bytes, Any]) -> None:
+    content, xyz = file
+    (tmp_path / "a.pcd").write_bytes(content)
+    assert_array_equal(read_cloud(tmp_path / "a.pcd").xyz, xyz)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".ply", ".pcd"])
+def test_points_at_the_camera_have_no_depth_in_any_file(tmp_path: Path, suffix: str) -> None:
+    from foretouch.cloud.io.files import write_cloud
+    from foretouch.types import Cloud
+
+    xyz = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [-0.0, 0.0, 0.0]], np.float32)
+    write_cloud(tmp_path / f"a{suffix}", Cloud(xyz))
+    assert_array_equal(read_cloud(tmp_path / f"a{suffix}").xyz, [[np.nan] * 3, [0.0, 0.0, 1.0], [np.nan] * 3])

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth images to points: by hand, against librealsense, and against an inverse by SciPy and one of 40 digits."""
+
+from pathlib import Path
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+from every_case import every_case
+from scipy.optimize import least_squares
+
+from foretouch.camera.device import realsense
+from foretouch.camera.stream import library_camera
+from foretouch.errors import CameraError, CloudError, MissingDependencyError
+from foretouch.types import Cloud
+from foretouch.types.camera import CameraModel
+
+K = np.array([[616.0, 0.0, 423.5], [0.0, 615.0, 239.5], [0.0, 0.0, 1.0]])
+D435_COLOUR = (0.1596, -0.4877, 0.0004, 0.0011, 0.4370)  # a usual plumb bob
+KINECT_DEPTH = (5.27, 3.45, -1.6e-5, -5.6e-5, 0.1852, 5.605, 5.138, 0.9654)  # an Azure Kinect's rational model
+
+
+@pytest.fixture(scope="module")
+def rs() -> Any:
+    try:
+        return realsense()
+    except MissingDependencyError as err:
+        pytest.skip(str(err))
+
+
+def _distorted(x: Any, y: Any, d: Any) -> tuple[Any, Any]:
+    """OpenCV's model as its documentation writes it, in any arithmetic."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = [*d, *[0.0] * (8 - len(d))]
+    r2 = x * x + y * y
+    factor = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    return (x * factor + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * factor + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y)
+
+
+def test_a_pixel_by_hand() -> None:
+    matrix = [[10.0, 0.0, 2.0], [0.0, 5.0, 1.0], [0.0, 0.0, 1.0]]
+    depth = np.zeros((3, 5), np.uint16)
+    depth[2, 4] = 500
+    cloud = Cloud.from_depth(depth, matrix, frame_id="camera", stamp_ns=7)
+    np.testing.assert_allclose(cloud.xyz[2, 4], [0.1, 0.1, 0.5], rtol=1e-6)
+    assert np.isnan(cloud.xyz).all(axis=-1).sum() == 14
+    assert (cloud.frame_id, cloud.stamp_ns, cloud.camera) == ("camera", 7, CameraModel(5, 3, 10.0, 5.0, 2.0, 1.0))
+    assert np.array_equal(cloud.xyz, Cloud.from_depth(depth, (10.0, 5.0, 2.0, 1.0)).xyz, equal_nan=True)
+    np.testing.assert_allclose(Cloud.from_depth(depth, matrix, 1e-4).xyz[2, 4], cloud.xyz[2, 4] / 10.0, rtol=1e-6)
+
+
+def test_every_type_of_depth_gives_the_same_points() -> None:
+    millimetres = np.random.default_rng(1).integers(0, 3000, (480, 848)).astype(np.uint16)
+    millimetres[:40] = 0
+    expected = Cloud.from_depth(millimetres, K).xyz
+    metres = millimetres.astype(np.float32) * np.float32(1e-3)
+    metres[:10], metres[10:20], metres[20:30], metres[30:40] = np.nan, np.inf, -np.inf, -0.5
+    for depth, scale in (
+        (millimetres.astype(">u2"), None),
+        (metres, None),
+        (metres.astype(np.float64), 1.0),
+        (metres.astype(">f4"), None),
+        (np.asfortranarray(metres), None),
+        (millimetres.astype(np.float32), 1e-3),
+    ):
+        assert np.array_equal(Cloud.from_depth(depth, K, scale).xyz, expected, equal_nan=True), (depth.dtype, scale)
+
+
+def test_rays_are_those_of_the_library(rs: Any) -> None:
+    i = rs.intrinsics()
+    i.width, i.height, i.ppx, i.ppy, i.fx, i.fy = 64, 48, 31.3, 24.2, 50.1, 50.7
+    i.model, i.coeffs = rs.distortion.brown_conrady, [0.0] * 5
+    for coefficients, tolerance in (([0.0] * 5, 5e-7), ([0.1, -0.05, 0.001, -0.002, 0.01], 2e-6)):
+        i.coeffs = coefficients
+        x, y = np.broadcast_arrays(*library_camera(i).rays)
+        theirs = np.array([[rs.rs2_deproject_pixel_to_point(i, [u, v], 1.0) for u in range(64)] for v in range(48)])
+        # The library computes in float32, distortion by ten iterations: coordinates are below 1.
+        np.testing.assert_allclose(x, theirs[..., 0], atol=tolerance)
+        np.testing.assert_allclose(y, theirs[..., 1], atol=tolerance)
+    i.model = rs.distortion.inverse_brown_conrady
+    with pytest.raises(CameraError, match=r"inverse_brown_conrady\): only brown_conrady can be undone"):
+        library_camera(i)
+
+
+@pytest.mark.parametrize("distortion", [D435_COLOUR, KINECT_DEPTH, (-0.3, 0.1), (0.0, 0.0, 0.01, -0.02)])
+def test_distortion_is_undone(distortion: tuple[float, ...]) -> None:
+    camera = CameraModel(320, 288, 252.3, 252.2, 161.0, 143.5, distortion)
+    x, y = camera.rays
+    assert x.shape == (288, 320)
+    u, v = np.meshgrid((np.arange(320) - 161.0) / 252.3, (np.arange(288) - 143.5) / 252.2)
+    a, b = _distorted(x.astype(np.float64), y.astype(np.float64), distortion)
+    np.testing.assert_allclose(a, u, atol=3e-7)  # float32 of numbers below 1, and a slope of the distortion
+    np.testing.assert_allclose(b, v, atol=3e-7)
+    for row, column in ((0, 0), (287, 319), (10, 300), (143, 161), (200, 7)):
+        goal = np.array([u[row, column], v[row, column]])
+        found = least_squares(lambda p, goal=goal: np.subtract(_distorted(*p, distortion), goal), goal, xtol=1e-15)
+        np.testing.assert_allclose([x[row, column], y[row, column]], found.x, rtol=2e-7, atol=1e-7)
+
+
+def test_the_inverse_is_exact_to_float32() -> None:
+    camera = CameraModel(640, 576, 504.6, 504.7, 320.6, 331.1, KINECT_DEPTH)
+    x, y = camera.rays
+    with mpmath.workdps(40):
+        for row, column in ((0, 0), (575, 639), (331, 320), (100, 600)):
+            u, v = (column - mpmath.mpf(320.6)) / mpmath.mpf(504.6), (row - mpmath.mpf(331.1)) / mpmath.mpf(504.7)
+
+            def residual(p: Any, q: Any, u: Any = u, v: Any = v) -> list[Any]:
+                a, b = _distorted(p, q, [mpmath.mpf(one) for one in KINECT_DEPTH])
+                return [a - u, b - v]
+
+            exact = mpmath.findroot(residual, (u, v))
+            np.testing.assert_allclose([x[row, column], y[row, column]], [float(one) for one in exact], rtol=6e-8)
+
+
+def test_pixels_beyond_the_fold_of_a_lens_have_no_ray_and_a_lens_of_few_rays_is_refused() -> None:
+    folded = CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5, (-0.35,))  # r (1 - .35 r²) is largest at r = .976
+    x, _ = folded.rays
+    u, v = np.meshgrid((np.arange(640) - 319.5) / 400.0, (np.arange(480) - 239.5) / 400.0)
+    radius, end = np.hypot(u, v), 2.0 / 3.0 / np.sqrt(1.05)
+    clear = np.abs(radius - end) > 1e-3  # the very end of the lens is sampled
+    assert np.array_equal(np.isfinite(x)[clear], (radius < end)[clear])
+    xyz = Cloud.from_depth(np.full((480, 640), 1.0, np.float32), folded).xyz
+    assert np.array_equal(np.isnan(xyz).all(axis=-1), np.isnan(x))
+    assert np.isfinite(xyz).all(axis=-1).sum() == np.isfinite(x).sum()
+    with pytest.raises(CloudError, match=r"distortion: \[-5.0\] cannot be undone for 9\d% of the pixels"):
+        CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5, (-5.0,)).rays  # noqa: B018
+
+
+def test_what_is_no_depth_image_is_refused_in_one_line_that_names_it() -> None:
+    depth = np.full((480, 848), 900, np.uint16)
+    metres = np.full((480, 848), 0.9)
+    nan = float("nan")
+
+    def check(message: str, *arguments: Any) -> None:
+        with pytest.raises(CloudError, match=message) as caught:
+            Cloud.from_depth(*arguments)
+        assert "\n" not in str(caught.value)
+
+    half = K / 2.0
+    half[2, 2] = 1.0
+    cases: list[tuple[Any, ...]] = [
+        ("K: fx and fy are 0: the camera is not calibrated", depth, np.zeros((3, 3))),
+        ("K: fx nan is not finite", depth, (nan, 1.0, 2.0, 3.0)),
+        (r"K: shape \(5,\) is neither", depth, np.ones(5)),
+        ("K: is not .*0, 0, 1", depth, K + np.array([[0, 3.0, 0], [0, 0, 0], [0, 0, 0]])),
+        ("K: fx -616 px is not above 0", depth, -K + np.diag([0, 0, 2.0])),
+        ("K: fx 0.7 px sees 180 degrees on 848 px: is it in pixels", depth, (0.7, 1.3, 0.5, 0.5)),
+        (r"K: cx, cy 211.75, 119.75 are far from the middle of 848x480: is it of another image size\?", depth, half),
+        ("K: cx, cy 423.5, 239.5 are far from the middle of 640x480", depth[:, :640], K),
+        ("K: cx, cy 423.5, 239.5 are far from the middle of 1280x720", np.full((720, 1280), 1.0), K),
+        ("K: .*could not convert", depth, "abc"),
+        ("depth: 848x480 is not the size of the camera, 640x480", depth, CameraModel(640, 480, 525, 525, 320, 240)),
+        ("depth: dtype uint8 .*: 8 bits hold no depth", depth.astype(np.uint8), K),
+        (r"depth: shape \(480, 848, 3\) of a colour image is not \(H, W\)", np.zeros((480, 848, 3), np.uint8), K),
+        ("depth: dtype int64 is not uint16", depth.astype(np.int64), K),
+        ("depth: dtype bool", depth > 0, K),
+        ("scale: 0.0 is not", depth, K, 0),
+        ("scale: nan is not", depth, K, nan),
+        ("scale: -0.001 is not", depth, K, -0.001),
+        ("beyond 900 m .float64 with scale 1.: for millimetres pass scale=0.001", depth.astype(float), K),
+        ("beyond 900 m .uint16 with scale 1.: for millimetres", depth, K, 1.0),
+        ("within 0.0009 m .float64 with scale 0.001.: for metres pass scale=1", metres, K, 1e-3),
+        ("within 0.001 m .uint16 with scale 0.001.: for metres", np.ones((480, 848), np.uint16), K),
+        ("distortion: .* is not finite", depth, K, None, (0.1, nan)),
+        ("distortion: 14 coefficients, more than the 8 of rational_polynomial", depth, K, None, np.ones(14)),
+        ("distortion: is given twice", depth, CameraModel(848, 480, 616, 616, 423, 239), None, (0.1,)),
+    ]
+    every_case(cases, check)
+    with pytest.raises(CloudError, match="rgb: shape"):
+        Cloud.from_depth(depth, K, rgb=np.zeros((4, 4, 3), np.uint8))
+    with pytest.raises(CloudError, match=r"camera: \(480, 848\) is not the size of the image, \(4,\)"):
+        Cloud(np.zeros((4, 3)), camera=CameraModel(848, 480, 616, 616, 423, 239))
+
+
+def test_an_image_without_depth_and_a_part_of_an_image_are_no_error() -> None:
+    assert np.isnan(Cloud.from_depth(np.zeros((480, 848), np.uint16), K).xyz).all()
+    part = Cloud.from_depth(np.full((100, 100), 900, np.uint16), CameraModel(100, 100, 616, 615, 423.5 - 700, 239.5))
+    np.testing.assert_allclose(part.xyz[0, 0], [0.9 * (700 - 423.5) / 616, -0.9 * 239.5 / 615, 0.9], rtol=1e-6)
+
+
+def test_zeros_behind_the_coefficients_of_a_driver_are_no_distortion() -> None:
+    camera = CameraModel.of(K, 848, 480, [0.0] * 14)
+    assert camera.distortion == ()
+    assert [one.shape for one in camera.rays] == [(1, 848), (480, 1)]
+    assert camera.rays[0] is CameraModel.of((616.0, 615.0, 423.5, 239.5), 848, 480).rays[0]
+
+
+@pytest.mark.real_data
+def test_images_of_others_are_depth_images(real_data: Path) -> None:
+    files = sorted((real_data / "real_scenes").glob("*.npz"))
+    assert len(files) == 18
+    for file in files:
+        with np.load(file) as scene:
+            depth, (fx, fy, cx, cy) = scene["depth_mm"], scene["K"]
+        xyz = Cloud.from_depth(depth, (fx, fy, cx, cy)).xyz
+        assert np.array_equal(np.isfinite(xyz).all(axis=-1), depth > 0), file
+        seen = xyz[depth > 0].astype(np.float64)
+        rows, columns = np.nonzero(depth)
+        # Projected again by K, each point is at the middle of its pixel.
+        np.testing.assert_allclose(fx * seen[:, 0] / seen[:, 2] + cx, columns, atol=1e-3)
+        np.testing.assert_allclose(fy * seen[:, 1] / seen[:, 2] + cy, rows, atol=1e-3)
+        np.testing.assert_allclose(seen[:, 2], depth[depth > 0] / 1000.0, rtol=2e-7)
