@@ -21,7 +21,7 @@ from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths
 from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges
-from foretouch.types import AnyArray, Cloud, Grasp
+from foretouch.types import AnyArray, Cloud, Grasp, Plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +47,12 @@ class NetworkEstimator:
         """Ranges outside which a predicted value is flagged."""
         return self.config.ranges.ranges
 
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
         """See `Estimator.estimate`.
 
         Out of distribution where a length leaves its range or the object's sizes are novel.
         """
+        del table  # networks look at the cloud as the camera does
         counts, in_distribution = np.empty((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
         prepared = prepare_cloud(cloud, self.config)
         features = self.network.features(prepared.points)

@@ -110,7 +110,7 @@ class FoldedNetwork:
     @property
     def output_size(self) -> int:
         """M."""
-        return (self.head[-1] if self.head else self.first).weight.shape[0]
+        return len((self.head[-1] if self.head else self.first).bias)
 
 
 def fold(config: ModelConfig, tensors: Mapping[str, AnyArray]) -> FoldedNetwork:
