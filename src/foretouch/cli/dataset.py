@@ -91,11 +91,8 @@ def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> Non
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}), ROS bag, or tables")
+    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}) or ROS bag")
     _add_out(parser, "DS", "recorded dataset to create or to extend")
-    parser.add_argument(
-        "--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5"
-    )
     group = parser.add_argument_group("ROS bags without foretouch samples")
     group.add_argument(
         "--topic",
@@ -216,7 +213,7 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _repair(arguments: argparse.Namespace) -> int:
-    rows = []
+    failed, rows = False, []
     for path in arguments.paths:
         for report in repair_dataset(path):
             lost = [str(damage.error(report.path)) for damage in report.lost]
@@ -224,15 +221,18 @@ def _repair(arguments: argparse.Namespace) -> int:
                 original = None if report.original is None else str(report.original)
                 counts = {"samples": report.samples, "messages": report.messages}
                 record = {"file": str(report.path), "changed": report.changed, **counts, "original": original}
-                print_json({"input": path, **record, "lost": lost})
+                print_json({"input": path, **record, "lost": lost, "refusal": report.refusal})
+            if report.refusal:
+                warn(report.refusal)
             for line in lost:
                 warn(f"{line}: not kept")
             kept = report.original.name if report.original else ""
-            state = "repaired" if report.changed else "not damaged"
+            failed |= bool(report.refusal)
+            state = "refused" if report.refusal else "repaired" if report.changed else "not damaged"
             rows.append([str(report.path), state, str(report.samples), str(report.messages), kept])
     if not arguments.json:
         print_table("repaired", ["file", "state", "samples", "messages", "original"], rows)
-    return 0
+    return int(failed)
 
 
 def _edit(arguments: argparse.Namespace) -> int:
@@ -267,9 +267,7 @@ def _import(arguments: argparse.Namespace) -> int:
     config = TactileConfig(sensor=sensor, thumb=thumb, middle=middle)
     topics = BagTopics(object=arguments.object, tactile_config=config, **dict(arguments.topic))
     with progress_bar("importing", hidden=arguments.json) as advance:
-        result = import_samples(
-            arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
-        )
+        result = import_samples(arguments.source, arguments.out, topics=topics, progress=advance)
     for note in result.notes:
         warn(note)
     record = {"out": str(arguments.out), **vars(result), "left_out": +result.left_out}

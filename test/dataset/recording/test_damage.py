@@ -160,7 +160,9 @@ def test_a_cut_anywhere_keeps_all_samples_before_it(file: Path, rng: np.random.G
         assert not verify(file).finished
         check_repaired(file, {n for n, (_, end) in enumerate(ends) if end <= cut})
 
-    every_case(sorted({0, 3, 8, 9, 20, 40, len(good) - 1, magic, *map(int, rng.integers(0, magic, 40))}), check)
+    head = chunks(file)[2][0]  # of a chunk
+    cuts = {0, 3, 8, 9, 20, 40, len(good) - 1, magic, *range(head, head + 60, 3), *map(int, rng.integers(0, magic, 30))}
+    every_case(sorted(cuts), check)
 
 
 def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None:
@@ -172,7 +174,7 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
     check_repaired(file, {0, 2, 3})
     name = b"foretouch_msgs/msg/GraspSample"
     file.write_bytes(good.replace(name, b"x" + name[1:], 1))
-    with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, and counts {COUNT}"):
+    with pytest.raises(FileError, match=r"byte \d+: damaged: a chunk that does not match its checksum"):
         RecordedDataset(file)
     check_repaired(file, range(COUNT))
     changed = bytearray(good)  # in the declaring chunk; a finished file repeats its topics in the summary
