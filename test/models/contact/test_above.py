@@ -42,7 +42,7 @@ def test_the_upper_side_of_a_ball_is_completed(tilt_deg: float) -> None:
     assert_allclose(np.linalg.norm(found - centre, axis=1), RADIUS, atol=0.01)
     # The whole footprint is there, whose far part the ball hides from the camera.
     low, high = np.quantile(found[:, :2] - centre[:2], (0.02, 0.98), axis=0)
-    assert_allclose([-low, high], RADIUS, atol=0.006)
+    assert_allclose([-low, high], RADIUS, atol=0.006 if tilt_deg < 50.0 else 0.015)  # less of the top is in view
 
 
 def test_features_of_a_ball_are_about_those_from_above() -> None:
