@@ -129,7 +129,8 @@ class Pipeline:
             return SegmentedScene(found.status, found.reason, found, ())
         plane = found.plane
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
-        obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in found.objects])
+        solid = [one for one in found.background if one.background != "floating"]
+        obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in (*found.objects, *solid)])
 
         def target(one: ObjectSegment, flags: tuple[str, ...] = ()) -> FoundObject:
             pixels = one.pixels if shape else None

@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="F.npy",
         help="write the labels of a single input: int32 in the shape of the cloud, 0 = none",
     )
+    parser.add_argument("--all", action="store_true", help="also list what is background, and why")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -33,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
         require_writable(arguments.labels_out, ".npy")
     process = partial(_segment, config=pipeline_config(arguments).segmentation, labels_out=arguments.labels_out)
-    return process_inputs(arguments, process, _show)
+    return process_inputs(arguments, process, partial(_show, everything=arguments.all))
 
 
 def _segment(item: SourceItem, config: SegmentationConfig, labels_out: str | None) -> Iterator[dict[str, Any]]:
@@ -48,21 +49,26 @@ def _segment(item: SourceItem, config: SegmentationConfig, labels_out: str | Non
             {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
             for one in found.objects
         ],
+        "background": [
+            {"reason": one.background, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
+            for one in found.background
+        ],
+        "outline": found.outline,
         "counts": found.counts,
         "ms": found.ms,
         "failed": found.status != "ok",
     }
 
 
-def _show(record: dict[str, Any]) -> None:
+def _show(record: dict[str, Any], *, everything: bool) -> None:
     rows = [
         [
-            str(one["id"]),
+            str(one.get("reason", one.get("id"))),
             str(one["n_points"]),
             " ".join(f"{v:.3f}" for v in one["centroid"]),
             " x ".join(f"{1e3 * v:.0f}" for v in np.ptp(one["bounds"], axis=0)),
         ]
-        for one in record["objects"]
+        for one in (*record["objects"], *(record["background"] if everything else ()))
     ]
     title = f"{record['input']}: {record['status']} {record['reason']}".rstrip() + f" ({record['ms']['total']:.1f} ms)"
     print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`points` -> `objects`, `table`, `object_cloud`: the objects on the table, and which of them to grasp."""
 
+import array
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
@@ -79,15 +81,15 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._object_cloud.publish(TargetCloud(header, ()))
 
     def _publish(self, header: Header, scene: SegmentedScene, shape: tuple[int, ...], status: int) -> None:
-        self._table.publish(  # first what the grasp node waits for
-            TablePlane(
-                header=header,
-                plane=plane_to_msg(scene.segmentation.plane),
-                **obstacles_to_msg(scene.obstacles),
-                status=status,
-                reason=scene.reason,
-            )
+        table = TablePlane(
+            header=header,
+            plane=plane_to_msg(scene.segmentation.plane),
+            **obstacles_to_msg(scene.obstacles),
+            status=status,
+            reason=scene.reason,
+            outline=array.array("f", scene.segmentation.outline.astype(np.float32).tobytes()),
         )
+        self._table.publish(table)  # first what the grasp node waits for
         self._object_cloud.publish(TargetCloud(header, scene.targets))
         if not (self._objects.wanted or self._markers.wanted):
             return
@@ -99,7 +101,8 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
             objects=[object_to_msg(one, target=str(one.id) in chosen) for one in scene.segmentation.objects],
             status=status,
             reason=scene.reason,
+            background=[one.background for one in scene.segmentation.background],
         )
         self._objects.publish(objects)
         if self._markers.wanted:  # the answer is published: an error must not refuse the cloud
-            self.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(objects)))()
+            self.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(objects, table)))()
