@@ -28,7 +28,7 @@ class Report:
 
 
 class Client:
-    """A node in this process that one thread serves; `reports` holds the latest diagnostics by node and publisher.
+    """A node in this process that one thread serves; `reports` holds the latest diagnostics by node and process.
 
     Args:
         name: Of the node.
@@ -39,21 +39,18 @@ class Client:
         prepare_domain(domain)
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import QoSProfile, ReliabilityPolicy
-
-        from foretouch.ros.runtime.executor import GraphExecutor, InputGroup
-        from foretouch.ros.runtime.internal_errors import InternalErrors
 
         if not rclpy.ok():
             rclpy.init()
         self.node = rclpy.create_node(name, namespace=NAMESPACE)
-        self.reports: dict[tuple[str, bytes], Report] = {}
+        self.reports: dict[tuple[str, str], Report] = {}
         self.lock = threading.Lock()
         self.deep = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
         self._clients: dict[str, Any] = {}
-        group = InputGroup()  # with which the publisher is known on every release
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, self.deep, callback_group=group)
-        self._executor = GraphExecutor(InternalErrors(print))
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, self.deep)
+        self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
 
@@ -111,12 +108,12 @@ class Client:
         answer = self.call(SetParameters, f"{NAMESPACE}/{node}/set_parameters", request)
         return None if answer is None else answer.results[0]
 
-    def _diagnose(self, message: Any, info: Any) -> None:
-        now, process = time.monotonic(), bytes(info["publisher_gid"]["data"])
+    def _diagnose(self, message: Any) -> None:
+        now = time.monotonic()
         with self.lock:
             for status in message.status:
-                key = status.name.rpartition("/")[2], process
                 report = Report(now, {pair.key: pair.value for pair in status.values})
+                key = status.name.rpartition("/")[2], report.values["pid"]
                 self.reported(key[0], self.reports.get(key), report)
                 self.reports[key] = report
 

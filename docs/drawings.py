@@ -23,7 +23,7 @@ from PIL import Image
 
 from foretouch.pipeline import Pipeline, PipelineResult
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, TouchPrediction
+from foretouch.types import Cloud, Prediction
 
 FOLDER = Path(__file__).parent
 AXES = ("tab:red", "tab:green", "tab:blue")  # x, y, z as in RViz
@@ -77,7 +77,7 @@ def draw_steps(cloud: Cloud, result: PipelineResult) -> None:
     figure.savefig(FOLDER / "steps.png", dpi=110)
 
 
-def draw_grasp(ax: Axes, prediction: TouchPrediction) -> None:
+def draw_grasp(ax: Axes, prediction: Prediction) -> None:
     """Both contacts, with the fingers that take them by default."""
     for point, name, up in ((prediction.grasp.g1, "thumb, g1", -16), (prediction.grasp.g2, "middle finger, g2", 9)):
         ax.plot(point[0], point[1], "o", color="black", markersize=6)
@@ -85,14 +85,9 @@ def draw_grasp(ax: Axes, prediction: TouchPrediction) -> None:
     ax.margins(x=0.35)
 
 
-def draw_touch(ax: Axes, prediction: TouchPrediction) -> None:
+def draw_touch(ax: Axes, prediction: Prediction) -> None:
     """The 24 electrodes of both fingers with their 90 % intervals [counts]."""
-    value, lower, upper = prediction.value, prediction.lower, prediction.upper
-    assert value is not None and lower is not None and upper is not None  # noqa: S101, PT018  contact-v2 is calibrated
-    for shift, name, centre, low, high in (
-        (-0.15, "thumb", value["E_TH"], lower["E_TH"], upper["E_TH"]),
-        (0.15, "middle finger", value["E_MF"], lower["E_MF"], upper["E_MF"]),
-    ):
+    for shift, name, centre, low, high in zip((-0.15, 0.15), ("thumb", "middle finger"), *prediction["E"], strict=True):
         ax.errorbar(
             np.arange(1, 25) + shift, centre, np.array([centre - low, high - centre]), fmt="o", ms=3, lw=1, label=name
         )
@@ -148,7 +143,7 @@ def draw_recorded() -> None:
     for share, name in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
         k = ranked[round(share * (len(ranked) - 1))]
         value, lower, upper = (biotac_touch(values[k] + sign * half[k]) for sign in (0.0, -1.0, 1.0))
-        prediction = TouchPrediction(test[k].grasp, value, lower=lower, upper=upper)
+        prediction = Prediction.of(test[k].grasp, value, lower, upper)
         title = f"{test[k].object}: {name} of the errors of {len(test)} grasps, predicted from the cloud alone"
         rest = biotac_touch(model.rest)
         drawn.append(DrawnGrasp(prediction=prediction, read=test[k].touch, rest=rest, title=title))

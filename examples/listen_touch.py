@@ -80,8 +80,9 @@ def describe(prediction: object) -> str:
     predicted = reading(prediction)  # by channel, such as PDC (fingers,) and E (fingers, 24) of a BioTac SP
     for finger, name in enumerate(prediction.fingers):
         parts = []
-        for channel, values in predicted.items():
-            own = values[finger]
+        for channel in (*prediction.scalar_channels, *prediction.channels):
+            values = predicted[channel]
+            own = values.value[finger]
             half = (values.upper[finger] - values.lower[finger]).mean() / 2.0
             spread = f" ({own.min():.0f} to {own.max():.0f})" if own.size > 1 else ""
             parts.append(f"{channel} {own.mean():.0f}{spread}" + ("" if math.isnan(half) else f" ± {half:.0f}"))

@@ -64,7 +64,7 @@ def main() -> None:
     batch = response.result().batch
     if batch.status != Status.OK:
         raise SystemExit(f"no prediction: {batch.reason}")
-    pdc = reading(batch)["PDC"]  # (K, fingers), NaN without a prediction
+    pdc = reading(batch)["PDC"].value  # (K, fingers), NaN without a prediction
     best = int(np.nanargmin(pdc.sum(axis=1)))
     print(f"{np.isfinite(pdc).all(axis=1).sum()} of {CANDIDATES} grasps predicted; the gentlest is {best}:")
     flagged = dict(zip(batch.flags, np.reshape(batch.flagged, (CANDIDATES, -1)).T.astype(bool), strict=True))

@@ -56,7 +56,7 @@ def main() -> None:
             print(f"the predictions are adapted to {predictions[0].touches} touches of this object")
             rclpy.shutdown()
             return
-    raise SystemExit("not adapted: touches.last_refusal of touch_predictor in /diagnostics has the reason")
+    raise SystemExit("not adapted: touches.last_refusal of perception in /diagnostics has the reason")
 
 
 if __name__ == "__main__":

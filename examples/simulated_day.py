@@ -38,7 +38,7 @@ from foretouch.models.contact.estimator import save_contact
 from foretouch.models.hand_history import HandHistory, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
-from foretouch.ros.graph import PERCEPTION, Graph
+from foretouch.ros.graph import Graph
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.messages.table import TactileConfig, stamp_ns
 from foretouch_lab.simulation.execution import SimulatedHand
@@ -82,12 +82,12 @@ def write_model(out: Path) -> Path:
 def nodes_of(schedule: ScheduleConfig, out: Path, model: Path) -> dict[str, dict[str, Any]]:
     """Parameters of each node, as `foretouch run --source SCENE` sets them, and the file of the hand."""
     shown = {f"scene.{name}": value for name, value in schedule.to_mapping().items()}
-    nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
-    nodes["touch_predictor"] = {
+    nodes: dict[str, dict[str, Any]] = {}
+    nodes["perception"] = {
         "model": str(model),
         "use_tare": False,
         "same_object_m": 0.005,
-        "hand": HAND,
+        "hand_name": HAND,
         "history_folder": str(out),
     }
     return nodes | {"hand": shown, "camera": {"source": "scene", **SLOW, **shown}}
@@ -124,10 +124,7 @@ class Log:
     def add_answer(self, message: Any) -> None:
         """A message of `touch`: the prediction of the best grasp."""
         for one in message.predictions[:1]:
-            electrodes = reading(one)["E"]
-            value, low, high = (
-                float(each[1, ELECTRODE - 1]) for each in (electrodes, electrodes.lower, electrodes.upper)
-            )
+            value, low, high = (float(end[1, ELECTRODE - 1]) for end in reading(one)["E"])
             at_ns = stamp_ns(message.header.stamp)
             self.add("prediction", at_ns, value, (high - low) / 2.0, touches=one.touches, readings=one.readings)
 

@@ -116,6 +116,6 @@ def include(name: str, *passed_on: str, condition: Any = None, **fixed: str) -> 
     )
 
 
-def include_perception() -> IncludeLaunchDescription:
-    """Include segmentation, grasp and touch predictor, for launch files that bring their own source of clouds."""
-    return include("perception", *_ARGUMENTS, camera="false")
+def include_perception(**fixed: str) -> IncludeLaunchDescription:
+    """Include perception, with values of its arguments, for launch files that bring their own source of clouds."""
+    return include("perception", *_ARGUMENTS, camera="false", **fixed)

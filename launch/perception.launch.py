@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole graph: camera (unless the robot has its own), segmentation, grasp, touch predictor, and RViz on request.
+"""The whole graph: camera (unless the robot has its own), perception, and RViz on request.
 
 ros2 launch foretouch perception.launch.py
 ros2 launch foretouch perception.launch.py camera:=false points:=/camera/camera/depth/color/points rviz:=true
@@ -29,7 +29,12 @@ MODEL_USERS = ("perception", "touch_predictor")
 ARGUMENTS = [
     DeclareLaunchArgument("camera", default_value="true", description="false where realsense2_camera publishes"),
     DeclareLaunchArgument("points", default_value="points", description="Topic of the depth clouds"),
-    DeclareLaunchArgument("one_process", default_value="true", description="false: a process for each node"),
+    DeclareLaunchArgument(
+        "one_process", default_value="true", description="false: a process for each step, to replace one of them"
+    ),
+    DeclareLaunchArgument(
+        "input", default_value="points", description="objects: object_cloud and table come from who segments"
+    ),
     *shared_arguments(),
 ]
 
@@ -46,14 +51,17 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def perception(context: LaunchContext) -> list[Node]:
-    given = argument_values(context, "points", "model")
+    given = argument_values(context, "points", "model", "input")
     together = IfCondition(LaunchConfiguration("one_process")).evaluate(context)
     return [
         foretouch_node(
             context,
             name,
             remappings=[("points", given["points"])],
-            ros_arguments=["-p", f"model:={given['model']}"] if name in MODEL_USERS else [],
+            ros_arguments=[
+                *(["-p", f"model:={given['model']}"] if name in MODEL_USERS else []),
+                *(["-p", f"input:={given['input']}"] if name == "perception" else []),
+            ],
         )
         for name in (["perception"] if together else ["segmentation", "grasp", "touch_predictor"])
     ]

@@ -6,6 +6,7 @@ ros2 launch foretouch replay.launch.py path:=recording/
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -24,8 +25,17 @@ ARGUMENTS = [
 
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
-        [*ARGUMENTS, arguments_are_checked(), include_perception(), OpaqueFunction(function=replay)]
+        [*ARGUMENTS, arguments_are_checked(), OpaqueFunction(function=perception), OpaqueFunction(function=replay)]
     )
+
+
+def perception(context: LaunchContext) -> list[Any]:
+    """Include perception with the input that the path holds: whole scenes, or objects that are cut out already."""
+    from foretouch.dataset.playlist import cloud_is_object
+    from foretouch.dataset.source import open_source
+
+    is_object = cloud_is_object(open_source(LaunchConfiguration("path").perform(context)))
+    return [include_perception(input="objects" if is_object else "points")]
 
 
 def replay(context: LaunchContext) -> list[Node]:

@@ -3,11 +3,18 @@
 
 import struct
 import zlib
+from collections.abc import Iterable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import Stores, get_typestore
 
 FRAME = "camera_depth_optical_frame"
 STAMP_NS = 1_700_000_000_123_456_789
@@ -80,3 +87,39 @@ def rvl(depth: npt.NDArray[np.uint16]) -> bytes:
     nibbles += [0] * (-len(nibbles) % 8)
     words = [int("".join(f"{one:x}" for one in nibbles[k : k + 8]), 16) for k in range(0, len(nibbles), 8)]
     return struct.pack("<2I", depth.shape[1], depth.shape[0]) + b"".join(struct.pack("<I", word) for word in words)
+
+
+def write_bag(
+    path: Path,
+    messages: Iterable[tuple[str, int, Any]],
+    *,
+    ros1: bool = False,
+    plugin: StoragePlugin = StoragePlugin.SQLITE3,
+    mode: CompressionMode = CompressionMode.NONE,
+) -> Path:
+    """A recording of messages: topic, time of the recorder [ns], and fields, whose names say the type."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    opened = Ros1Writer(path) if ros1 else Ros2Writer(path, version=9, storage_plugin=plugin)
+    if not ros1 and mode != CompressionMode.NONE:
+        opened.set_compression(mode, CompressionFormat.ZSTD)
+    with opened as writer:
+        topics: dict[str, Any] = {}
+        for topic, time_ns, fields in messages:
+            name = (
+                "Image"
+                if hasattr(fields, "encoding")
+                else "CompressedImage"
+                if hasattr(fields, "format")
+                else "CameraInfo"
+            )
+            kind, named = f"sensor_msgs/msg/{name}", dict(vars(fields))
+            if "data" in named:
+                named["data"] = np.frombuffer(named["data"], np.uint8)
+            if ros1:
+                named = {key.upper() if key in "dkrp" else key: value for key, value in named.items()}
+                named["header"] = SimpleNamespace(seq=0, **vars(fields.header))
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=store)
+            write = store.serialize_ros1 if ros1 else store.serialize_cdr
+            writer.write(topics[topic], time_ns, write(SimpleNamespace(**named), kind))
+    return path

@@ -180,12 +180,12 @@ def test_topics_are_those_of_the_design(reference) -> None:
     assert done.returncode == 0, done.stderr
     rows = {row.split("`")[1]: row for row in done.stdout.splitlines() if row.startswith("| `")}
     for name, ends in {
-        "points": ("`camera`, `replay`", "`segmentation`"),
-        "object_cloud": ("`segmentation`", "`grasp`, `touch_predictor`, `recorder`"),
-        "touch": ("`touch_predictor`", ""),
-        "/rh/tactile": ("`hand`", "`touch_predictor`, `recorder`"),
-        "predict_touch": ("`touch_predictor`",),
-        "sample_grasps": ("`touch_predictor`",),
+        "points": ("`camera`, `replay`", "`perception`, `segmentation`"),
+        "object_cloud": ("`perception`, `segmentation`", "`grasp`, `touch_predictor`, `recorder`"),
+        "touch": ("`perception`, `touch_predictor`", ""),
+        "/rh/tactile": ("`hand`", "`perception`, `touch_predictor`, `recorder`"),
+        "predict_touch": ("`perception`, `touch_predictor`",),
+        "sample_grasps": ("`perception`, `touch_predictor`",),
         "start_recording": ("`recorder`",),
     }.items():
         assert all(f"| {end}" in rows[name] for end in ends if end), rows[name]

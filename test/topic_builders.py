@@ -97,7 +97,7 @@ def write_topics(
 
         for k, names in enumerate((("a", "b"), ("c",))):
             at = start + k * NS
-            write_cloud(np.full((4, 3), k), at)
+            write_cloud(np.full((4, 3), k + 1), at)  # a point at zero is none
             grasps = [_grasp(name, faults.matrix) for name in names]
             planned = SimpleNamespace(header=_header(at), grasps=grasps, status=0, reason="")
             write("/foretouch/grasps", "GraspArray", at + 2, planned)

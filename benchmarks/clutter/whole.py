@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.clutter.metrics import FOUND, SceneScore, f_of_best, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, load_scenes
 from benchmarks.common import cpu_ms, print_rows
-from foretouch.pipeline import Pipeline, SegmentedScene
+from foretouch.pipeline import Pipeline, Scene
 
 _WORST: Final = 6  # images that are drawn
 
@@ -52,7 +52,7 @@ def _row(name: str, answers: Sequence[tuple[SceneScore, bool, float]]) -> dict[s
     }
 
 
-def draw(scene: LabelledCloud, result: SegmentedScene, path: Path) -> None:
+def draw(scene: LabelledCloud, result: Scene, path: Path) -> None:
     """Draw the depth with the segments in colour and the outlines of the true objects in white; the target has a star."""
     import matplotlib.pyplot as plt
 

@@ -14,7 +14,7 @@ from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import Pipeline
 from foretouch.report.touch_figure import DrawnGrasp, save_touch_picture
 from foretouch.tactile import biotac_touch
-from foretouch.types import TouchPrediction
+from foretouch.types import Prediction
 from foretouch_lab.learning.prequential import ModelReplay, replay_model
 from foretouch_lab.simulation.scene_camera import FrameMaker
 from foretouch_lab.simulation.simulate import Simulation
@@ -68,7 +68,7 @@ def draw(runs: Sequence[ModelReplay], path: Path) -> None:
             knows = "knows" if known else "does not know (unfamiliar)"
             based = f"after {touches} touches" if touches else "before the first touch"
             drawn.append(DrawnGrasp(
-                target=target, prediction=TouchPrediction(sample.grasp, value, lower=lower, upper=upper), scene=cloud,
+                target=target, prediction=Prediction.of(sample.grasp, value, lower, upper), scene=cloud,
                 rest=sample.tare, read=sample.touch, title=f"{name}, which the model simulated {knows}, {based}",
             ))  # fmt: skip
     save_touch_picture(path, drawn)

@@ -21,7 +21,7 @@ from benchmarks.grasp_physics.simulation import HELD, OPENING_M, Verdict, held
 from benchmarks.grasp_physics.surface import best_grasp
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.types import Float64
 
 HERE: Final = Path(__file__).parent
@@ -85,7 +85,7 @@ def pipeline_of(method: str, settings: Mapping[str, Any] | None) -> Pipeline:
     return Pipeline(PipelineConfig().updated({"grasp.method": method, **(settings or {})} if method in OURS else {}))
 
 
-def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | None:
+def propose(method: str, pipeline: Pipeline, target: Object) -> Float64 | None:
     """Contacts (2, 3) in the camera frame of the first grasp; None where there is none."""
     if method == RULE:
         return simple_rule(target)
@@ -93,7 +93,7 @@ def propose(method: str, pipeline: Pipeline, target: FoundObject) -> Float64 | N
     return np.stack([plan.grasps[0].g1, plan.grasps[0].g2]) if plan.grasps else None
 
 
-def simple_rule(target: FoundObject) -> Float64:
+def simple_rule(target: Object) -> Float64:
     """(2, 3) contacts in the camera frame: a horizontal line across the narrower side of the visible footprint.
 
     It passes through the middle of the footprint, at half of the height that is seen, 10 mm or more over the table.

@@ -20,7 +20,7 @@ from benchmarks.common import cpu_ms, scene
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.models.registry import load_model
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.tactile import TOUCH_SIZE
 from foretouch.types import Cloud, Grasp
 from foretouch_lab.simulation.depth_scene import random_scene
@@ -52,7 +52,7 @@ def scene_cloud(width: int = 848, height: int = 480, seed: int = 1) -> Cloud:
 
 
 @cache
-def target() -> FoundObject:
+def target() -> Object:
     """The object of a generated scene that gets grasps."""
     return Pipeline().segment(scene_cloud(seed=2)).targets[0]
 

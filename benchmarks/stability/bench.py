@@ -77,7 +77,7 @@ def plan(xyz: Float32, method: str) -> GraspPlan:
 def distance_mm(before: GraspPlan, after: GraspPlan, change: Change, centre: Float64) -> float:
     """How far the contact that moved more is from where the change carries it; infinite if one plan has no grasp."""
     if not before.grasps or not after.grasps:
-        return 0.0 if before.grasps == after.grasps else float("inf")
+        return 0.0 if len(before.grasps) == len(after.grasps) else float("inf")
     one, other = (np.stack([plan.grasps[0].g1, plan.grasps[0].g2]) for plan in (before, after))
     return float(np.linalg.norm(change.carry(one, centre) - other, axis=1).max() * 1e3)
 

@@ -1,26 +1,98 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feel before you touch: predict tactile readings from a depth cloud, before the hand moves."""
+"""Feel before you touch: predict tactile readings from a depth cloud, before the hand moves.
 
-from typing import Any
+    import foretouch as ft
+    scene = ft.segment(ft.Cloud.from_depth(depth, K))
+    grasps = ft.plan(scene.objects[0])
+    touch = ft.load_model().predict(scene.objects[0], grasps)
+    ft.draw(scene, grasps, touch)
+
+Names are loaded when they are first used. Lengths are in metres, in the optical frame of the camera (x right, y down,
+z forward); readings are in the unit of their sensor.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from foretouch.api import draw, fit, open, plan, reading, segment  # noqa: A004
+    from foretouch.cloud.io.files import read_cloud, write_cloud
+    from foretouch.errors import ForetouchError
+    from foretouch.models.hand_history import HandHistory as History
+    from foretouch.models.registry import available_models, load_model
+    from foretouch.models.touch_model import TouchModel
+    from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
+    from foretouch.types import (
+        CameraModel,
+        Cloud,
+        Grasp,
+        Grasps,
+        GraspSample,
+        Plane,
+        Predicted,
+        Prediction,
+        Predictions,
+        Touch,
+    )
 
 __version__ = "0.3.0"
 
+_PLACES = {
+    "foretouch.api": ("draw", "fit", "open", "plan", "reading", "segment"),
+    "foretouch.cloud.io.files": ("read_cloud", "write_cloud"),
+    "foretouch.errors": ("ForetouchError",),
+    "foretouch.models.hand_history": ("HandHistory",),
+    "foretouch.models.registry": ("available_models", "load_model"),
+    "foretouch.models.touch_model": ("TouchModel",),
+    "foretouch.pipeline": ("Object", "Pipeline", "PipelineConfig", "Scene"),
+    "foretouch.types": (
+        *("CameraModel", "Cloud", "Grasp", "GraspSample", "Grasps", "Plane"),
+        *("Predicted", "Prediction", "Predictions", "Touch"),
+    ),
+}
+_ALIASES = {"HandHistory": "History"}
+_MODULES = {_ALIASES.get(name, name): (module, name) for module, names in _PLACES.items() for name in names}
 
-def reading(message: Any) -> dict[str, Any]:
-    """The predicted readings in a message by the name of their channel, such as `reading(message)["PDC"]`.
+__all__ = [
+    "CameraModel",
+    "Cloud",
+    "ForetouchError",
+    "Grasp",
+    "GraspSample",
+    "Grasps",
+    "History",
+    "Object",
+    "Pipeline",
+    "PipelineConfig",
+    "Plane",
+    "Predicted",
+    "Prediction",
+    "Predictions",
+    "Scene",
+    "Touch",
+    "TouchModel",
+    "__version__",
+    "available_models",
+    "draw",
+    "fit",
+    "load_model",
+    "open",
+    "plan",
+    "read_cloud",
+    "reading",
+    "segment",
+    "write_cloud",
+]
 
-    Args:
-        message: A `foretouch_msgs/TouchPrediction`, or any object with its fields; ROS need not be installed. Of a
-            `TouchPredictionBatch`, all arrays have a first dimension K, its grasps.
 
-    Returns:
-        By name of a scalar (F,), of a channel of the taxels (F, N): float32 arrays by finger in the order of
-        `message.fingers`, whose attributes `lower` and `upper` are arrays of the same shape, the bounds of the prediction
-        intervals. Values are NaN if there is no prediction, bounds without calibration.
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'foretouch' has no attribute {name!r}")
+    module, own = _MODULES[name]
+    value = getattr(import_module(module), own)
+    globals()[name] = value
+    return value
 
-    Raises:
-        TactileError: If the number of values is not that of the names.
-    """
-    from foretouch.types.channels import read_prediction  # loads NumPy, which `foretouch --help` does without
 
-    return read_prediction(message)
+def __dir__() -> list[str]:
+    return sorted([*__all__, *globals()])

@@ -135,9 +135,11 @@ class FileBytes:
 
     def __getitem__(self, part: slice) -> bytes:
         start, end, _ = part.indices(self._size)
-        with _named(self.path):
+        try:
             self._file.seek(start)
             found = self._file.read(max(0, end - start))
+        except OSError as err:  # as `system_errors`, which takes longer than a short read
+            raise FileError(self.path, err.strerror or str(err)) from err
         if len(found) < end - start:
             raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(found)}")
         return found

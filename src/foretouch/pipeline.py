@@ -11,19 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.cloud.segmentation.identity import ObjectIdentity
-from foretouch.cloud.segmentation.objects import (
-    AMBIGUOUS_TARGET,
-    ObjectSegment,
-    TargetConfig,
-    select_free,
-    select_targets,
-)
+from foretouch.cloud.segmentation.masks import segment_mask
+from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_free, select_targets
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
+from foretouch.errors import CloudError
 from foretouch.grasp import (
     GeoGraspConfig,
     GraspPlan,
@@ -37,7 +34,9 @@ from foretouch.grasp import (
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import History
-from foretouch.types import Cloud, Float64, Grasp, Int64, Plane, Touch, TouchPrediction
+from foretouch.types import Cloud, Float64, Grasp, Grasps, Int32, Int64, Plane, Predictions, Touch
+
+_ON_TABLE_M = 0.01  # from the plane of the table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,36 +53,106 @@ class PipelineConfig(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class FoundObject:
+class Object:
     """One object and the table under it."""
 
     id: str  # unique within its cloud
-    cloud: Cloud  # (N, 3), only the object's points
+    cloud: Cloud  # (N, 3) [m], only the object's points, in the optical frame of the camera
     plane: Plane  # the table, in the cloud's frame
     pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it comes from, if any
     image_shape: tuple[int, int] | None = None  # (H, W) of that image
     flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
     obstacles: Obstacles | None = None  # all objects of the scene, if there are several
 
+    @property
+    def centroid(self) -> Float64:
+        """(3,) float64 [m], mean of the points; NaN without any."""
+        points = self.cloud.xyz.reshape(-1, 3).astype(np.float64)
+        points = points[np.isfinite(points).all(axis=1)]
+        return points.mean(axis=0) if len(points) else np.full(3, np.nan)
+
 
 @dataclass(frozen=True, eq=False)
-class SegmentedScene:
-    """The table and the objects of a scene."""
+class Scene:
+    """The table and the objects in a cloud."""
 
     status: str  # "ok", "no_target", or the status of the segmentation
     reason: str  # why, in words; for "ok" usually "", or how an ambiguous target was selected
-    segmentation: Segmentation  # the table and all objects
-    targets: tuple[FoundObject, ...]  # the objects to grasp, best first
+    cloud: Cloud  # the whole cloud
+    segmentation: Segmentation  # how table and objects were found, with its counts
+    objects: tuple[Object, ...]  # all objects, nearest first, or in the order of the mask's labels
+    targets: tuple[Object, ...]  # the objects to grasp, best first
     obstacles: Obstacles | None = None  # the points of all objects, if there are several
+
+    @property
+    def table(self) -> Plane | None:
+        """The table, its normal towards the camera, in the cloud's frame; None if none was found."""
+        return self.segmentation.plane
+
+    @property
+    def labels(self) -> Int32:
+        """(H, W) int32, or (N,) of an unorganised cloud: the id of each point's object, 0 for none."""
+        return self.segmentation.labels
+
+    def at(self, u: int, v: int) -> Object:
+        """The object at a pixel.
+
+        Args:
+            u: Column of the image, 0 at the left.
+            v: Row of the image, 0 at the top.
+
+        Raises:
+            CloudError: If the pixel is outside the image, or no object is there; says what is.
+        """
+        depth = self.cloud.xyz[..., 2]
+        if depth.ndim != 2:
+            raise CloudError(f"pixel: a list of {depth.size} points has no pixels; select the object by a point")
+        height, width = depth.shape
+        if not (0 <= u < width and 0 <= v < height):
+            raise CloudError(
+                f"pixel: ({u}, {v}) is outside of the image, whose columns end at {width - 1}, rows at {height - 1}"
+            )
+        known = {one.id: one for one in self.objects}
+        if (name := str(self.labels[v, u])) in known:
+            return known[name]
+        xyz = self.cloud.xyz[v, u].astype(np.float64)
+        where = "no object"
+        if not np.isfinite(xyz).all():
+            where = "a pixel without depth"
+        elif self.table is not None and abs(self.table.height(xyz)) < _ON_TABLE_M:
+            where = "the table"
+        raise CloudError(f"pixel: ({u}, {v}) is {where}; the objects are {', '.join(known) or 'none'}")
+
+    def near(self, point: npt.ArrayLike, tolerance_m: float = TargetConfig().tolerance_m) -> Object:
+        """The object with the point that is nearest to a position.
+
+        Args:
+            point: (3,) [m], in the cloud's frame.
+            tolerance_m: Largest distance of the nearest point [m].
+
+        Raises:
+            CloudError: If no object is so near, or the position is not finite.
+        """
+        position = np.asarray(point, np.float64)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise CloudError(f"point: {position.tolist()} is not three finite numbers [m]")
+        away = [
+            float(np.linalg.norm(one.cloud.xyz.astype(np.float64) - position, axis=1).min()) for one in self.objects
+        ]
+        if not away or min(away) > tolerance_m:
+            nearest = f"; the nearest is {min(away):.3f} m away" if away else ""
+            at = ", ".join(f"{value:g}" for value in position.tolist())
+            raise CloudError(f"point: no object within {tolerance_m:g} m of ({at}){nearest}")
+        return self.objects[int(np.argmin(away))]
 
 
 @dataclass(frozen=True, eq=False)
 class TargetResult:
     """One object with its planned grasps and the predictions for them, in the same order."""
 
-    target: FoundObject
+    target: Object
     plan: GraspPlan
-    predictions: tuple[TouchPrediction, ...]
+    predictions: Predictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +161,7 @@ class PipelineResult:
 
     status: str  # "ok", or the status of the step at which the pipeline ended
     reason: str  # why, in words; "" for "ok"
-    scene: SegmentedScene | None  # none where the cloud holds only an object
+    scene: Scene | None  # none where the cloud holds only an object
     targets: tuple[TargetResult, ...]  # the objects to grasp with their predictions, best first
     ms: dict[str, float]  # wall time of the steps `segment`, `grasp`, `touch` that ran, and `total` [ms]
 
@@ -112,40 +181,52 @@ class Pipeline:
         return self._model
 
     def segment(
-        self, cloud: Cloud, previous: Float64 | None = None, identity: ObjectIdentity | None = None
-    ) -> SegmentedScene:
+        self,
+        cloud: Cloud,
+        previous: Float64 | None = None,
+        identity: ObjectIdentity | None = None,
+        *,
+        mask: npt.ArrayLike | None = None,
+    ) -> Scene:
         """Find the table and the target objects in a cloud with the table in view.
 
         Args:
             cloud: (H, W, 3) or (N, 3) points.
             previous: (3,) float64 [m], centroid of the target in the previous cloud of a stream; of objects that fit
                 the rule equally well, it stays the target.
-            identity: Ids of the objects in the stream; without, ids are numbers by distance.
+            identity: Ids of the objects in the stream; without, ids are numbers by distance. Not used with a mask.
+            mask: (H, W) integers or bool, labels of the objects in the image; 0 and negative numbers are no object. The
+                table is found in the rest of the image, and the labels are the ids.
+
+        Raises:
+            CloudError: If the mask has another size than the image or no label, or its numbers are not whole.
         """
-        found = segment(cloud, self.config.segmentation)
-        if identity is not None:
-            found = identity.keep(found)
+        if mask is not None:
+            found = segment_mask(cloud, mask, self.config.segmentation)
+        else:
+            found = segment(cloud, self.config.segmentation)
+            found = found if identity is None else identity.keep(found)
         if found.status != "ok" or found.plane is None:
-            return SegmentedScene(found.status, found.reason, found, ())
+            return Scene(found.status, found.reason, cloud, found, (), ())
         plane = found.plane
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
         solid = [one for one in found.background if one.background != "floating"]
         obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in (*found.objects, *solid)])
-
-        def target(one: ObjectSegment, flags: tuple[str, ...] = ()) -> FoundObject:
-            pixels = one.pixels if shape else None
-            return FoundObject(str(one.id), one.cloud, plane, pixels, shape, flags, obstacles)
-
+        objects = {
+            one.id: Object(str(one.id), one.cloud, plane, one.pixels if shape else None, shape, (), obstacles)
+            for one in found.objects
+        }
         rule = self.config.target
         if rule.mode == "free" and found.objects:
-            chosen, reason = select_free(found.objects, rule, lambda one: self._loss(target(one)), previous)
+            chosen, reason = select_free(found.objects, rule, lambda one: self._loss(objects[one.id]), previous)
         else:
             chosen, reason = select_targets(found.objects, rule, previous)
         flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
-        targets = tuple(target(one, flags) for one in chosen)
-        return SegmentedScene("ok" if targets else "no_target", reason, found, targets, obstacles)
+        targets = tuple(replace(objects[one.id], flags=flags) for one in chosen)
+        status = "ok" if targets else "no_target"
+        return Scene(status, reason or found.reason, cloud, found, tuple(objects.values()), targets, obstacles)
 
-    def _loss(self, target: FoundObject) -> tuple[float, str]:
+    def _loss(self, target: Object) -> tuple[float, str]:
         """The score that other objects cost the best grasp of an object, infinite if it has none; and why."""
         plan = self.plan(target)
         if not plan.grasps:
@@ -154,7 +235,7 @@ class Pipeline:
 
     def plan(
         self,
-        target: FoundObject,
+        target: Object,
         *,
         slide_m: float = 0.0,
         rng: np.random.Generator | None = None,
@@ -184,9 +265,9 @@ class Pipeline:
             hand=self.config.hand,
             obstacles=None if target.obstacles is None else target.obstacles.without(target.id),
         )
-        return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
+        return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
-    def grasp_between(self, target: FoundObject, g1: Float64, g2: Float64) -> Grasp:
+    def grasp_between(self, target: Object, g1: Float64, g2: Float64) -> Grasp:
         """The grasp with given contacts (3,) [m] in the cloud frame, and the rotation that GeoGrasp computes for them.
 
         Raises:
@@ -202,48 +283,50 @@ class Pipeline:
 
     def predict(
         self,
-        target: FoundObject,
+        target: Object,
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
         history: History | None = None,
         model: TouchModel | None = None,
-    ) -> Sequence[TouchPrediction]:
+    ) -> Predictions:
         """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once.
 
         A `model` is used instead of the configured one.
         """
+        model = model or self.model
         if not grasps:
-            return []
-        predictions = (model or self.model).predict(
+            return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")
+        predictions = model.predict(
             target.cloud, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )
-        if not target.flags:
-            return predictions
-        return [replace(one, flags=(*one.flags, *target.flags)) for one in predictions]
+        for flag in target.flags:
+            predictions = predictions.flagged(flag)
+        return predictions
 
-    def run(self, cloud: Cloud, plane: Plane | None = None) -> PipelineResult:
+    def run(self, cloud: Cloud, plane: Plane | None = None, *, mask: npt.ArrayLike | None = None) -> PipelineResult:
         """From a cloud to predicted touch.
 
         Args:
             cloud: Of the whole scene, or of one object if the table is given.
             plane: The table, in the cloud's frame.
+            mask: Labels of the objects, as in `segment`.
         """
         ms: dict[str, float] = {}
-        scene: SegmentedScene | None = None
+        scene: Scene | None = None
         results: list[TargetResult] = []
-        targets: tuple[FoundObject, ...]
+        targets: tuple[Object, ...]
         if plane is not None:
-            targets = (FoundObject("1", cloud, plane),)
+            targets = (Object("1", cloud, plane),)
         else:
             with timed(ms, "segment"):
-                scene = self.segment(cloud)
+                scene = self.segment(cloud, mask=mask)
             targets = scene.targets
         for target in targets:
             with timed(ms, "grasp"):
                 plan = self.plan(target)
             with timed(ms, "touch"):
-                results.append(TargetResult(target, plan, tuple(self.predict(target, plan.grasps))))
+                results.append(TargetResult(target, plan, self.predict(target, plan.grasps)))
         ms["total"] = sum(ms.values())
         status, reason = ("no_target", "") if scene is None else (scene.status, scene.reason)
         if results:

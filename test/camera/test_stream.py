@@ -25,15 +25,15 @@ def _next(source: SyntheticCamera, stream: FrameStream) -> Any:
 
 def _cloud(source: SyntheticCamera, config: RealSenseConfig) -> Cloud:
     with closing(FrameStream(source.find(), config)) as stream:
-        return stream.cloud(_next(source, stream))
+        return stream.frame(_next(source, stream)).cloud()
 
 
 def test_points_frame_and_stamp_outlive_their_frame(images, config) -> None:
     image, source = images[0], SyntheticCamera(images[:1])
     with closing(FrameStream(source.find(), config)) as stream:
-        cloud = stream.cloud(_next(source, stream))
+        cloud = stream.frame(_next(source, stream)).cloud()
         for _ in range(40):  # more than the library's pool holds
-            stream.cloud(_next(source, stream))
+            stream.frame(_next(source, stream))
     assert (cloud.rgb, cloud.frame_id) == (None, "camera_depth_optical_frame")
     assert np.array_equal(cloud.xyz, image.cloud().xyz, equal_nan=True)
     for rule in ("auto", "frame", "arrival"):

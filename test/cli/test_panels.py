@@ -12,20 +12,19 @@ from rich.panel import Panel
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from answer_builders import touch_message
+from answer_builders import refusal, touch_message
 
 from foretouch.cli.keys import RecordingKeys
 from foretouch.cli.live import live_panel
 from foretouch.cli.record import record_panel
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import View
 from foretouch.ros.recorder.operator import OperatorState, Reply
 from foretouch.ros.recorder.session import SessionStatus
 from foretouch.tactile import biotac_touch
-from foretouch.types import Evidence, Grasp, Touch, TouchPrediction
-from foretouch_msgs.msg import RecorderStatus, Status, TopicAccount, TouchPredictionArray
+from foretouch.types import Evidence, Grasp, Prediction, Touch
+from foretouch_msgs.msg import RecorderStatus, TopicAccount, TouchPredictionArray
 
 HEIGHT = 24
 GRASP = Grasp(np.array([0.03, 0.0, 0.8]), np.array([-0.03, 0.0, 0.8]), np.eye(3), object_id="1")
@@ -42,7 +41,7 @@ READINGS: Any = SimpleNamespace(touch=shifted(21.0), tare=shifted(-200.0))
 
 
 def message(**fields: Any) -> Any:
-    return touch_message(TouchPrediction(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), model="contact-v2")
+    return touch_message(Prediction.of(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), model="contact-v2")
 
 
 def screen(panel: Panel, width: int) -> set[str]:
@@ -93,7 +92,7 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "12 late", "no camera"):
         assert words in text
     assert "cloud only" in printed(live_panel(View(last=TouchPredictionArray(predictions=[message()])), "title"))
-    refused = touch_message(Refusal(Status.BAD_GRASP, "grasp: too wide"), grasp_to_msg(GRASP))
+    refused = touch_message(refusal("bad_grasp", "grasp: too wide"), grasp_to_msg(GRASP))
     refused.grasp.g1.x = 1e160
     assert "too wide" in printed(live_panel(View(last=TouchPredictionArray(predictions=[refused])), "title"))
 

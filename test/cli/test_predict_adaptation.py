@@ -23,7 +23,7 @@ from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import GraspSample, TouchPrediction
+from foretouch.types import GraspSample, Prediction
 from foretouch_lab.learning.prequential import replay_model
 
 
@@ -90,7 +90,7 @@ def flat(one: dict[str, Any], key: str) -> list[float]:
     return [one["PDC_TH"][key], one["PDC_MF"][key], *one["E_TH"][key], *one["E_MF"][key]]
 
 
-def assert_reported(one: dict[str, Any], wanted: TouchPrediction) -> None:
+def assert_reported(one: dict[str, Any], wanted: Prediction) -> None:
     for key in ("value", "lower", "upper"):
         np.testing.assert_array_equal(flat(one, key), getattr(wanted, key).values)
     assert one["reference"] == wanted.reference

@@ -97,8 +97,8 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -
 def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(tmp_path) -> None:
     (tmp_path / "scene.yaml").write_text("grasps: {}\n")
     files = {
-        "none": "/foretouch/touch_predictor: {ros__parameters: {use_tare: false}}",
-        "named": "foretouch: {touch_predictor: {ros__parameters: {model: touchnet-v1}}}",
+        "none": "/foretouch/perception: {ros__parameters: {use_tare: false}}",
+        "named": "foretouch: {perception: {ros__parameters: {model: touchnet-v1}}}",
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
@@ -107,7 +107,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
 
     def model(*words: str) -> str | None:
         arguments = parser.parse_args(["--source", *words])
-        return run_command._nodes(arguments)["touch_predictor"].get("model")
+        return run_command._nodes(arguments)["perception"].get("model")
 
     scene = str(tmp_path / "scene.yaml")
     assert model(scene) == model(scene, "--params", str(tmp_path / "none.yaml")) == "simulated"
@@ -155,13 +155,13 @@ def test_what_is_shown_is_for_the_sensor_of_the_model_from_the_option_or_the_par
     card = json.loads(find_card("contact-v2").read_text())
     path, params = tmp_path / "uskin.json", tmp_path / "params.yaml"
     path.write_text(json.dumps(with_sensor(card, packaged_sensor("xela_uskin_4x4"))))
-    params.write_text(f"/foretouch/touch_predictor:\n  ros__parameters: {{model: {path}}}\n")
-    by_option, by_file = {"touch_predictor": {"model": str(path)}}, dict[str, Any](touch_predictor={})
+    params.write_text(f"/foretouch/perception:\n  ros__parameters: {{model: {path}}}\n")
+    by_option, by_file = {"perception": {"model": str(path)}}, dict[str, Any](perception={})
     for name, file, nodes in (
         ("xela_uskin_4x4", None, by_option),
         ("xela_uskin_4x4", params, by_file),
         ("biotac_sp", None, by_file),
-        ("biotac_sp", params, {"touch_predictor": {"model": "absent"}}),
+        ("biotac_sp", params, {"perception": {"model": "absent"}}),
     ):
         given: Any = SimpleNamespace(params=file)
         assert run_command._sensor(given, nodes).config.name == name

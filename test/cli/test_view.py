@@ -23,7 +23,7 @@ from foretouch.dataset.samples import open_samples
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import BIOTAC_SP
-from foretouch.types import Cloud, Touch, TouchPrediction
+from foretouch.types import Cloud, Prediction, Touch
 
 LAYER_M = 0.0014
 
@@ -185,7 +185,7 @@ def test_a_sensor_of_any_layout_is_on_its_pad_and_its_dead_taxels_are_grey(recor
     values = rest.values.copy()
     values[sensor.taxel_columns[:, 7, -1]] += 20.0
     read = Touch(values, sensor.channels)
-    step = ViewStep(name="a", grasp=grasp, prediction=TouchPrediction(grasp, read), read=read, tare=rest)
+    step = ViewStep(name="a", grasp=grasp, prediction=Prediction.of(grasp, read), read=read, tare=rest)
     assert write_view(tmp_path / "a.rrd", [step], "a", sensor) == 1
     written = Written(tmp_path / "a.rrd")
     placed = np.array(written.rows("/scene/FF/taxels", "Points3D:positions")[0])

@@ -154,15 +154,17 @@ def test_fields_and_names_are_refused_with_the_nearest_known_one(call, files, tm
 
 
 REFUSED = (  # nodes and parameters of a file
-    ("/foretouch/touch_predicter", "autostart: true", "did you mean /foretouch/touch_predictor?"),
+    ("/foretouch/perceptoin", "autostart: true", "did you mean /foretouch/perception?"),
     ("/foretuch/grasp", "autostart: true", "did you mean /foretouch/grasp?"),
-    ("touch_predictor", "autostart: true", "did you mean /foretouch/touch_predictor?"),
-    ("/left/touch_predicter", "autostart: true", "did you mean /foretouch/touch_predictor?"),
+    ("perception", "autostart: true", "did you mean /foretouch/perception?"),
+    ("/left/perceptoin", "autostart: true", "did you mean /foretouch/perception?"),
     ("/foretouch/touch_predictor", "use_tarre: false", ": use_tarre: unknown parameter; did you mean use_tare?"),
     ("/foretouch/grasp", "use_tare: false", ": use_tare: unknown parameter"),  # a parameter of another node
     ("/**", "latency_budget: 5.0", "did you mean latency_budget_ms?"),
-    ("/foretouch/*", "queue_deth: 3", "did you mean queue_depth?"),
+    ("/foretouch/*", "silense_s: 3.0", "did you mean silence_s?"),
     ("/foretouch/recorder", "points:", "points: is empty"),
+    ("/foretouch/touch_predictor", "hand: right", "hand: is called hand_name since 0.4"),
+    ("/foretouch/segmentation", "queue_depth: 3", "queue_depth: was removed in 0.4: the newest cloud is answered next"),
 )
 ACCEPTED = (
     ("/foretouch/touch_predictor", "{use_tare: false, use_sim_time: true}"),

@@ -252,7 +252,7 @@ def _predict(path: Path) -> str:
     xyz = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32) * 0.03 + np.float32([0, 0, 0.5])
     grasp = Grasp(np.array([0.03, 0, 0.5]), np.array([-0.03, 0, 0.5]), np.eye(3))
     prediction = load_model(path).predict(Cloud(xyz), [grasp])[0]
-    values = None if prediction.value is None else prediction.value.values
+    values = prediction.value.values if prediction.ok else None
     assert values is None or np.isfinite(values).all()
     return repr(values)
 

@@ -81,6 +81,8 @@ def _run(method: str, samples: list[GraspSample], **train: Any) -> list[Any]:
     with TemporaryDirectory() as folder:
         model = load_model(train_run(config, data, Path(folder) / "run", lambda _: None))
         prediction = model.predict(samples[0].cloud, [samples[0].grasp])[0]
-    if prediction.value is None:
+    if not prediction.ok:
         raise ModelError(prediction.reason)
-    return [part.values for part in (prediction.value, prediction.lower, prediction.upper) if part is not None]
+    return [part.values for part in (prediction.value, prediction.lower, prediction.upper)][
+        : 3 if prediction.calibrated else 1
+    ]

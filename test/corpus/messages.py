@@ -24,7 +24,7 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ForetouchError
 from foretouch.models import load_model
 from foretouch.models.hand_history import place_and_size
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import read_arrays, read_cloud, read_plane, read_targets
@@ -71,7 +71,7 @@ def object_messages() -> list[Any]:
     """An `object_cloud` with labels and pixels, one with two objects, and one without labels."""
     cloud = Cloud((bar() + np.array([0.0, 0.0, 0.6])).astype(np.float32)[::10], None, FRAME, NOW_NS)
     pixels = np.arange(cloud.size, dtype=np.int64)
-    one, other = (FoundObject(name, cloud, ASSUMED_TABLE, pixels, (20, 20)) for name in ("7", "8"))
+    one, other = (Object(name, cloud, ASSUMED_TABLE, pixels, (20, 20)) for name in ("7", "8"))
     return [objects_to_msg([one], FRAME, NOW_NS), objects_to_msg([one, other], FRAME, NOW_NS), cloud_to_msg(cloud)]
 
 
@@ -164,7 +164,7 @@ def check_batch(batch: Any) -> None:
     for k, (status, reason) in enumerate(zip(batch.statuses, batch.reasons, strict=True)):
         named(status, reason)
         if status == 0:
-            finite("prediction", [value for values in found.values() for value in values[k].ravel()])
+            finite("prediction", found.value[k])
 
 
 def predicted() -> Reader:

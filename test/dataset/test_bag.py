@@ -147,11 +147,11 @@ def test_topics_are_listed_and_one_that_is_absent_empty_ambiguous_or_of_another_
     cases = (
         (r"name one with --topic: /left \(.*\), /right \([^)]*\)$", "bag", None),
         (
-            r"said: /points: no messages of sensor_msgs/msg/PointCloud2: /said \(std_msgs/msg/String, 0\)",
+            r"said: /points: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: /said \(std_msgs/msg/String, 0\)",
             "said",
             "/points",
         ),
-        ("said: no messages of sensor_msgs/msg/PointCloud2: /said", "said", None),
+        ("said: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: /said", "said", None),
         ("empty: no messages of .*: /foretouch/points", "empty", None),
     )
     every_refusal(FileError, cases, lambda name, topic: list(read_bag(tmp_path / name, topic)))
@@ -274,7 +274,7 @@ def test_each_channel_is_read_by_its_own_encoding_and_known_types_need_no_defini
     assert types["/proto"] == "foxglove.PointCloud as protobuf"
     with pytest.raises(
         FileError,
-        match=r"/json: no messages of sensor_msgs/msg/PointCloud2: .*/json \(sensor_msgs/msg/PointCloud2 as json, 1\)",
+        match=r"/json: no messages of sensor_msgs/msg/PointCloud2, nor depth images .*: .*/json \(sensor_msgs/msg/PointCloud2 as json, 1\)",
     ):
         list(read_bag(path, "/json"))
 

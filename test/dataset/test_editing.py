@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from every_case import every_case
 from recording_builders import IDENTITY, QUICK, ids, write_dataset
 
 from foretouch.dataset.editing import drop, merge, relabel, undo
@@ -13,6 +14,7 @@ from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recording.reader import RecordedDataset
+from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import DatasetError, FileError
@@ -81,9 +83,9 @@ def test_names_that_leave_a_folder_are_absent_taken_or_being_written_are_refused
 
 def test_flipped_bits_of_the_log_are_found_and_an_edit_that_was_cut_off_does_not_count(dataset: Path, rng) -> None:
     relabel(dataset, ["ball/000001"], "cup")
-    edited = ids(dataset)
+    edited, log, manifest = ids(dataset), dataset / "edits.jsonl", dataset / "manifest.json"
+    stated = manifest.read_bytes()  # by a crash in the second edit
     drop(dataset, ["cup/000001"])
-    log = dataset / "edits.jsonl"
     good = log.read_bytes()
     for place in {*range(0, len(good), 3), good.index(b"\n"), len(good) - 1}:
         damaged = bytearray(good)
@@ -91,6 +93,7 @@ def test_flipped_bits_of_the_log_are_found_and_an_edit_that_was_cut_off_does_not
         log.write_bytes(damaged)
         with pytest.raises(FileError, match=r"edits\.jsonl: (line [12]|byte \d+): "):
             verify_dataset(dataset)
+    manifest.write_bytes(stated)
     for cut in range(good.index(b"\n") + 1, len(good)):
         log.write_bytes(good[:cut])
         assert (ids(dataset), describe(dataset)["discarded"]) == (edited, 0)
@@ -149,3 +152,64 @@ def test_an_edit_that_does_not_fit_on_the_disk_is_not_in_force_and_the_next_one_
         assert (log.read_bytes(), ids(dataset)) == (good, before)
     assert relabel(dataset, ["ball/000002"], "cup") == 2
     assert "cup/000002" in ids(dataset)
+
+
+def test_a_log_that_was_emptied_cut_replaced_or_removed_is_refused_and_given_up_by_a_repair(
+    dataset: Path, tmp_path: Path
+) -> None:
+    relabel(dataset, ["ball/000001"], "cup")
+    drop(dataset, ["cup/000001"])
+    log, manifest = dataset / "edits.jsonl", dataset / "manifest.json"
+    good, stated = log.read_bytes(), manifest.read_bytes()
+    write_dataset(tmp_path / "other", 2)
+    drop(tmp_path / "other", ["ball/000002"])
+    drop(tmp_path / "other", ["ball/000001"])
+    contents = {
+        "emptied": b"", "of zeros": bytes(len(good)), "cut": good[: good.index(b"\n") + 1],
+        "of another dataset": (tmp_path / "other" / "edits.jsonl").read_bytes(), "removed": None,
+    }  # fmt: skip
+
+    def check(content: bytes | None) -> None:
+        manifest.write_bytes(stated)
+        log.unlink(missing_ok=True)
+        if content is not None:
+            log.write_bytes(content)
+        for read in (verify_dataset, RecordedDataset, undo):
+            with pytest.raises(
+                FileError, match=r"edits\.jsonl: holds \d edits, not the 2 that the manifest states: restore it, or "
+            ):
+                read(dataset)
+        report = repair_dataset(dataset)[-1]
+        assert (report.path, report.changed, report.original is None) == (log, True, content is None)
+        assert [one.clean for one in verify_dataset(dataset)] == [True, True]
+        assert "ball/000001" in ids(dataset)
+
+    every_case({name: (content,) for name, content in contents.items()}, check)
+    manifest.write_bytes(stated)
+    log.write_bytes(good + b'{"action": "und')  # a crash in the third
+    assert [edit.action for edit in read_edits(dataset).edits] == ["relabel", "drop"]
+
+
+def test_a_session_that_is_gone_or_of_another_dataset_is_found_and_no_longer_listed_after_a_repair(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "ds"
+    files = [write_dataset(path, 2, first=k) for k in (0, 2, 4)]
+    other = write_dataset(tmp_path / "other", 2, first=2).read_bytes()
+    good = files[1].read_bytes()
+    files[1].write_bytes(other)
+    fault = f"{files[1]}: byte 0: is another recording than the manifest lists under this name"
+    assert fault in verify_dataset(path)[1].fault_lines()
+    files[1].unlink()
+    assert verify_dataset(path)[-1].fault_lines() == [f"{files[1]}: byte 0: is absent, though the manifest lists it"]
+    with pytest.raises(
+        FileError, match=r"manifest\.json: sessions: session-0002\.mcap is absent: restore it, or take it off"
+    ):
+        RecordedDataset(path)
+    files[1].write_bytes(good)
+    assert all(report.clean for report in verify_dataset(path))
+    assert len(RecordedDataset(path)) == 6
+    files[1].unlink()
+    assert [report.path for report in repair_dataset(path) if report.changed] == [files[1]]
+    assert [report.path for report in verify_dataset(path) if report.clean] == [files[0], files[2]]
+    assert len(RecordedDataset(path)) == 4

@@ -36,7 +36,7 @@ def test_named_topics_become_samples_by_id_and_header_stamps_also_of_a_replay(tm
     assert touched.pairing_error_ns <= NS // 100
     assert touched.contact_ns == 1_700_000_003 * NS
     assert touched.series.others.keys() == {f"{c}_{f}" for c in ("PAC0", "PAC1", "TAC", "TDC") for f in ("TH", "MF")}
-    assert (touched.sample.cloud.xyz == 0).all()
+    assert (touched.sample.cloud.xyz == 1).all()
     assert other.sample.touch is None
     assert other.sample.grasp.id == "c"
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]

@@ -174,6 +174,7 @@ def test_of_a_split_recording_the_cut_file_is_named_and_the_others_are_read(tmp_
     last = tmp_path / "x_2.mcap"
     last.write_bytes(last.read_bytes()[:-1])
     assert read(tmp_path)[1].endswith("; also damaged: x_2.mcap")
+    assert [report.clean for report in verify_dataset(tmp_path)] == [True, False, False]
     repair_dataset(last)
     shutil.move(middle, tmp_path.parent / "x_1.mcap")
     assert read(tmp_path) == (TEXTS[:8] + TEXTS[16:], "")

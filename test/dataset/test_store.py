@@ -4,6 +4,8 @@
 import hashlib
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -217,3 +219,31 @@ def test_nulls_and_compressed_batches_are_refused(tmp_path: Path) -> None:
     cases += [("xyz of nulls", {"xyz": [None] * 3}, "xyz: is null")]
     cases += [(kind, {"xyz": [0.0] * 3_000}, "is compressed", kind) for kind in ("zstd", "lz4")]
     every_case(cases, check)
+
+
+def test_a_compressed_batch_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    write(tmp_path / "ds", [sample(0)])
+    shard, schema = tmp_path / "ds" / "shard-00000.arrow", store_module.schema_of(BIOTAC)
+    row = pa.ipc.open_file(shard).read_all().to_pylist()[0]
+    batch, offsets = pa.RecordBatch.from_pylist([row], schema=schema), pa.array([0, 30_000_000], pa.int32())
+    for name, kind in (("xyz", np.float32), ("rgb", np.uint8)):
+        column = pa.ListArray.from_arrays(offsets, pa.array(np.zeros(30_000_000, kind)))
+        batch = batch.set_column(schema.get_field_index(name), name, column)
+    with pa.ipc.new_file(shard, schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as out:
+        out.write_batch(batch)
+    reseal(tmp_path / "ds")
+    assert shard.stat().st_size < 100_000
+    program = """
+import sys, pyarrow
+from foretouch.dataset.store import Store
+from foretouch.errors import FileError
+try:
+    Store(sys.argv[1])
+except FileError as err:
+    print(err)
+print(pyarrow.default_memory_pool().max_memory())
+"""
+    command = [sys.executable, "-c", program, str(tmp_path / "ds")]
+    refusal, peak = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert refusal.endswith("shard-00000.arrow: batch 0: is compressed")
+    assert int(peak) < 1_000_000

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from every_case import every_case, every_refusal
+from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.limits import check_object
 from foretouch.errors import GraspError
 from foretouch.grasp.pose import check_rotation
-from foretouch.grasp.reach import check_reach, fast_accept_reach
-from foretouch.types import Grasp
+from foretouch.grasp.reach import check_reach, reach_faults
+from foretouch.types import Grasp, Grasps
 
 
 @pytest.fixture
@@ -64,16 +65,19 @@ def test_every_recorded_object_and_grasp_is_accepted(real_data: Path) -> None:
         check_rotation(sample.grasp.rotation)
 
 
-def test_what_is_accepted_at_once_is_in_reach(ball, rng) -> None:
+def test_what_is_accepted_is_in_reach(ball, rng) -> None:
     ball[::3] = np.nan
     at = ball[np.isfinite(ball).all(axis=1)][:300].astype(np.float64)
+    tree = cKDTree(ball[np.isfinite(ball).all(axis=1)].astype(np.float64))
 
     def check(distance_m: float) -> None:
         g1, g2 = at.copy(), at[::-1] + rng.normal(size=at.shape) * 10.0 ** rng.uniform(-3.0, 0.0, (300, 1))
-        g1[0], g2[1] = 1e160, -1e300
-        found = fast_accept_reach(g1, g2, ball, 0.08, distance_m)
-        assert found.any() == (distance_m > 0.0)
-        for a, b in zip(g1[found], g2[found], strict=True):
-            check_reach(Grasp(a, b, np.eye(3)), ball, 0.08, distance_m)
+        g1[0], g2[1] = 1e100, -1e100
+        grasps = Grasps(g1, g2, np.tile(np.eye(3), (300, 1, 1)))
+        faults = reach_faults(grasps, ball, 0.08, distance_m)
+        away = np.maximum(*(tree.query(contacts)[0] for contacts in (g1, g2)))  # SciPy's k-d tree
+        expected = (np.linalg.norm(g1 - g2, axis=1) <= 0.08) & (away <= distance_m)
+        assert [not fault for fault in faults] == expected.tolist()
+        assert expected.any() == (distance_m > 0.0)
 
     every_case([0.0, 0.01, 0.05, 0.1], check)

@@ -21,7 +21,7 @@ from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, GraspSample, Touch, TouchPrediction
+from foretouch.types import Cloud, GraspSample, Prediction, Touch
 
 CARD = {"name": "small", "sha256": "0" * 64}
 SAMPLES = make_samples(3, 6)
@@ -42,7 +42,7 @@ def read(history: HandHistory, samples: list[GraspSample], *, tare: Touch | None
     return history
 
 
-def predict(history: HandHistory, sample: GraspSample, stamp_ns: int = 0, *, same: bool = False) -> TouchPrediction:
+def predict(history: HandHistory, sample: GraspSample, stamp_ns: int = 0, *, same: bool = False) -> Prediction:
     at = history.snapshot(stamp_ns or sample.stamp_ns, same_object=same)
     (found,) = history.model.predict(sample.cloud, [sample.grasp], history=at)
     return found
@@ -62,7 +62,7 @@ def test_readings_of_another_object_move_predictions_and_narrow_them(model: Touc
     assert (own.reference, own.evidence.touches, own.evidence.touch_age_s) == ("touches", 6, 0.0)
 
 
-def half(prediction: TouchPrediction) -> np.ndarray:
+def half(prediction: Prediction) -> np.ndarray:
     return prediction.upper.values - prediction.lower.values
 
 

@@ -20,7 +20,7 @@ from foretouch.models.state_space import TrackerParameters
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
-from foretouch.types import Cloud, Grasp, GraspSample, TouchPrediction
+from foretouch.types import Cloud, Grasp, GraspSample, Prediction
 
 S, START = 10**9, 1_700_000_000 * 10**9
 RATIO = np.array([3.0, 0.0, 1.0, 8.0])
@@ -54,7 +54,7 @@ def read(model: TouchModel, samples: list[GraspSample]) -> HandHistory:
     return history
 
 
-def predict(history: HandHistory, cloud: Cloud, grasp: Grasp, *, same: bool = True) -> TouchPrediction:
+def predict(history: HandHistory, cloud: Cloud, grasp: Grasp, *, same: bool = True) -> Prediction:
     at = history.snapshot(SAMPLES[-1].stamp_ns, same_object=same)
     (found,) = history.model.predict(cloud, [grasp], history=at)
     return found

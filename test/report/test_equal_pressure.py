@@ -9,9 +9,9 @@ import numpy as np
 from foretouch.cloud.io.files import read_cloud
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups, flag_equal_pressures
-from foretouch.types import ASSUMED_TABLE, TouchPrediction
+from foretouch.types import ASSUMED_TABLE, Predictions
 
 CAN = Path(__file__).parents[2] / "examples" / "data" / "can.ply"
 
@@ -35,11 +35,13 @@ def grasps_around(target, pipeline, count):
 
 def test_one_grasp_refused_grasps_and_models_without_intervals_get_no_flag():
     model, pipeline = load_model(), Pipeline(PipelineConfig())
-    target = FoundObject("1", read_cloud(CAN), ASSUMED_TABLE)
-    one, *others = pipeline.predict(target, grasps_around(target, pipeline, 3), model=model)
-    refused = TouchPrediction(one.grasp, None, status="refused", reason="not finite")
-    assert [p.flags for p in flag_equal_pressures([refused, one], model)] == [(), one.flags]
-    assert EQUAL_PRESSURE in flag_equal_pressures([refused, one, *others], model)[1].flags
+    target = Object("1", read_cloud(CAN), ASSUMED_TABLE)
+    grasps = grasps_around(target, pipeline, 3)
+    rows = pipeline.predict(target, grasps, model=model)
+    refused = Predictions.refused(rows.grasps[:1], rows.channels, "refused", "not finite")
+    alone = Predictions.join([refused, rows[:1]])
+    assert flag_equal_pressures(alone, model).flags.tolist() == [(), rows[0].flags]
+    assert EQUAL_PRESSURE in flag_equal_pressures(Predictions.join([refused, rows]), model)[1].flags
     plain = TouchModel(model.estimator, model.card)
-    found = flag_equal_pressures(pipeline.predict(target, [p.grasp for p in (one, *others)], model=plain), plain)
+    found = flag_equal_pressures(pipeline.predict(target, grasps, model=plain), plain)
     assert not any(EQUAL_PRESSURE in p.flags for p in found)

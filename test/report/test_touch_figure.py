@@ -12,24 +12,24 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.touch_figure import DrawnGrasp, _agreement, save_contact_sheet, save_touch_picture
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import Cloud, Grasp, GraspSample, Plane, Touch, TouchPrediction
+from foretouch.types import Cloud, Grasp, GraspSample, Plane, Prediction, Touch
 
 BIOTAC_SP = packaged_sensor("biotac_sp")
 
 
 @pytest.fixture(scope="module")
-def sample() -> tuple[FoundObject, TouchPrediction, Touch]:
+def sample() -> tuple[Object, Prediction, Touch]:
     """An object, a prediction and a tare."""
     state = run(scene(CAN))
-    target = FoundObject("1", state.cloud, Plane.from_coefficients([0, 0, -1, 1.25]))
-    return target, TouchPrediction(state.grasp, state.touch), state.tare
+    target = Object("1", state.cloud, Plane.from_coefficients([0, 0, -1, 1.25]))
+    return target, Prediction.of(state.grasp, state.touch), state.tare
 
 
-def picture(path: Path, target: FoundObject, prediction: TouchPrediction, **options) -> np.ndarray:
+def picture(path: Path, target: Object, prediction: Prediction, **options) -> np.ndarray:
     return imread(save_touch_picture(path, [DrawnGrasp(target=target, prediction=prediction, **options)]))[..., :3]
 
 
@@ -64,7 +64,7 @@ def test_a_sentence_states_the_agreement_and_an_interval_changes_predicted_press
     shifted[[0, 10, 11, 12]] += (-100.0, 50.0, 70.0, -80.0)
     one = DrawnGrasp(target=target, prediction=prediction, read=biotac_touch(shifted))
     assert _agreement(one, BIOTAC_SP) == "mean difference: E 4 counts"
-    bounded = replace(one, prediction=replace(prediction, lower=low, upper=high))
+    bounded = replace(one, prediction=Prediction.of(prediction.grasp, prediction.value, low, high))
     text = "mean difference: E 4 counts; within their 90 % intervals: 46 of 48 E, 1 of 2 PDC"
     assert _agreement(bounded, BIOTAC_SP) == text
     assert _agreement(replace(one, read=None), BIOTAC_SP) == ""
@@ -87,7 +87,7 @@ def test_electrodes_that_were_read_outside_of_their_intervals_have_a_ring(sample
         70.0,
         -80.0,
     )  # a pressure; an electrode inside, and one of each finger outside
-    bounded = replace(prediction, lower=low, upper=high)
+    bounded = Prediction.of(prediction.grasp, prediction.value, low, high)
     without = DrawnGrasp(prediction=bounded, read=biotac_touch(shifted), rest=tare)  # no object to draw
     save_touch_picture(tmp_path / "a.png", [without, replace(without, target=target)])
     found = [dots for axes in drawn[0].axes for dots in axes.collections if isinstance(dots, PathCollection)]
@@ -137,7 +137,7 @@ def test_a_sensor_of_any_layout_is_drawn_by_its_chosen_channel_and_dead_taxels_a
     drawn: list[Figure] = []
     monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path, dpi: drawn.append(figure) or path)
     sensor, touch, rest = of_any_sensor("xela_uskin_4x4", rng, 5, 6)
-    predicted = replace(prediction, value=touch)
+    predicted = Prediction.of(prediction.grasp, touch)
     save_touch_picture(
         tmp_path / "a.png", [DrawnGrasp(prediction=predicted, target=target, rest=rest, read=touch)], sensor
     )

@@ -31,18 +31,19 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
-from rclpy.executors import ExternalShutdownException  # noqa: E402
+from rclpy.exceptions import InvalidHandle  # noqa: E402
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
 from rclpy.logging import LoggingSeverity  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
 from foretouch.ros.graph import node_class  # noqa: E402
-from foretouch.ros.runtime.executor import GraphExecutor  # noqa: E402
 from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 
-_domains, _closed = itertools.count(), itertools.count(1)
-_COLLECT_EVERY = 20  # graphs between two collections, which take a quarter of a second
+_domains = itertools.count()
+gc.collect()
+gc.freeze()  # what is loaded by now is not looked at by the collections between tests
 
 
 def open_domain(*, new: bool) -> int:
@@ -79,7 +80,7 @@ class Graph:
         self.nodes: list[Any] = []
         self._processes: list[subprocess.Popen[str]] = []
         self._errors = InternalErrors(print)
-        self._executor = GraphExecutor(self._errors)
+        self._executor = SingleThreadedExecutor()
         self._closing = threading.Event()
         self._executor.add_node(self.probe)
         self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -109,6 +110,8 @@ class Graph:
             self._executor.remove_node(node)
             node.destroy_node()
             self.nodes.remove(node)
+            del node
+        gc.collect()  # or rclpy would list them still
 
     @staticmethod
     def set(node: Any, **values: Any) -> None:
@@ -163,11 +166,26 @@ class Graph:
             self.until(lambda name=name: self.probe.count_publishers(name) >= publishers)
             self.until(lambda name=name: self.probe.count_subscribers(name) >= subscribers)
             local = [self.probe, *self.nodes]
-            sending = [end for node in local for end in node.publishers if end.topic_name == name]
-            hearing = [end for node in local for end in node.subscriptions if end.topic_name == name]
-            wanted = max(publishers, len(sending)), max(subscribers, len(hearing))
-            self.until(lambda ends=sending, n=wanted[1]: all(one.get_subscription_count() >= n for one in ends))
-            self.until(lambda ends=hearing, n=wanted[0]: all(one.get_publisher_count() >= n for one in ends))
+
+            def ends(name: str = name, local: list[Any] = local) -> tuple[list[Any], list[Any]]:
+                """Those of this process now: a subscription may be replaced, to follow its publishers."""
+                kinds = ([*node.publishers] for node in local), ([*node.subscriptions] for node in local)
+                sending, hearing = (
+                    [one for found in kind for one in found if one.topic_name == name] for kind in kinds
+                )
+                return sending, hearing
+
+            def know_each_other(ends: Callable[[], tuple[list[Any], list[Any]]] = ends) -> bool:
+                with contextlib.suppress(InvalidHandle):
+                    sending, hearing = ends()
+                    heard, sent = max(subscribers, len(hearing)), max(publishers, len(sending))
+                    return all(one.get_subscription_count() >= heard for one in sending) and all(
+                        one.get_publisher_count() >= sent for one in hearing
+                    )
+                return False
+
+            self.until(know_each_other)
+            sending, hearing = ends()
             if len(sending) < publishers or len(hearing) < subscribers:
                 time.sleep(0.5)  # the ends in other processes cannot be asked
 
@@ -223,8 +241,8 @@ class Graph:
             node.destroy_node()
         if self._alone:
             rclpy.try_shutdown()
-        if next(_closed) % _COLLECT_EVERY == 0:
-            gc.collect()
+        self.nodes.clear()
+        gc.collect()  # or rclpy would list the nodes still
 
 
 def _parameters(values: dict[str, Any]) -> list[Parameter]:
@@ -273,7 +291,7 @@ def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], l
     from sensor_msgs.msg import PointCloud2
 
     from foretouch.models.budget import profile_scene
-    from foretouch.pipeline import FoundObject
+    from foretouch.pipeline import Object
     from foretouch.ros.messages.clouds import objects_to_msg
     from foretouch.ros.messages.conversions import grasp_to_msg
     from foretouch.types import ASSUMED_TABLE
@@ -288,7 +306,7 @@ def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], l
         graph.matched("object_cloud", "grasps", "touch")
 
         def send(stamp: int) -> None:
-            message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", stamp)
+            message = objects_to_msg([Object("1", cloud, ASSUMED_TABLE)], "cam", stamp)
             clouds.publish(message)
             grasps.publish(GraspArray(header=message.header, grasps=[grasp_to_msg(one) for one in planned]))
 

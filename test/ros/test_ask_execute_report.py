@@ -19,7 +19,6 @@ from std_srvs.srv import Trigger
 from foretouch import reading
 from foretouch.cloud.messages import decode_cloud
 from foretouch.grasp.messages import decode_grasp
-from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.action import SampleGrasps
@@ -35,7 +34,7 @@ class Planner(Robot):
     """A camera, a hand and a planner beside the whole graph, of which the planner knows what it receives."""
 
     def __init__(self, graph, scene_cloud, **parameters):
-        _, _, self.node = graph.add(*PERCEPTION, **parameters)
+        (self.node,) = graph.add("perception", **parameters)
         self.graph, self.scene_cloud, self.numbers = graph, scene_cloud, itertools.count()
         self.points = graph.talk(PointCloud2, "points")
         self.heard = {topic: graph.listen(kind, topic) for topic, kind in HEARD.items()}
@@ -72,7 +71,7 @@ class Planner(Robot):
         request = PredictTouch.Request(cloud=cloud, table=table, grasps=self.candidates())
         *answered, far = self.graph.call(PredictTouch, "predict_touch", request).touch.predictions
         assert [one.status for one in (*answered, far)] == [Status.OK] * 3 + [Status.BAD_GRASP]
-        best = min(answered, key=lambda one: reading(one)["PDC"][0]).grasp
+        best = min(answered, key=lambda one: reading(one)["PDC"].value[0]).grasp
         decoded = decode_grasp(best)  # has the pose that was computed
         along = (decoded.g1 - decoded.g2) / np.linalg.norm(decoded.g1 - decoded.g2)
         np.testing.assert_allclose(decoded.rotation[:, 2], along, atol=1e-9)
@@ -92,7 +91,7 @@ class Planner(Robot):
         request = PredictTouch.Request(cloud=cloud, table=table, contacts=contacts, id=name)
         batch = self.graph.call(PredictTouch, "predict_touch", request).batch
         assert list(batch.statuses) == [Status.OK] * 3
-        return f"{name}/{reading(batch)['PDC'][:, 0].argmin()}"
+        return f"{name}/{reading(batch)['PDC'].value[:, 0].argmin()}"
 
     def action(self, **fields):
         _, result, _ = self.graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=3, **fields))
@@ -127,7 +126,7 @@ WAYS = (
 @pytest.mark.parametrize("rounds", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_every_executed_grasp_of_every_way_of_asking_is_adapted_to(graph, scene_cloud, tmp_path, rounds):
     card = save_calibrated_network(tmp_path, make_tracked_calibration())
-    kept = {"hand": "right", "history_folder": str(tmp_path)}
+    kept = {"hand_name": "right", "history_folder": str(tmp_path)}
     planner = Planner(graph, scene_cloud, model=card, forget_after_s=1e6, use_tare=False, **kept, **QUICK)
     assert planner.look().reference == TouchPrediction.NONE
     for number, way in enumerate(WAYS * rounds, 1):
@@ -142,7 +141,7 @@ def test_every_executed_grasp_of_every_way_of_asking_is_adapted_to(graph, scene_
     graph.set(planner.node, use_touches=False)
     assert planner.look().reference == TouchPrediction.NONE
     graph.set(planner.node, use_touches=True)
-    assert graph.change("touch_predictor", "deactivate", "cleanup", "configure", "activate")  # as after a restart
+    assert graph.change("perception", "deactivate", "cleanup", "configure", "activate")  # as after a restart
     graph.matched("object_cloud", "grasps", "touch")
     found = planner.look()
     assert (found.reference, found.touches, found.readings) == (TouchPrediction.TOUCHES, number, number)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""points -> touch through the three nodes, over DDS."""
+"""points -> touch through perception, over DDS."""
 
 import math
 
@@ -12,7 +12,6 @@ from visualization_msgs.msg import MarkerArray
 from foretouch import reading
 from foretouch.grasp.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
@@ -27,11 +26,11 @@ START = 1_700_000_000_000_000_000
 
 
 class Chain:
-    """The three nodes with a publisher of clouds, and lists of what they publish."""
+    """Perception with a publisher of clouds, and lists of what it publishes."""
 
     def __init__(self, graph, model):
         self.graph = graph
-        self.segmentation, self.grasp, self.touch = self.nodes = graph.add(*PERCEPTION, model=model)
+        (self.node,) = graph.add("perception", model=model)
         self.heard = {topic: graph.listen(kind, topic) for topic, kind in {**OUTPUTS, "markers": MarkerArray}.items()}
         self.publisher = graph.talk(PointCloud2, "points")
         graph.matched("points", *OUTPUTS)
@@ -55,7 +54,7 @@ def values(prediction):
 
 
 def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the_cloud(chain, scene_cloud, model_card):
-    chain.graph.set(chain.grasp, hand__approach_m=0.3)  # so far that other objects stand in the way of some grasps
+    chain.graph.set(chain.node, hand__approach_m=0.3)  # so far that other objects stand in the way of some grasps
     pipeline, blocked = Pipeline(PipelineConfig(model=model_card).updated({"hand.approach_m": 0.3})), 0
     for seed in range(4):
         cloud = scene_cloud(seed, stamp_ns=START + 1 + seed)
@@ -87,8 +86,8 @@ def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the
 
 
 def test_the_target_and_the_grasp_of_a_still_scene_are_kept(chain, scene_cloud):
-    chain.graph.set(chain.segmentation, target__margin_m=1.0)  # both objects are equally near
-    chain.graph.set(chain.grasp, grasp_hold=5.0)  # far more than the noise of the score
+    chain.graph.set(chain.node, target__margin_m=1.0)  # both objects are equally near
+    chain.graph.set(chain.node, grasp_hold=5.0)  # far more than the noise of the score
     cloud, rng, grasps = scene_cloud(3), np.random.default_rng(5), []
     for number in range(6):
         noise = rng.normal(0.0, 1e-4, cloud.xyz.shape).astype(np.float32)
@@ -140,9 +139,7 @@ def test_a_bad_cloud_is_answered_with_the_reason_and_the_next_one_is_served(chai
 
 def test_targets_limits_and_lateness_are_parameters(chain, scene_cloud):
     graph = chain.graph
-    graph.set(chain.segmentation, target__mode="all")
-    graph.set(chain.grasp, grasp__count=3)
-    graph.set(chain.touch, late_after_s=60.0)
+    graph.set(chain.node, target__mode="all", grasp__count=3, late_after_s=60.0)
     found = chain.send(scene_cloud(n_objects=3, stamp_ns=graph.probe.get_clock().now().nanoseconds))
     ids, grasps = [one.id for one in found["objects"].objects], [one.id for one in found["grasps"].grasps]
     assert len(ids) == 3
@@ -151,12 +148,12 @@ def test_targets_limits_and_lateness_are_parameters(chain, scene_cloud):
     assert len(set(grasps)) == len(grasps)
     for prediction in found["touch"].predictions:
         assert ("late" in prediction.flags, prediction.input_age.sec < 60) == (False, True)
-    graph.set(chain.grasp, limits__max_extent_m=0.03)
+    graph.set(chain.node, limits__max_extent_m=0.03)
     found = chain.send(scene_cloud())
     for topic in ("grasps", "touch"):
         assert found[topic].status == Status.NO_GRASP
         assert "more than max_extent_m 0.03" in found[topic].reason
-    graph.set(chain.segmentation, target__mode="point", target__point=[0.0, 0.0, 9.0])
+    graph.set(chain.node, target__mode="point", target__point=[0.0, 0.0, 9.0])
     found = chain.send(scene_cloud())
     assert (found["touch"].status, "no object within" in found["touch"].reason) == (Status.NO_TARGET, True)
     assert len(found["objects"].objects) == 2  # still published, only not chosen
@@ -170,10 +167,10 @@ def test_markers_show_all_and_those_that_fail_do_not_answer_a_second_time(chain,
     def fail(*_, **__):
         raise FloatingPointError("overflow")
 
-    for node, name in (("segmentation", "object_markers"), ("touch_predictor", "touch_markers")):
-        monkeypatch.setattr(f"foretouch.ros.nodes.{node}.{name}", fail)
+    for step, name in (("segmentation", "object_markers"), ("touch", "touch_markers")):
+        monkeypatch.setattr(f"foretouch.ros.steps.{step}.{name}", fail)
     found = chain.send(scene_cloud(stamp_ns=98))
     assert found["touch"].status == found["objects"].status == Status.OK
-    chain.graph.until(lambda: [node.internal_errors.counts()["markers"] for node in chain.nodes] == [1, 0, 1])
+    chain.graph.until(lambda: chain.node.internal_errors.counts()["markers"] == 2)
     chain.send(scene_cloud(stamp_ns=99))
     assert len(chain.heard["touch"]) == len(chain.heard["objects"]) == 3

@@ -23,11 +23,10 @@ def test_one_table_lists_the_executables_of_the_package_and_of_setup():
         for line in ast.parse((Path(__file__).parents[2] / "setup.py").read_text(encoding="utf-8")).body
         if isinstance(line, ast.Assign) and line.targets[0].id == "NODES"
     ]
-    assert set(names) == set(executables.EXECUTABLES)
-    assert {name for nodes in executables.EXECUTABLES.values() for name in nodes} == set(executables.NODES)
-    for name, nodes in executables.EXECUTABLES.items():
+    assert set(names) == set(executables.NODES)
+    for name in names:
         entry_point = getattr(executables, name)
-        assert (entry_point.func, entry_point.args) == (executables.run, nodes)
+        assert (entry_point.func, entry_point.args) == (executables.run, (name,))
     with pytest.raises(AttributeError, match="no attribute 'toaster'"):
         executables.toaster  # noqa: B018
 
@@ -40,7 +39,7 @@ def test_each_executable_answers_help_and_refuses_what_is_not_for_ros(capsys):
             printed = " ".join("".join(capsys.readouterr()).split())
             assert (ended.value.code, text in printed, f"usage: foretouch_{name}" in printed) == (status, True, True)
 
-    every_case([(name,) for name in executables.EXECUTABLES], check)
+    every_case([(name,) for name in executables.NODES], check)
 
 
 @pytest.mark.slow
@@ -84,7 +83,8 @@ def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
         ("segmentation", "--nonsense", "foretouch: ROS arguments: unknown: ['--nonsense']"),
         ("segmentation", "target.mode:=prettiest", "foretouch: target.mode: 'prettiest' is not one of nearest"),
         ("segmentation", "target.moed:=all", "target.moed: unknown parameter; did you mean target.mode?"),
-        ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
+        ("perception", "queue_depth:=4", "queue_depth: was removed in 0.4"),
+        ("segmentation", "silence_s:=many", "foretouch: silence_s"),
         ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),
     ):
         process = lone_graph.start(name, *(("-p", parameter) if ":=" in parameter else (parameter,)))

@@ -13,7 +13,6 @@ from every_case import every_case
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from foretouch.ros.graph import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, point_to_msg
 from foretouch.ros.messages.requests import status_name
@@ -56,7 +55,7 @@ class Life:
 
     def __init__(self, graph):
         self.graph, self.last_ns = graph, 1_700_000_000_000_000_000
-        graph.add(*PERCEPTION, grasp_hold=0.0, silence_s=1e6, late_after_s=0.0)
+        graph.add("perception", grasp_hold=0.0, silence_s=1e6, late_after_s=0.0)
         self.heard = {topic: graph.listen(kind, topic) for topic, kind in OUTPUTS.items()}
         self.points = graph.talk(PointCloud2, "points")
         graph.matched("points", *OUTPUTS)

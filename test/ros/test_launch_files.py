@@ -11,6 +11,8 @@ import launch_stubs
 import pytest
 from every_case import every_case
 
+from foretouch.cloud.io.files import write_cloud
+from foretouch.pipeline import Pipeline
 from foretouch.ros.nodes.recorder import RecorderConfig
 
 FOLDER = Path(__file__).parents[2] / "launch"
@@ -19,8 +21,13 @@ MODEL = ["-p", "model:=m.json"]
 NODES = {  # values of the arguments, then executables with what is peculiar to each
     "camera": ({}, {"camera": {}}),
     "perception": (
-        {"points": "/camera/points", "model": "m.json", "one_process": "true"},
-        {"perception": {"remappings": [("points", "/camera/points")], "ros_arguments": MODEL}},
+        {"points": "/camera/points", "model": "m.json", "one_process": "true", "input": "points"},
+        {
+            "perception": {
+                "remappings": [("points", "/camera/points")],
+                "ros_arguments": [*MODEL, "-p", "input:=points"],
+            }
+        },
     ),
     "recorder": (
         {"record": "", "object": "7", "folder": "", "tactile": "", "tactile_type": ""},
@@ -75,7 +82,7 @@ def test_each_node_gets_namespace_parameter_file_and_arguments(library):
             wanted = {"package": "foretouch", "executable": node.node_executable, "output": "screen", **own}
             wanted["parameters"] = ["d415.yaml", *own.get("parameters", [])]
             assert {key: value for key, value in options.items() if value != []} == wanted
-    module, _, context = describe("perception", points="points", model="m.json", one_process="false")
+    module, _, context = describe("perception", points="points", model="m.json", one_process="false", input="points")
     nodes = {node.node_executable: node for node in module.perception(context)}
     assert list(nodes) == ["foretouch_segmentation", "foretouch_grasp", "foretouch_touch_predictor"]
     module, *_ = describe("recorder")
@@ -83,15 +90,20 @@ def test_each_node_gets_namespace_parameter_file_and_arguments(library):
     assert set(module.PARAMETERS.values()) <= known
 
 
-def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera(library):
-    for name in ("replay", "scene"):
-        module, description, context = describe(name, path="recording/", model="m.json", rviz="true")
+def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera(library, tmp_path, scene_cloud):
+    scene, target = tmp_path / "scene", tmp_path / "target"
+    for folder, cloud in ((scene, scene_cloud()), (target, Pipeline().segment(scene_cloud()).targets[0].cloud)):
+        folder.mkdir()
+        write_cloud(folder / "1.pcd", cloud)
+    for name, path, kind in (("replay", scene, "points"), ("replay", target, "objects"), ("scene", scene, None)):
+        module, description, context = describe(name, path=str(path), model="m.json", rviz="true")
         if library != "stubs":
             continue
         included = description.entities[len(module.ARGUMENTS) + 1]
+        (included,) = included.function(context) if name == "replay" else (included,)
         assert included.source.parts[1:] == ["launch", "perception.launch.py"]
         given = {key: getattr(one, "perform", lambda _, v=one: v)(context) for key, one in included.launch_arguments}
-        own = {"camera": "false", "namespace": "/left", "params_file": ""}
+        own = {"camera": "false", "namespace": "/left", "params_file": "", **({"input": kind} if kind else {})}
         assert given == {**own, "model": "m.json", "rviz": "true"}
 
 

@@ -9,7 +9,8 @@ from every_case import every_refusal
 from numpy.testing import assert_array_equal
 from sensor_builders import SMALL, write_sensor, xela_message
 
-from foretouch.errors import ConfigError, TactileError
+from foretouch.errors import ConfigError, FileError, TactileError
+from foretouch.tactile.description import load_sensor, sensor_of
 from foretouch.tactile.messages.table import TactileConfig, TactileReading, make_reader
 
 
@@ -42,6 +43,41 @@ def test_sensors_of_others_by_file_alone(rng: np.random.Generator) -> None:
     fingers = [Message(sensors=[Message(**dict(zip(names, row, strict=True))) for row in one]) for one in counts]
     reading = read("shadow_mst", Message(header=header(), fingers=fingers))
     assert_array_equal(reading.counts, by_channel(counts[[4, 1], :, :3]))
+
+
+def test_places_without_a_taxel_are_no_taxels_and_never_count_as_failed(tmp_path) -> None:
+    """A matrix of 2 x 3 of which the outline covers four places; the others are NaN, 0 or anything."""
+    values = {"values": [{**SMALL["values"][0], "range": [-100, 100]}]}
+    path = write_sensor(tmp_path, {**values, "absent": [0, 4]})
+    sent = np.array([[np.nan, 1.0, 2.0, 3.0, np.nan, 5.0], [-1e9, 11.0, 12.0, 13.0, 0.0, np.nan]])
+    reading = read(path, Message(pads=[Message(pressures=row) for row in sent]))
+    assert reading.invalid == {"out_of_range": 1}  # the last place of the right finger holds a taxel
+    assert_array_equal(reading.counts[[0, 1, 2, 3, 4, 5, 6]], [1, 2, 3, 5, 11, 12, 13])
+    sensor = load_sensor(path)
+    assert_array_equal(sensor.layout.positions[:, :2], [[0.0, 0.002], [0.0, 0.004], [0.004, 0.0], [0.004, 0.004]])
+    again = sensor_of(sensor.to_mapping(), "card")
+    assert (again.sha256, again.places.tolist()) == (sensor.sha256, [1, 2, 3, 5])
+    assert sensor.sha256 != load_sensor(write_sensor(tmp_path, values)).sha256
+    lines = "".join(f"{k},0.00{k},0,0,0,0,1\n" for k in (1, 2, 3, 5))
+    csv = write_sensor(
+        tmp_path, {"absent": [0, 4], "array": None, "taxels": "taxels.csv"}, "index,x,y,z,nx,ny,nz\n" + lines
+    )
+    assert_array_equal(read(csv, Message(pads=[Message(pressures=row) for row in sent])).counts, reading.counts)
+    with pytest.raises(TactileError, match="pressures: 4 numbers, not 6"):
+        read(csv, Message(pads=[Message(pressures=row[:4]) for row in sent]))
+    for absent, rule in (
+        ([6], "must hold a taxel"),
+        (range(6), "must hold a taxel"),
+        ([1, 1], "are not different places"),
+    ):
+        with pytest.raises(ConfigError, match=f"absent: .*{rule}"):
+            load_sensor(write_sensor(tmp_path, {"absent": list(absent)}))
+    with pytest.raises(FileError, match="index: not each of 0 to 5 once, without those absent"):
+        load_sensor(
+            write_sensor(
+                tmp_path, {"absent": [1, 4], "array": None, "taxels": "taxels.csv"}, "index,x,y,z,nx,ny,nz\n" + lines
+            )
+        )
 
 
 def test_biotac_by_its_description_as_by_its_own_decoder(rng: np.random.Generator) -> None:

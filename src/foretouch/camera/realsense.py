@@ -14,7 +14,7 @@ from typing import Any, Literal, Self
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import DeviceSource, describe, realsense
-from foretouch.camera.stream import FrameStream
+from foretouch.camera.stream import DepthFrame, FrameStream
 from foretouch.errors import CameraError
 from foretouch.types import Cloud
 
@@ -38,7 +38,7 @@ class CameraStatus:
     state: CameraState = "reconnecting"
     reason: str = "not opened yet"  # why, as text; empty while streaming
     device: str = ""  # name and serial number of the device; empty until one was opened
-    delivered: int = 0  # clouds returned
+    delivered: int = 0  # images returned
     dropped: Mapping[str, int] = field(default_factory=dict)  # lost frames by reason
     opened: int = 0  # how often a device was opened
     failures: int = 0  # consecutive attempts without a frame
@@ -77,16 +77,21 @@ class RealSenseCamera:
         self._source = DeviceSource(config) if source is None else source
         self._device: Any = None
         self._stream: FrameStream | None = None
-        self._heard_s = 0.0  # of the last cloud, or of the opening, whose first frame may take longer [s]
-        self._streaming = False  # whether that was a cloud
-        self._failures = 0  # consecutive attempts without a cloud
+        self._heard_s = 0.0  # of the last image, or of the opening, whose first frame may take longer [s]
+        self._streaming = False  # whether that was an image
+        self._failures = 0  # consecutive attempts without an image
         self._next_attempt_s = 0.0  # end of the pause after a failed attempt [s]
         self._dropped: Counter[str] = Counter()
         self._last_number: int | None = None
         self.status = CameraStatus()  # the state, its reason, and the counts so far; replaced as a whole
 
     def read(self, timeout_s: float) -> Cloud | None:
-        """Return the next cloud; None if there was none in time, for the reason that `status` gives.
+        """Return the next image as an organised cloud (see `read_frame`)."""
+        frame = self.read_frame(timeout_s)
+        return None if frame is None else frame.cloud()
+
+    def read_frame(self, timeout_s: float) -> DepthFrame | None:
+        """Return the next depth image; None if there was none in time, for the reason that `status` gives.
 
         Opening a device may take longer than `timeout_s` [s]. A `CameraError` if the camera does not offer what the settings
         ask for, or a `FileError` if the file is not a recording.
@@ -96,8 +101,8 @@ class RealSenseCamera:
             left = deadline - time.monotonic()
             if self._stream is None:
                 self._try_to_open(max(0.0, left))
-            elif (cloud := self._wait(self._stream, min(_SLICE_S, max(0.001, left)))) is not None:
-                return cloud
+            elif (frame := self._wait(self._stream, min(_SLICE_S, max(0.001, left)))) is not None:
+                return frame
             if time.monotonic() >= deadline:
                 break
         return None
@@ -142,7 +147,7 @@ class RealSenseCamera:
         self._update(opened=self.status.opened + 1, device=describe(self._device))
         self._set_state("reconnecting", "opened, waiting for the first frame")
 
-    def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
+    def _wait(self, stream: FrameStream, timeout_s: float) -> DepthFrame | None:
         depth, now = stream.wait(timeout_s), time.monotonic()
         if depth is None:
             self._on_silence(now, "no frame")
@@ -152,7 +157,7 @@ class RealSenseCamera:
             self._drop("missed", number - self._last_number - 1)
         self._last_number = number
         try:
-            cloud = stream.cloud(depth)
+            frame = stream.frame(depth)
         except RuntimeError as err:
             self._drop("bad_frame")
             self._on_silence(now, f"the library refuses the frame ({' '.join(str(err).split())})")
@@ -160,10 +165,10 @@ class RealSenseCamera:
         self._heard_s, self._streaming, self._failures = now, True, 0
         self._update(delivered=self.status.delivered + 1)
         self._set_state("streaming", "")
-        return cloud
+        return frame
 
     def _on_silence(self, now: float, what: str) -> None:
-        """Handle the lack of a cloud; `what` describes it in the reason."""
+        """Handle the lack of an image; `what` describes it in the reason."""
         silent_s, limit_s = now - self._heard_s, self.config.silence_s if self._streaming else _START_S
         # A recording may not be playing yet in the first second.
         ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The depth stream of one open device: frames in, organised clouds out. Live, recorded and synthetic frames share this code.
+"""The depth stream of one open device: frames in, depth images out. Live, recorded and synthetic frames share this code.
 
 Frames wait in our own queue, so that none is lost without a count: from Python, the library's `frame_queue` is filled
 while its thread holds the interpreter lock, so a full queue that waits for its reader (a recording read at the reader's
@@ -9,6 +9,7 @@ pace) never ends.
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,23 @@ from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.camera.config import FILTERS, RealSenseConfig
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
-from foretouch.types import Cloud
+from foretouch.types import AnyArray, Cloud
 from foretouch.types.camera import CameraModel
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFrame:
+    """A depth image and its camera."""
+
+    depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 where there is none
+    scale_m: float  # metres per unit of it
+    camera: CameraModel
+    frame_id: str  # optical frame of the camera
+    stamp_ns: int  # time of measurement [ns]
+
+    def cloud(self) -> Cloud:
+        """Make the organised cloud of the image."""
+        return Cloud.from_depth(self.depth, self.camera, self.scale_m, frame_id=self.frame_id, stamp_ns=self.stamp_ns)
 
 
 class FrameStream:
@@ -51,19 +67,14 @@ class FrameStream:
         """The next depth frame; None if there was none in time [s]."""
         return self._queue.get(timeout_s)
 
-    def cloud(self, depth: Any) -> Cloud:
-        """(H, W, 3) points of a depth frame, filtered and deprojected."""
+    def frame(self, depth: Any) -> DepthFrame:
+        """Filter a depth frame, and copy it out of the library's memory."""
         stamp_ns = self._stamp_ns(depth, time.time_ns())
         for block in self._filters:
             depth = block.process(depth)
         image = depth.as_depth_frame()
-        return Cloud.from_depth(
-            np.asanyarray(image.get_data()),
-            self._camera_of(image),
-            image.get_units(),
-            frame_id=self._config.optical_frame,
-            stamp_ns=stamp_ns,
-        )
+        pixels, camera = np.array(image.get_data()), self._camera_of(image)
+        return DepthFrame(pixels, image.get_units(), camera, self._config.optical_frame, stamp_ns)
 
     def close(self) -> None:
         """Stop and release the device; errors of one that was unplugged are ignored."""

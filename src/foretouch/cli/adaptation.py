@@ -18,13 +18,13 @@ from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchErro
 from foretouch.files import read_json, require_schema
 from foretouch.tactile import make_tare, tdc_of
 from foretouch.tactile.description import require_same
-from foretouch.types import Float64, Grasp, GraspSample, Touch, TouchPrediction
+from foretouch.types import Float64, Grasp, GraspSample, Predictions, Touch
 
 if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, TouchModel
-    from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.pipeline import Object, Pipeline
     from foretouch.tactile.description import Sensor
     from foretouch.types.channels import Channels
 
@@ -53,11 +53,11 @@ class Adaptation:
     def predict(
         self,
         pipeline: Pipeline,
-        target: FoundObject,
+        target: Object,
         grasps: Sequence[Grasp],
         sample: GraspSample | None,
         model: TouchModel | None = None,
-    ) -> Sequence[TouchPrediction]:
+    ) -> Predictions:
         """Predict K grasps on one object, by a reduced form of the model if one is given.
 
         A `DatasetError` if a sample lacks the requested tare, or is of another object than the touches.

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foretouch.errors import ForetouchError
-from foretouch.tactile.channels import BIOTAC, BIOTAC_SP
+from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp, TouchPrediction
-from foretouch.types.channels import Channels
+from foretouch.types import Grasp, Prediction
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -34,13 +33,16 @@ def grasp_record(grasp: Grasp) -> dict[str, Any]:
     }
 
 
-def prediction_record(prediction: TouchPrediction, channels: Channels = BIOTAC) -> dict[str, Any]:
+def prediction_record(prediction: Prediction) -> dict[str, Any]:
     """One prediction for JSON: values and bounds of each of the modalities, bounds null without a calibration."""
-    ends = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
-    columns = {name: {} if touch is None else touch.parts() for name, touch in ends.items()}
+    ends = {"value": prediction.value.parts() if prediction.ok else {}}
+    ends |= {"lower": prediction.lower.parts(), "upper": prediction.upper.parts()} if prediction.calibrated else {}
     return {
         "grasp": grasp_record(prediction.grasp),
-        **{name: {key: parts.get(name) for key, parts in columns.items()} for name in channels.modalities},
+        **{
+            name: {end: ends.get(end, {}).get(name) for end in ("value", "lower", "upper")}
+            for name in prediction.channels.modalities
+        },
         "reference": prediction.reference,
         "evidence": asdict(prediction.evidence),
         "flags": list(prediction.flags),
@@ -68,7 +70,7 @@ def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, An
     from foretouch.ros.messages.requests import status_name
 
     try:
-        return prediction_record(prediction_from_msg(message, sensor), sensor.channels)
+        return prediction_record(prediction_from_msg(message, sensor))
     except ForetouchError as err:
         status = status_name(message.status) if message.status else "failed"
         return {"status": status, "reason": message.reason or str(err)}

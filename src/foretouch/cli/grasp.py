@@ -17,7 +17,7 @@ from foretouch.pipeline import Pipeline
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and the settings of GeoGrasp."""
-    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED)
+    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument("--tip-mm", type=float, metavar="MM", help="size of the gripper's fingertip [mm] (default: 25)")
     parser.add_argument("--count", type=int, metavar="K", help="maximum number of grasps (default: 1)")
     slide = parser.add_mutually_exclusive_group()
@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud was refused or has no grasp."""
+    inputs.check_single(arguments)
     changes = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
     rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
@@ -39,10 +40,14 @@ def run(arguments: argparse.Namespace) -> int:
 def _plan(
     arguments: argparse.Namespace, pipeline: Pipeline, rng: np.random.Generator | None, item: SourceItem
 ) -> Iterator[inputs.Record]:
-    for one in inputs.target_objects(item, arguments, pipeline):
+    targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
+    for number, one in enumerate(targets):
         plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
+        if number == 0:
+            inputs.draw_result(arguments, scene, plan.grasps)
         yield {
             "object": one.id,
+            **({"selected": selected} if selected else {}),
             "status": plan.status,
             "reason": plan.reason,
             "plane": one.plane.coefficients,

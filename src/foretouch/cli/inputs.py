@@ -9,11 +9,13 @@ from itertools import chain
 from typing import Any, Final
 
 from foretouch.cli.output import print_json, warn
+from foretouch.cloud.io.mask_files import read_mask
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
-from foretouch.errors import CloudError, ForetouchError
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-from foretouch.types import Cloud, Plane, assumed_table
+from foretouch.errors import CloudError, ConfigError, ForetouchError
+from foretouch.files import PICTURE_SUFFIXES, require_writable
+from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
+from foretouch.types import Cloud, Grasps, Plane, Predictions, assumed_table
 
 Record = dict[str, Any]
 
@@ -68,7 +70,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "nargs": "+",
         "help": "cloud file (.pcd, .ply, .npz or .npy), folder of cloud files, dataset or recording",
     },
-    "--topic": {"help": "point cloud topic of a recording (default: its only one)"},
+    "--topic": {"help": "topic of point clouds or depth images of a recording (default: its only one)"},
     "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
     "--set": {"metavar": "KEY=VALUE", **_REPEATED, "help": "change one setting of the pipeline"},
     "--plane": {
@@ -80,6 +82,25 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--target": {
         "choices": ["nearest", "largest", "free", "all"],
         "help": "objects of a cloud to use; free is the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
+    },
+    "--mask": {
+        "metavar": "FILE",
+        "help": "labels of the objects in the image of a single input (.png with a label a pixel, .npy, or .npz with `mask`, `label` or `segmap`): they become the "
+        "objects, with their labels as ids, on the table that is found in the rest; 0 is no object",
+    },
+    "--pixel": {
+        "metavar": "u,v",
+        "type": partial(numbers, count=2),
+        "help": "use the object at this column and row of the image",
+    },
+    "--point": {
+        "metavar": "x,y,z",
+        "type": partial(numbers, count=3),
+        "help": "use the object at this point [m], in the frame of the cloud",
+    },
+    "--picture": {
+        "metavar": "FILE",
+        "help": "draw the result of a single input: the image with its objects, the best grasp from two sides, and its touch (.png, .pdf, .svg or .jpg)",
     },
     "--tare": {
         "metavar": "F|sample",
@@ -117,8 +138,9 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments that several commands share, by name."""
 
-READ: Final = ("inputs", "--topic", "--config", "--set")
+READ: Final = ("inputs", "--topic", "--config", "--set", "--mask", "--picture")
 PLANNED: Final = ("--plane", "--scene", "--target")
+CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
 
 
@@ -143,29 +165,84 @@ def pipeline_config(
     return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
 
 
-def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
-    """The objects to grasp in one input: the cloud itself, or the targets of its scene; a `CloudError` if it has none.
+def check_single(arguments: argparse.Namespace) -> None:
+    """Refuse options for a single input, `--mask` and `--picture`, with several, and a picture that cannot be written.
 
-    An organised cloud, or any with --scene, is a scene; otherwise the cloud is one object
+    Raises:
+        ConfigError: Names the option.
+    """
+    for name in ("mask", "picture"):
+        if getattr(arguments, name) and len(arguments.inputs) > 1:
+            raise ConfigError(f"--{name}: requires one input, not {len(arguments.inputs)}")
+    if getattr(arguments, "pixel", None) and getattr(arguments, "point", None):
+        raise ConfigError("--pixel, --point: select an object twice; give one of them")
+    if arguments.picture:
+        require_writable(arguments.picture, *PICTURE_SUFFIXES)
+
+
+def scene_of(cloud: Cloud, arguments: argparse.Namespace, pipeline: Pipeline) -> Scene:
+    """The scene of a cloud, by the labels of --mask if it is given."""
+    mask = read_mask(arguments.mask) if arguments.mask else None
+    try:
+        return pipeline.segment(cloud, mask=mask)
+    except CloudError as err:
+        raise CloudError(f"{arguments.mask}: {err}" if arguments.mask else str(err)) from err
+
+
+def target_objects(
+    item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
+) -> tuple[list[Object], Scene | Object, str]:
+    """Find the objects to grasp in one input: the cloud itself, or the targets of its scene.
+
+    An organised cloud, or any with --scene, --mask, --pixel or --point, is a scene; otherwise the cloud is one object
     on --plane or on an assumed table, seen from straight above.
+
+    Returns:
+        The objects, at least one; the scene that they are in, or the only object; and by what they were selected: `pixel`,
+        `point`, or "" for the rule of --target.
+
+    Raises:
+        CloudError: If there is no object, or none at --pixel or --point.
     """
     if holds_one_object(item.cloud, arguments):
-        return [only_object(item.cloud, arguments)]
-    scene = pipeline.segment(item.cloud)
+        target = only_object(item.cloud, arguments)
+        return [target], target, ""
+    scene = scene_of(item.cloud, arguments, pipeline)
+    if not scene.objects:
+        raise CloudError(f"{scene.status}: {scene.reason}")
+    if arguments.pixel:
+        if not all(value.is_integer() for value in arguments.pixel):
+            raise CloudError(f"--pixel: {','.join(map(str, arguments.pixel))} is not two whole numbers, column and row")
+        u, v = map(int, arguments.pixel)
+        return [scene.at(u, v)], scene, "pixel"
+    if arguments.point:
+        return [scene.near(arguments.point, pipeline.config.target.tolerance_m)], scene, "point"
     if not scene.targets:
         raise CloudError(f"{scene.status}: {scene.reason}")
-    return list(scene.targets)
+    return list(scene.targets), scene, ""
 
 
 def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
     """Whether a cloud is one object, by the rule of `target_objects`."""
-    return arguments.plane is not None or not (arguments.scene or cloud.organised)
+    chosen = any(getattr(arguments, name, None) for name in ("scene", "mask", "pixel", "point"))
+    return arguments.plane is not None or not (chosen or cloud.organised)
 
 
-def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
+def draw_result(
+    arguments: argparse.Namespace, scene: Scene | Object, grasps: Grasps | None = None, touch: Predictions | None = None
+) -> None:
+    """Write --picture, if it is asked for."""
+    if arguments.picture:
+        from foretouch.report.scene_figure import draw_scene
+
+        draw_scene(scene, grasps, touch, path=arguments.picture)
+        warn(f"wrote {arguments.picture}")
+
+
+def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
     """A cloud as one object, on --plane or on an assumed table."""
     table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
-    return FoundObject("1", cloud, table)
+    return Object("1", cloud, table)
 
 
 def heading(record: Record, by: str = "") -> str:

@@ -107,9 +107,10 @@ def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Tabl
 
 def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequence[str]) -> list[str]:
     """Values of some modalities with their half width."""
-    from foretouch.ros.messages.conversions import values_from_msg
+    from foretouch.ros.messages.conversions import prediction_from_msg
 
-    value, lower, upper = values_from_msg(prediction, sensor)
+    one = prediction_from_msg(prediction, sensor)
+    value, lower, upper = one.value.values, one.lower.values, one.upper.values
     columns = [(sensor.channels.columns([name]), sensor.channels.channel_of[name].text) for name in modalities]
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
@@ -144,5 +145,5 @@ def _short(name: str) -> str:
 def _order(name: str) -> tuple[int, str]:
     """Sort nodes in the order in which the data passes them."""
     short = _short(name)
-    known = ["camera", "replay", "segmentation", "grasp", "touch_predictor", "hand", "markers"]
+    known = ["camera", "replay", "perception", "segmentation", "grasp", "touch_predictor", "hand", "markers"]
     return (known.index(short) if short in known else len(known), short)

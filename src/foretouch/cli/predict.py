@@ -7,7 +7,6 @@ predicted from all readings before it.
 """
 
 import argparse
-import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -24,10 +23,10 @@ from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import laboratory
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
-from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Reference, Touch, TouchPrediction
+from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Prediction, Predictions, Reference, Touch
 from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
-    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED)
+    inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument(
         "--grasp",
         type=partial(inputs.numbers, count=6),
@@ -60,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud or a grasp was refused."""
+    inputs.check_single(arguments)
     if arguments.prequential:
         return _run_prequential(arguments)
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
@@ -82,12 +82,12 @@ def _answer(
     item: SourceItem,
 ) -> Iterator[inputs.Record]:
     """Predictions for each object of an input."""
-    targets = inputs.target_objects(item, arguments, pipeline)
+    targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
     if adaptation.touched and len(targets) > 1:
         raise ConfigError(
             f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
         )
-    for target in targets:
+    for number, target in enumerate(targets):
         began = time.perf_counter()
         try:
             grasps, reason = _grasps(item, target, arguments, pipeline)
@@ -99,13 +99,16 @@ def _answer(
         predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
         predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
-        refused = [one.reason for one in predictions if one.status != "ok"]
+        refused = predictions.reason[~predictions.ok].tolist()
+        if number == 0:
+            inputs.draw_result(arguments, scene, predictions.grasps, predictions)
         yield {
             **({"sample": item.sample.id} if item.sample is not None else {}),
             "object": target.id,
+            **({"selected": selected} if selected else {}),
             "status": "ok" if predictions and not refused else "refused",
             "reason": "; ".join(refused) or reason,
-            "predictions": [prediction_record(one, pipeline.model.sensor.channels) for one in predictions],
+            "predictions": [prediction_record(one) for one in predictions],
             "model": _named(pipeline.model),
             **level,
             "touched": len(others(adaptation.touched, item.sample)),
@@ -118,10 +121,10 @@ def _predict(
     adaptation: Adaptation,
     budget: "LatencyBudget | None",
     pipeline: Pipeline,
-    target: FoundObject,
+    target: Object,
     grasps: Sequence[Grasp],
     sample: GraspSample | None,
-) -> tuple[Sequence[TouchPrediction], inputs.Record]:
+) -> tuple[Predictions, inputs.Record]:
     """Predictions, and what the budget chose for the record."""
     if budget is None or not grasps:
         return adaptation.predict(pipeline, target, grasps, sample), {}
@@ -132,14 +135,14 @@ def _predict(
         warn(
             f"--budget-ms: {budget.budget_s * 1e3:g}: nothing meets it for {len(grasps)} grasps: {chosen.level.name} is used"
         )
-    flags = (REDUCED,) * chosen.reduced + (LATE,) * late
-    return [dataclasses.replace(one, flags=(*one.flags, *flags)) for one in predictions], {"level": chosen.level.name}
+    predictions = predictions.flagged(REDUCED, rows=chosen.reduced).flagged(LATE, rows=late)
+    return predictions, {"level": chosen.level.name}
 
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     replay_model = laboratory("learning.prequential", "--prequential").replay_model
-    for name in ("tare", "touched", "grasp", "budget_ms"):
+    for name in ("tare", "touched", "grasp", "budget_ms", "mask", "picture", "pixel", "point"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 
@@ -156,14 +159,16 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
         flags += (SIMILAR_TOUCHES,) * level.similar
         evidence = level.evidence
         reference: Reference = "touches" if evidence.touches else "history" if evidence.readings else "none"
-        predicted = TouchPrediction(sample.grasp, value, lower, upper, reference, flags, evidence=evidence)
+        predicted = Prediction.of(
+            sample.grasp, value, lower, upper, reference=reference, flags=flags, evidence=evidence
+        )
         record = {
             "input": sample.id,
             "sample": sample.id,
             "object": sample.object,
             "status": "ok",
             "reason": "",
-            "predictions": [prediction_record(predicted, channels)],
+            "predictions": [prediction_record(predicted)],
             "model": _named(model),
             "touched": evidence.touches,
             "history": evidence.readings,
@@ -175,7 +180,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
 
 
 def _grasps(
-    item: SourceItem, target: FoundObject, arguments: argparse.Namespace, pipeline: Pipeline
+    item: SourceItem, target: Object, arguments: argparse.Namespace, pipeline: Pipeline
 ) -> tuple[list[Grasp], str]:
     """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned by GeoGrasp."""
     if arguments.grasp:

@@ -20,13 +20,14 @@ from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import laboratory
-from foretouch.ros.graph import PERCEPTION, Graph
+from foretouch.ros.graph import Graph
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in
 
 if TYPE_CHECKING:
     from foretouch.dataset.pairing.cut import TouchCut
+    from foretouch.dataset.source import Source
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.nodes.bridge import BridgeNode
     from foretouch.ros.nodes.monitor import Drawable
@@ -127,8 +128,6 @@ def run(arguments: argparse.Namespace) -> int:
     announce("starting the nodes")
     with graph:
         graph.require_active()
-        if graph.replay is not None:
-            graph.default("touch_predictor", late_after_s=0.0)  # the stamps are those of the recording
         if arguments.serve is not None:
             warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
         return _finish(graph, arguments, complete=_watch(graph, arguments))
@@ -136,13 +135,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
+    from foretouch.dataset.playlist import cloud_is_object
+    from foretouch.dataset.source import open_source
     from foretouch.models.card import read_card
     from foretouch.models.registry import SIMULATED_HAND_MODEL, find_card
 
-    nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
+    given = [one for _, one in nodes_of_file(arguments.params)] if arguments.params else []
+    nodes: dict[str, dict[str, Any]] = {"perception": {}}
     if arguments.model:
         read_card(find_card(arguments.model))  # so that an absent one is reported before anything starts
-        nodes["touch_predictor"]["model"] = str(arguments.model)
+        nodes["perception"]["model"] = str(arguments.model)
     if arguments.serve is not None:
         from foretouch.ros.nodes.bridge import foxglove_sdk
 
@@ -150,12 +152,16 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     if not (scene or arguments.source == "camera"):
-        return nodes | {"replay": _replay_parameters(arguments)}
+        source = open_source(arguments.source, arguments.topic)
+        if not any("late_after_s" in parameters for parameters in given):
+            nodes["perception"]["late_after_s"] = 0.0  # the stamps are those of the recording
+        if cloud_is_object(source):
+            nodes["perception"]["input"] = "objects"
+        return nodes | {"replay": _replay_parameters(arguments, source)}
     if arguments.wait_for or arguments.wait_limit is not None:
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
-    given = nodes_of_file(arguments.params) if arguments.params else ()
-    if scene and not arguments.model and not any("model" in parameters for _, parameters in given):
-        nodes["touch_predictor"]["model"] = SIMULATED_HAND_MODEL
+    if scene and not arguments.model and not any("model" in parameters for parameters in given):
+        nodes["perception"]["model"] = SIMULATED_HAND_MODEL
     for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
         nodes.setdefault(name, {}).update(parameters)
     return nodes
@@ -168,7 +174,7 @@ def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]
 
     given = dict(nodes_of_file(arguments.params)) if arguments.params else {}
     set_in_file = next((one["model"] for one in given.values() if "model" in one), "default")
-    model = str(nodes["touch_predictor"].get("model", set_in_file))
+    model = str(nodes["perception"].get("model", set_in_file))
     try:
         return sensor_in(read_card(find_card(model)), model)
     except ForetouchError:
@@ -179,7 +185,7 @@ def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileC
     """How the messages of the simulated hand are read; None without one that has the sensor of the model."""
     from foretouch.tactile.messages.table import TactileConfig
 
-    config = TactileConfig(sensor=nodes["touch_predictor"].get("tactile.sensor", ""))
+    config = TactileConfig(sensor=nodes["perception"].get("tactile.sensor", ""))
     return config if "hand" in nodes and config.described.sha256 == sensor.sha256 else None
 
 
@@ -198,24 +204,24 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
     sensor = scene.fingers.sensor
     nodes: dict[str, dict[str, Any]] = {
-        **{name: {"tactile.sensor": sensor} for name in ("touch_predictor", "bridge") if sensor},
+        **{name: {"tactile.sensor": sensor} for name in ("perception", "bridge") if sensor},
         "hand": shown,
         "camera": {"source": "scene", "camera.fps": fps, **_PATIENCE, **shown},
     }
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
-        nodes["segmentation"] = {
-            "target.mode": "point",
-            "target.point": simulation.centre_of_objects(scene).tolist(),
-            "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
-        }
+        nodes.setdefault("perception", {}).update(
+            {
+                "target.mode": "point",
+                "target.point": simulation.centre_of_objects(scene).tolist(),
+                "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
+            }
+        )
     return nodes
 
 
-def _replay_parameters(arguments: argparse.Namespace) -> dict[str, Any]:
+def _replay_parameters(arguments: argparse.Namespace, source: Source) -> dict[str, Any]:
     """Parameters of the replay; without a rate, each file is played when the one before was answered."""
-    from foretouch.dataset.source import open_source
-
-    one_by_one = arguments.rate is None and open_source(arguments.source, arguments.topic).kind != "recording"
+    one_by_one = arguments.rate is None and source.kind != "recording"
     given = source_parameters(arguments, str(Path(arguments.source).resolve()))
     return {"lockstep": True, "rate_hz": 1000.0, **given} if one_by_one else given
 
@@ -339,7 +345,7 @@ def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
     scene, target, message, readings = found
     prediction = prediction_from_msg(message, sensor)
     title = f"object {target.id}"
-    if prediction.value is not None:
+    if prediction.ok:
         first = ["before the first touch"] * (readings is not None and not message.touches)
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""

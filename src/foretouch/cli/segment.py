@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.cli.inputs import READ, add_options, pipeline_config, process_inputs
+from foretouch.cli.inputs import READ, add_options, check_single, draw_result, pipeline_config, process_inputs, scene_of
 from foretouch.cli.output import print_table
-from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError
 from foretouch.files import require_writable
+from foretouch.pipeline import Pipeline
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,14 +33,18 @@ def run(arguments: argparse.Namespace) -> int:
         if len(arguments.inputs) > 1:
             raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
         require_writable(arguments.labels_out, ".npy")
-    process = partial(_segment, config=pipeline_config(arguments).segmentation, labels_out=arguments.labels_out)
+    check_single(arguments)
+    pipeline = Pipeline(pipeline_config(arguments, {"target.mode": "all"}))
+    process = partial(_segment, arguments=arguments, pipeline=pipeline)
     return process_inputs(arguments, process, partial(_show, everything=arguments.all))
 
 
-def _segment(item: SourceItem, config: SegmentationConfig, labels_out: str | None) -> Iterator[dict[str, Any]]:
-    found = segment(item.cloud, config)
-    if labels_out:
-        np.save(labels_out, found.labels, allow_pickle=False)
+def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Iterator[dict[str, Any]]:
+    scene = scene_of(item.cloud, arguments, pipeline)
+    found = scene.segmentation
+    if arguments.labels_out:
+        np.save(arguments.labels_out, found.labels, allow_pickle=False)
+    draw_result(arguments, scene)
     yield {
         "status": found.status,
         "reason": found.reason,

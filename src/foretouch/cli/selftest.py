@@ -61,7 +61,7 @@ def _answers(name: str) -> dict[str, Any]:
 
     model = load_model(name)
     one = model.predict(exact_cloud(), [exact_grasp()])[0]
-    if one.value is None or one.lower is None or one.upper is None:
+    if not (one.ok and one.calibrated):
         raise ModelError(f"{name}: {one.reason or 'has no bounds'}")
     rows = [part.values.round(3).tolist() for part in (one.value, one.lower, one.upper)]
     return {"sha256": model.sha256, "counts": rows}
@@ -76,7 +76,7 @@ def check_ros() -> None:
 
     os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(60 + os.getpid() % 40)}
     namespace = f"/foretouch_self_test_{os.getpid()}"
-    with Graph({"touch_predictor": {}}, namespace=namespace, monitor=None) as graph:
+    with Graph({"perception": {}}, namespace=namespace, monitor=None) as graph:
         graph.require_active()
         from foretouch.ros.messages.clouds import cloud_to_msg
         from foretouch.ros.messages.conversions import grasp_to_msg
@@ -88,7 +88,7 @@ def check_ros() -> None:
         request.grasps[1].g1.x = 1e160
         answer = call_service(PredictTouch, f"{namespace}/predict_touch", request, _ROS_PATIENCE_S)
         found = [one.status for one in answer.touch.predictions]
-        errors = graph.nodes["touch_predictor"].internal_errors.counts()
+        errors = graph.nodes["perception"].internal_errors.counts()
         if found != [Status.OK, Status.BAD_GRASP] or errors:
             raise ConfigError(f"predict_touch: statuses {found}, internal errors {dict(errors)}")
 

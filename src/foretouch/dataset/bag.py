@@ -10,15 +10,19 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from heapq import merge
+from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import load_yaml
 from foretouch.dataset.mcap_reader import MAGIC, Damage, McapReader
@@ -33,6 +37,9 @@ if TYPE_CHECKING:
 
 
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
 _PACKED: Final = ".zstd"  # at the end of the names of files that were compressed as a whole
@@ -102,16 +109,65 @@ class Recording:
         self._stack.close()
 
     def cloud_topic(self, topic: str | None = None) -> str:
-        """The topic of the clouds, which is checked, or found if `topic` is None.
+        """Find the topic of the clouds or depth images.
 
-        Raises a `FileError` if the topic is absent, holds other messages or none, or if several qualify.
+        Args:
+            topic: The topic, which is checked; None for the only one. A topic of clouds is preferred to depth images, and
+                an image to the compressed form of it.
+
+        Raises:
+            FileError: If the topic is absent, holds other messages or none, has no camera info, or if several qualify.
         """
-        named = [t for t in self.topics if (t.name == topic if topic else not t.name.startswith(_TAXELS))]
-        clouds = [t for t in named if t.type == POINT_CLOUD_TYPE and t.count]
-        if len(clouds) != 1:
-            rule = "several topics of clouds, name one with --topic" if clouds else f"no messages of {POINT_CLOUD_TYPE}"
-            raise FileError(self.path, f"{rule}: {_listed(clouds or self.topics)}", field=topic)
-        return clouds[0].name
+        named = [
+            t for t in self.topics if t.count and (t.name == topic or (not topic and not t.name.startswith(_TAXELS)))
+        ]
+        found = [t for t in named if t.type == POINT_CLOUD_TYPE]
+        if not found:
+            found = [t for t in named if self._is_depth(t)]
+            raw = {t.name for t in found if t.type == IMAGE_TYPE}
+            found = [t for t in found if t.type == IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
+        if len(found) != 1:
+            rule = "several topics of clouds or depth images, name one with --topic"
+            if not found:
+                rule = f"no messages of {POINT_CLOUD_TYPE}, nor depth images ({', '.join(ENCODINGS)}, compressedDepth)"
+            raise FileError(self.path, f"{rule}: {_listed(found or self.topics)}", field=topic)
+        name = found[0].name
+        if found[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
+            rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too"
+            raise FileError(self.path, rule, field=name)
+        return name
+
+    def _is_depth(self, topic: Topic) -> bool:
+        if topic.type == COMPRESSED_TYPE:
+            return topic.name.endswith("/compressedDepth")
+        if topic.type != IMAGE_TYPE:
+            return False
+        try:
+            return self.content(next(self.messages([topic.name]))).encoding in ENCODINGS
+        except (FileError, StopIteration):
+            return False
+
+    def info_topic(self, topic: str) -> str:
+        """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
+        types = {one.name: one.type for one in self.topics if one.count}
+        beside = info_topic(topic)
+        return beside if types[topic] != POINT_CLOUD_TYPE and types.get(beside) == CAMERA_INFO_TYPE else ""
+
+    def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
+        """Read the messages of a topic of clouds or depth images, each with what decodes it.
+
+        A depth image has the camera of the last info before it, the first ones that of the first info. What decodes a
+        message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
+        """
+        beside, infos = self.info_topic(topic), CameraInfos(topic)
+        for first in islice(self.messages([beside]), 1):
+            infos.add(self.content(first), first.bag_time_ns * 1e-9)
+        for message in self.messages({topic, beside}):
+            if message.topic == topic:
+                yield message, partial(self.decode_cloud, message, infos)
+            else:
+                infos = deepcopy(infos)  # images before it are perhaps decoded later
+                infos.add(self.content(message), message.bag_time_ns * 1e-9)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages of some topics, or of all, in order of their bag time.
@@ -146,10 +202,13 @@ class Recording:
         with _known_failures(self.path, _position(message)):
             return self._store.deserialize_cdr(message.data, message.type)
 
-    def decode_cloud(self, message: Message) -> Cloud:
-        """The cloud in a `PointCloud2`, with the frame and stamp of its header; a `FileError` if it is damaged."""
+    def decode_cloud(self, message: Message, infos: CameraInfos | None = None) -> Cloud:
+        """Decode a cloud or a depth image, with the frame and stamp of its header; a `FileError` if that fails."""
+        content = self.content(message)
         try:
-            return decode_cloud(self.content(message))
+            if infos is None or message.type == POINT_CLOUD_TYPE:
+                return decode_cloud(content)
+            return infos.cloud(content, message.bag_time_ns * 1e-9)
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
 

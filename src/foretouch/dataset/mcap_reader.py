@@ -37,7 +37,7 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of log and publica
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the index, of its offsets, checksum
 _CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4))", re.DOTALL)
 _UNPACKERS: Final[dict[str, Any]] = {
-    "": BytesIO,
+    "": lambda packed: packed,
     "zstd": lambda packed: zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True),
     "lz4": lz4.frame.open,
 }
@@ -50,6 +50,7 @@ _PARSED: Final[dict[int, Any]] = {
     Opcode.METADATA: Metadata,
     Opcode.STATISTICS: Statistics,
 }
+_EXTRAS: Final = {Opcode.ATTACHMENT, Opcode.METADATA}
 _OWN_USE: Final = range(0x80, 0x100)  # records of applications, which readers skip
 _IN_CHUNK: Final = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, *_OWN_USE}
 _IN_DATA: Final = {
@@ -192,8 +193,10 @@ class McapReader:
         """Offset of the first intact chunk from `start` on; the size of the file if there is none."""
         for at in self.data.find_all(_CHUNK_START, 64, start, len(self.data)):
             found = next(self._records(self.data, at, len(self.data), _IN_DATA))
-            if isinstance(found, Record) and not self._fault(found, self._head(found)):
-                return at
+            if isinstance(found, Record):
+                head = self._head(found)
+                if not self._fault(found, head, unpacked=bool(head.compression)):
+                    return at
         return len(self.data)
 
     def _top(self, *, verified: bool) -> Iterator[Record | Damage]:
@@ -216,11 +219,13 @@ class McapReader:
                 return
             start = self.next_chunk(one.offset + 1)
 
-    def _in_chunk(self, record: Record, only: Collection[str] = ()) -> Iterator[RecordedMessage | Damage]:
+    def _in_chunk(
+        self, record: Record, only: Collection[str] = (), *, unpacked: bool = False
+    ) -> Iterator[RecordedMessage | Damage]:
         head = self._head(record)
         self.compression = head.compression
-        packed, is_cut = record if head.compression else None, head.end > record.end
-        fault = "" if is_cut or (only and not packed) else self._fault(record, head)
+        packed, is_cut = record if head.compression or unpacked else None, head.end > record.end
+        fault = "" if is_cut or (only and not packed) else self._fault(record, head, unpacked=packed is not None)
         if fault:
             yield Damage(record.offset, fault)
             return
@@ -241,7 +246,7 @@ class McapReader:
         """The messages of a chunk by time, after None at the time of the first: until then the chunk is not read."""
         yield self._head(record).first_ns, None
         found = []
-        for one in self._in_chunk(record):
+        for one in self._in_chunk(record, unpacked=True):
             if isinstance(one, Damage):
                 faults.append(one)
             elif one.topic in topics:
@@ -266,13 +271,13 @@ class McapReader:
             first_ns, size, crc, compression, start, start + int.from_bytes(self.data[start - 8 : start], "little")
         )
 
-    def _fault(self, record: Record, head: _Chunk) -> str:
+    def _fault(self, record: Record, head: _Chunk, *, unpacked: bool) -> str:
         """What is wrong with the content of a chunk; "" if nothing."""
         if head.compression not in _UNPACKERS:
             return f"a chunk is compressed by {head.compression!r}, which is not supported"
         if head.size > _MOST_UNPACKED and head.compression:
             return f"a chunk unpacks to {head.size} bytes, more than {_MOST_UNPACKED}"
-        content = self._unpack(record) if head.compression else None
+        content = self._unpack(record) if unpacked else None
         size = head.end - head.start if content is None else len(content)
         crc = 0 if not head.crc else self.data.crc32(head.start, record.end) if content is None else zlib.crc32(content)
         return (
@@ -280,7 +285,7 @@ class McapReader:
         )
 
     def _unpack(self, record: Record) -> bytes:
-        """The content of a compressed chunk, as far as it unpacks."""
+        """The content of a chunk, as far as it unpacks."""
         if self._unpacked[0] != record.offset:
             head, parts, size = self._head(record), list[bytes](), 0
             packed = BytesIO(self.data[head.start : record.end])
@@ -317,15 +322,17 @@ class McapReader:
     def _declare(self, source: FileBytes | bytes, record: Record, length: int) -> str:
         """Add what a record of some length declares, if anything; what is wrong if its content is not what it must be."""
         opcode, kind = record.opcode, _PARSED.get(record.opcode)
-        if opcode == Opcode.CHUNK:
+        if opcode == Opcode.MESSAGE:
+            fits = length >= _MESSAGE.size
+        elif opcode == Opcode.CHUNK:
             fits = length >= _CHUNK.size + 8 and self._head(record).end == record.start + length
         elif opcode == Opcode.MESSAGE_INDEX:
             fits = length >= 6 and length - 6 == int.from_bytes(source[record.start + 2 : record.start + 6], "little")
         else:
-            fits = {Opcode.DATA_END: length == 4, Opcode.MESSAGE: length >= _MESSAGE.size}.get(Opcode(opcode), True)
+            fits = opcode != Opcode.DATA_END or length == 4
         if not fits:
             return "damaged: the content of a record is not as long as it states"
-        if opcode in {Opcode.ATTACHMENT, Opcode.METADATA}:
+        if opcode in _EXTRAS:
             self.extras.append(record)
         if kind is None:
             return ""

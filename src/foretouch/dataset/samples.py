@@ -3,7 +3,7 @@
 
 import importlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -14,12 +14,13 @@ import numpy as np
 from foretouch.dataset import formats
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord, readings
-from foretouch.errors import FileError
+from foretouch.errors import DatasetError, FileError
 from foretouch.files import require_existing
+from foretouch.laboratory import laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import GraspSample
+from foretouch.types import AnyArray, Grasps, GraspSample
 
 _SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
@@ -42,12 +43,79 @@ class SampleSet:
     def __len__(self) -> int:
         return self.size
 
+    def __iter__(self) -> Iterator[GraspSample]:
+        """The samples in order, without those that the operator discarded."""
+        return (record.sample for record in self.records())
+
+    def to_arrays(self) -> dict[str, AnyArray]:
+        """All labelled samples as columns, one row for each; clouds, whose sizes differ, are left out.
+
+        Returns:
+            `id`, `object` (S,) texts; `stamp_ns` (S,) int64 [ns]; `g1`, `g2` (S, 3) and `rotation` (S, 3, 3) float64 [m] in
+            the frame of the camera; `touch` and `tare` (S, D) float64 in the unit of the sensor, NaN without a tare; and
+            the channels of the touch by name, such as `E` (S, F, 24) and `PDC` (S, F).
+
+        Raises:
+            DatasetError: If no sample is labelled.
+        """
+        samples = [one for one in self if one.touch is not None]
+        if not samples:
+            raise DatasetError(f"{self.path}: no sample is labelled")
+        channels = self.sensor.channels
+        grasps = Grasps.of([one.grasp for one in samples])
+        touch, tare = (
+            np.array([
+                np.full(channels.size, np.nan) if (read := getattr(one, name)) is None else read.values for one in samples
+            ])
+            for name in ("touch", "tare")
+        )  # fmt: skip
+        return {
+            "id": np.array([one.id for one in samples]),
+            "object": np.array([one.object for one in samples]),
+            "stamp_ns": np.array([one.stamp_ns for one in samples], np.int64),
+            **{name: getattr(grasps, name) for name in ("g1", "g2", "rotation")},
+            "touch": touch,
+            "tare": tare,
+            **{channel.name: channels.part(touch, channel.name) for channel in channels.channels},
+        }
+
+    def split(self, kind: str = "object", seed: int = 0) -> list[tuple["SampleSet", "SampleSet"]]:
+        """Split the labelled samples into parts to train and to test on; requires `foretouch[lab]`.
+
+        Args:
+            kind: `object`: each object is left out once; `time`: 5 consecutive blocks of each object's grasps; `random`: 5
+                random parts, whose grasps have neighbours in the training part.
+            seed: Of the random split.
+
+        Returns:
+            (train, test) of each fold.
+
+        Raises:
+            DatasetError: If there is no such split, or there are too few samples for it.
+        """
+        make_folds = laboratory("learning.data.folds", "split").make_folds
+        labelled = [k for k in range(self.size) if _is_labelled(self.record(k))]
+        folds = make_folds([self.record(k).sample for k in labelled], kind, seed)
+        return [
+            (self.subset([labelled[k] for k in fold.train]), self.subset([labelled[k] for k in fold.test]))
+            for fold in folds
+        ]
+
+    def subset(self, numbers: Sequence[int]) -> "SampleSet":
+        """Some samples by their numbers, in this order."""
+        kept, record, name = list(numbers), self.record, self.name
+        return replace(self, size=len(kept), record=lambda k: record(kept[k]), name=lambda k: name(kept[k]))
+
     def records(self, *, discarded: bool = False) -> Iterator[SampleRecord]:
         """The samples in order, optionally with those that the operator discarded."""
         for k in range(self.size):
             record = self.record(k)
             if discarded or DISCARDED not in record.flags:
                 yield record
+
+
+def _is_labelled(record: SampleRecord) -> bool:
+    return record.sample.touch is not None and DISCARDED not in record.flags
 
 
 @dataclass(kw_only=True)

@@ -55,7 +55,8 @@ class Source:
     count: int  # number of entries, or of messages that the recording declares
     entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | GraspSample]]]]  # name of each, and what reads it
     frame_id: str = ""  # for clouds without a frame
-    topic: str = ""  # of the clouds of a recording
+    topic: str = ""  # of the clouds or depth images of a recording
+    info_topic: str = ""  # of the camera infos of depth images; "" for clouds
     others: tuple[Topic, ...] = ()  # further topics of a recording
     notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files
 
@@ -105,9 +106,9 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
         with Recording(path) as recording:
             name = recording.cloud_topic(topic)
             topics = {one.name: one for one in recording.topics}
-            count, notes = topics.pop(name).count, recording.notes
+            count, info, notes = topics.pop(name).count, recording.info_topic(name), recording.notes
         others = tuple(topics.values())
-        return Source(path, "recording", count, partial(_recorded, path, name), frame_id, name, others, notes)
+        return Source(path, "recording", count, partial(_recorded, path, name), frame_id, name, info, others, notes)
     if topic is not None:
         raise FileError(path, f"is not a recording, so it has no topic {topic}")
     files = sorted(path.iterdir(), key=_natural) if path.is_dir() else [path]
@@ -127,8 +128,8 @@ def _sample(samples: SampleSet, number: int) -> GraspSample:
 
 def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:
     with Recording(path) as recording:
-        for message in recording.messages([topic]):
-            yield f"{path}[{message.index}]", partial(recording.decode_cloud, message)
+        for message, decode in recording.clouds(topic):
+            yield f"{path}[{message.index}]", decode
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:

@@ -16,8 +16,9 @@ A shard is hashed as a whole and checked when a store is opened, and refused if 
 import hashlib
 import json
 import os
+import struct
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple, Self
 
@@ -55,6 +56,7 @@ _COLUMNS: Final = [
 ]
 
 _KEPT_BATCHES: Final = 4
+_STREAM: Final = 8  # offset of the first message in an Arrow file [bytes]
 _ARROW_ERRORS: Final = (pa.ArrowException, ValueError, TypeError, NotImplementedError)
 
 _POINTS: Final = ("xyz", "rgb")
@@ -82,11 +84,11 @@ def is_store(path: str | Path) -> bool:
 
 
 class _Part(NamedTuple):
-    """One record batch in a verified shard: its number there, and its number of samples."""
+    """One record batch in a verified shard: its offset there [bytes], and its number of samples."""
 
     path: Path
     stat: tuple[int, ...]  # of the shard when it was verified
-    number: int
+    offset: int
     samples: int
 
 
@@ -106,7 +108,7 @@ class Store(Sequence[GraspSample]):
         self.sensor = sensor_in(self.manifest, self.path / MANIFEST)
         self._parts = self._verified_parts()
         self._starts = np.cumsum([0, *(part.samples for part in self._parts)])
-        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(_read_batch)
+        self._batch = lru_cache(maxsize=_KEPT_BATCHES)(partial(_read_batch, schema_of(self.sensor.channels)))
         if len(self) != self.manifest["samples"]:
             raise FileError(self.path, f"holds {len(self)} samples, not {self.manifest['samples']}", field="samples")
 
@@ -188,17 +190,22 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
     with open_regular(path) as file:
         _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
         found = _stat(file)
+        file.seek(_STREAM)  # behind it a file holds the messages of a stream, and then an index
         try:
-            reader = pa.ipc.open_file(pa.PythonFile(file, "r"))
-            if not reader.schema.equals(schema_of(channels)):
+            source = pa.PythonFile(file, "r")
+            schema = pa.ipc.read_schema(pa.ipc.read_message(source))
+            if not schema.equals(schema_of(channels)):
                 raise FileError(path, "has other columns than the schema", field="schema")
-            for number in range(reader.num_record_batches):
-                batch, field = reader.get_batch(number), f"batch {number}"
-                if batch.get_total_buffer_size() > found[1]:
+            offset, messages = file.tell(), pa.ipc.MessageReader.open_stream(source)
+            for number, message in enumerate(messages):
+                field = f"batch {number}"
+                if _is_compressed(message):
                     raise FileError(path, "is compressed", field=field)
+                batch = pa.ipc.read_record_batch(message, schema)
                 _check_batch(path, batch, field)
-                parts.append(_Part(path, found, number, batch.num_rows))
-        except (OSError, *_ARROW_ERRORS) as err:
+                parts.append(_Part(path, found, offset, batch.num_rows))
+                offset = file.tell()
+        except (OSError, EOFError, struct.error, *_ARROW_ERRORS) as err:
             raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
     if (rows := sum(part.samples for part in parts)) != samples:
         raise FileError(path, f"holds {rows} samples, the manifest declares {samples}")
@@ -210,12 +217,31 @@ def _stat(file: BinaryIO) -> tuple[int, ...]:
     return info.st_ino, info.st_size, info.st_mtime_ns
 
 
-def _read_batch(part: _Part) -> Any:
+def _is_compressed(message: Any) -> bool:
+    """Whether a message of Arrow names a compression of its buffers; to decode it would unpack them first.
+
+    The metadata are a flatbuffer: a `Message`, whose third field is a `RecordBatch`, whose fourth is the compression.
+    """
+    data = message.metadata.to_pybytes()
+
+    def field(table: int, number: int) -> int:
+        entries = table - int(struct.unpack_from("<i", data, table)[0])
+        (size,) = struct.unpack_from("<H", data, entries)
+        place = 4 + 2 * number
+        return int(struct.unpack_from("<H", data, entries + place)[0]) if place < size else 0
+
+    (root,) = struct.unpack_from("<I", data)
+    batch = root + field(root, 2)
+    return bool(field(batch + int(struct.unpack_from("<I", data, batch)[0]), 3))
+
+
+def _read_batch(schema: Any, part: _Part) -> Any:
     """The record batch of a part, whose shard must be the one that was verified."""
     with open_regular(part.path) as file:
         if _stat(file) != part.stat:
             raise FileError(part.path, "was changed after it was opened")
-        return pa.ipc.open_file(pa.PythonFile(file, "r")).get_batch(part.number)
+        file.seek(part.offset)
+        return pa.ipc.read_record_batch(pa.ipc.read_message(pa.PythonFile(file, "r")), schema)
 
 
 def _check_batch(path: Path, batch: Any, field: str) -> None:

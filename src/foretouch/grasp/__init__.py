@@ -6,7 +6,7 @@ from foretouch.grasp.completed import Obstacles
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig, SceneGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
-from foretouch.grasp.pose import check_closing, hand_rotation, quaternion_xyzw, surely_closing
+from foretouch.grasp.pose import closing_faults, hand_rotation, quaternion_xyzw
 
 __all__ = [
     "DEFAULT_HAND",
@@ -18,10 +18,9 @@ __all__ = [
     "Obstacles",
     "PlanStatus",
     "SceneGeoGraspConfig",
-    "check_closing",
+    "closing_faults",
     "hand_rotation",
     "object_axis",
     "plan_grasps",
     "quaternion_xyzw",
-    "surely_closing",
 ]

@@ -37,7 +37,7 @@ from foretouch.grasp.hold import HeldGrasp, held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
-from foretouch.types import Cloud, Float32, Float64, Grasp, Integer, Plane
+from foretouch.types import NO_GRASPS, Cloud, Float32, Float64, Grasp, Grasps, Integer, Plane
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp", "unknown_frame"]
 
@@ -52,7 +52,7 @@ class GraspPlan:
 
     status: PlanStatus = "no_grasp"
     reason: str = ""  # explanation of the status
-    grasps: tuple[Grasp, ...] = ()  # best first
+    grasps: Grasps = NO_GRASPS  # best first
     initial_points: Float64 | None = (
         None  # (2, 3) float64 [m], extremes near the grasp plane; `completed`: its contacts
     )
@@ -127,6 +127,7 @@ def plan_grasps(
         plan.reason = str(err)
         plan.status = "unknown_frame" if isinstance(err, FrameError) else "no_grasp"
     plan.ms["total"] = sum(plan.ms.values())
+    plan.grasps = plan.grasps.replace(status=plan.status, reason=plan.reason)
     return plan
 
 
@@ -182,7 +183,7 @@ def _best_grasps(
             contacts = [(sides[0].initial.xyz[0], sides[1].initial.xyz[0], score)]
             reason = f"grasp at the initial points: none of {pairs} pairs of candidates passes the filters"
         axis = grasp_plane.normal
-        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts)
+        plan.grasps = Grasps.of([Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts])
         parallel = sum(is_parallel(g.g1, g.g2, axis) for g in plan.grasps)
     notes = [reason, unscored] if unscored else [reason]
     if parallel:
@@ -227,13 +228,13 @@ def _plan_completed(
         best = best_lines(completed, lines, config.count)
         ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
         found = [(*pair, SCORE_OF_NONE - float(lines.cost[one])) for pair, one in zip(ends, best, strict=True)]
-        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found)
+        plan.grasps = Grasps.of([Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found])
         if held is not None and plan.grasps:
             last, margin = held
             cost = float(lines.cost[completed.nearest_line(last[0])])
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
-            plan.grasps = (first, *plan.grasps[1:])
+            plan.grasps = Grasps.of([first, *plan.grasps[1:]])
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
         plan.status, plan.reason = "ok", f"best of {counts['n_free']} of {counts['n_lines']} closing lines"

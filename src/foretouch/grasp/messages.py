@@ -1,19 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch_msgs/Grasp` without ROS: decoded alike from rclpy and rosbags."""
+"""`foretouch_msgs/Grasp` and `TouchPrediction` without ROS: decoded alike from rclpy and rosbags."""
 
+import math
 from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import GraspError
-from foretouch.grasp.pose import quaternion_xyzw
-from foretouch.types import Bool, Float64, Grasp
+from foretouch.errors import GraspError, TactileError
+from foretouch.grasp.pose import check_rotation, quaternion_xyzw
+from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Grasps, Predictions, Reference
+from foretouch.types.arrays import objects
+from foretouch.types.channels import LARGEST, Channel, Channels
 
 _MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
-_SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no difference
+
+
+STATUSES: Final = {
+    0: "ok",
+    1: "initial_points",
+    2: "bad_request",
+    3: "busy",
+    10: "bad_cloud",
+    11: "empty_cloud",
+    12: "too_few_points",
+    13: "unknown_frame",
+    14: "no_plane",
+    15: "no_object",
+    16: "no_target",
+    20: "no_grasp",
+    21: "bad_grasp",
+    22: "bad_plane",
+    30: "refused",
+    31: "no_model",
+    40: "failed",
+}
+"""Names of the numbers in `foretouch_msgs/Status`."""
+
+REFERENCES: Final[tuple[Reference, ...]] = ("none", "tare", "touches", "history")
+"""Names of the numbers of `reference` in `foretouch_msgs/TouchPrediction`."""
+
+
+_ENDS: Final = {
+    "value": ("values", "scalars"),
+    "lower": ("lower", "scalars_lower"),
+    "upper": ("upper", "scalars_upper"),
+}
 
 
 def grasp_fields(grasp: Grasp) -> SimpleNamespace:
@@ -58,12 +92,81 @@ def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
     return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id)
 
 
-def surely_sound(contacts: Float64, matrices: Float64) -> Bool:
-    """(K,) whether (K, 2, 3) contacts are finite and apart and (K, 3, 3) matrices rotations; false close to a limit."""
-    with np.errstate(all="ignore"):  # what is not finite is not sound
-        skewed = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    apart = np.isfinite(contacts).all(axis=(1, 2)) & (contacts[:, 0] != contacts[:, 1]).any(axis=1)
-    return np.asarray(apart & (skewed < _SURELY * _AGREEMENT), np.bool_)
+def decode_predictions(message: Any, channels: Channels | None = None) -> Predictions:
+    """Read a `foretouch_msgs/TouchPrediction` as one row, a `TouchPredictionBatch` as K, a `TouchPredictionArray` as its messages.
+
+    Args:
+        message: Any object with the fields of one of these. A batch holds no contacts, which are then NaN.
+        channels: Of its sensor, whose names must be those of the message; by default made of these names, without units.
+
+    Raises:
+        TactileError: If the number of values is not that of the names, or a name is missing.
+    """
+    if hasattr(message, "predictions"):
+        rows = [decode_predictions(part, channels) for part in message.predictions]
+        if rows:
+            return Predictions.join(rows)
+        return Predictions.refused(Grasps.unknown(0), channels or Channels("", "", (), ()), "ok", "")
+    many = hasattr(message, "statuses")
+    count, fingers = (len(message.statuses) if many else 1), len(message.fingers)
+    taxels = len(message.valid) // max(1, fingers)
+    sizes = dict.fromkeys(message.scalar_channels, 1) | dict.fromkeys(message.channels, taxels)
+    if channels is None:
+        own = (Channel(name, size, "", -LARGEST, LARGEST, 0, False, 0.0, 0.0) for name, size in sizes.items())
+        channels = Channels(message.sensor, message.sensor_sha256, tuple(message.fingers), tuple(own))
+    if not fingers:  # without a model there is no sensor
+        ends = {"value": np.full((count, channels.size), np.nan)}
+    else:
+        lead = (count,) if many else ()
+        ends = {end: _values(message, names, (*lead, fingers, taxels), channels) for end, names in _ENDS.items()}
+    flags, statuses, reasons = [tuple(message.flags)], [message.status], [message.reason]
+    if many:
+        marks = np.reshape(message.flagged, (count, len(message.flags))).tolist()
+        flags = [tuple(flag for flag, mark in zip(message.flags, row, strict=True) if mark) for row in marks]
+        statuses, reasons = list(message.statuses), list(message.reasons)
+    reference = dict(enumerate(REFERENCES)).get(message.reference, f"reference {message.reference}")
+    return Predictions(
+        grasps=Grasps.unknown(count) if many else _row_of(message.grasp),
+        channels=channels,
+        flags=objects(flags),
+        status=objects([STATUSES.get(code, f"status {code}") for code in statuses]),
+        reason=objects(reasons),
+        reference=objects([reference] * count),
+        evidence=objects([_evidence(message)] * count),
+        **ends,
+    )
+
+
+def _values(message: Any, fields: tuple[str, str], shape: tuple[int, ...], channels: Channels) -> Float64:
+    """(K, D) values or bounds in the order of the channels, from the fields of the taxels and of the scalars."""
+    parts: dict[str, Float64] = {}
+    rows = shape[0] if len(shape) == 3 else 1
+    for field, names, size in zip(
+        fields, (message.channels, message.scalar_channels), (shape, shape[:-1]), strict=True
+    ):
+        array = np.asarray(getattr(message, field), np.float64)
+        if array.size != math.prod(size) * len(names):
+            raise TactileError(f"{field}: {array.size} values are not {' x '.join(map(str, (*size, len(names))))}")
+        parts |= {name: array.reshape(rows, -1, len(names))[..., k] for k, name in enumerate(names)}
+    if missing := [channel.name for channel in channels.channels if channel.name not in parts]:
+        raise TactileError(f"channels: {missing[0]} of {channels.sensor} is missing")
+    return np.concatenate([np.empty((rows, 0)), *(parts[channel.name] for channel in channels.channels)], axis=1)
+
+
+def _row_of(message: Any) -> Grasps:
+    """The grasp of a message as a row; NaN where it is none."""
+    try:
+        return Grasps.of([decode_grasp(message)])
+    except GraspError:
+        return Grasps.unknown(1)
+
+
+def _evidence(message: Any) -> Evidence:
+    ages = []
+    for duration in (message.touch_age, message.reading_age):
+        seconds = duration.sec + duration.nanosec / SECOND_NS
+        ages.append(None if seconds < 0.0 else float(seconds))
+    return Evidence(message.touches, ages[0], message.readings, ages[1])
 
 
 def rotation_from_quaternion(xyzw: Float64) -> Float64:
@@ -93,17 +196,10 @@ def _rotation_of(message: Any) -> Float64:
         if not np.any(quaternion):
             raise GraspError("pose: no orientation")
         return rotation_from_quaternion(quaternion)
-    require_rotation(matrix)
+    check_rotation(matrix)
     if np.any(quaternion) and np.abs(rotation_from_quaternion(quaternion) - matrix).max() > _AGREEMENT:
         raise GraspError("rotation: is not that of pose.orientation")
     return matrix
-
-
-def require_rotation(matrix: Float64) -> None:
-    """Refuse a matrix (3, 3) whose columns are not of unit length and perpendicular within 1e-3, by a `GraspError`."""
-    bounded = (np.abs(matrix) <= _MAX_UNIT).all()
-    if not (bounded and np.abs(matrix @ matrix.T - np.eye(3)).max() <= _AGREEMENT):
-        raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
 
 
 def _quaternion(message: Any) -> Float64:

@@ -2,13 +2,13 @@
 """Rotations of the hand and its fingertips at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from foretouch.errors import GraspError
 from foretouch.tactile.layout import Layout
-from foretouch.types import SQUARABLE, Bool, Float64, Grasp, stacked
+from foretouch.types import SQUARABLE, Bool, Float64, Grasp, Grasps
 
 _PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 _IDENTITY = np.eye(3)
@@ -94,37 +94,49 @@ def check_rotation(rotation: Float64) -> None:
     Raises:
         GraspError: If it is not (3, 3), not finite, skewed, scaled or left-handed.
     """
-    proper = rotation.shape == (3, 3) and bool((np.abs(rotation) < 2.0).all())  # no overflow in the product
-    if not proper or np.abs(rotation @ rotation.T - np.eye(3)).max() > _SKEWED or np.linalg.det(rotation) < 0:
+    if rotation.shape != (3, 3):
         raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
+    require_none(rotation_faults(rotation[None]))
 
 
-def check_closing(grasp: Grasp) -> None:
-    """Check that the fingers close along the line of the contacts: the hand's Z is within 30 degrees of g1 - g2.
-
-    Raises:
-        GraspError: With the angle.
-    """
-    cosine = float(_unit(grasp.g1 - grasp.g2, "g1 - g2") @ grasp.rotation[:, 2])
-    angle_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
-    if angle_deg > _TILTED_DEG:
-        raise GraspError(f"pose: its Z is {angle_deg:.0f} degrees from g1 - g2, more than {_TILTED_DEG:g}")
-
-
-def surely_closing(grasps: Sequence[Grasp]) -> Bool:
-    """(K,) whether `check_closing` accepts each grasp; false where it has to decide, close to its limit."""
-    g1, g2, rotations = stacked(grasps)
-    along = g1 - g2
-    with np.errstate(all="ignore"):
-        cosine = (along * rotations[:, :, 2]).sum(axis=1) / np.sqrt((along**2).sum(axis=1))
-    return np.asarray(cosine > math.cos(math.radians(0.999 * _TILTED_DEG)), np.bool_)
-
-
-def fast_accept_rotations(rotations: Float64) -> Bool:
-    """(K,) whether `check_rotation` accepts each of (K, 3, 3); false where it has to decide, close to its limits."""
-    with np.errstate(over="ignore", invalid="ignore"):
+def rotation_faults(rotations: Float64) -> list[str]:
+    """Say which of (K, 3, 3) matrices are no proper rotations within 1e-3, of each; "" for those that are."""
+    with np.errstate(all="ignore"):  # what overflows or is not finite is no rotation
         skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))
-        return np.asarray((skewed < 0.999 * _SKEWED) & (np.linalg.det(rotations) > 0.0), np.bool_)
+        proper = (skewed <= _SKEWED) & (np.linalg.det(rotations) > 0.0)
+    return _texts(proper, lambda k: f"rotation: {rotations[k].tolist()} is not a rotation matrix")
+
+
+def closing_faults(grasps: Grasps) -> list[str]:
+    """Say which fingers of K grasps do not close along the line of the contacts, with the hand's Z within 30 degrees of g1 - g2.
+
+    The angle of each, "" where they do.
+    """
+    along = grasps.g1 - grasps.g2
+    with np.errstate(all="ignore"):
+        along = along / np.abs(along).max(axis=1, keepdims=True)  # so that no square overflows
+        cosine = (along * grasps.rotation[:, :, 2]).sum(axis=1) / np.sqrt((along**2).sum(axis=1))
+        angles = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    rule = f"degrees from g1 - g2, more than {_TILTED_DEG:g}"
+    return _texts(angles <= _TILTED_DEG, lambda k: f"pose: its Z is {angles[k]:.0f} {rule}")
+
+
+def joined_faults(*parts: list[str]) -> list[str]:
+    """The first fault of each of K grasps in several lists of K; "" if there is none."""
+    return [next(filter(None, row), "") for row in zip(*parts, strict=True)]
+
+
+def require_none(faults: list[str]) -> None:
+    """Raise a `GraspError` with the first fault, if there is one."""
+    if first := next(filter(None, faults), ""):
+        raise GraspError(first)
+
+
+def _texts(fine: Bool, text: Callable[[int], str]) -> list[str]:
+    """The text of each row that is not fine, "" for the others."""
+    if fine.all():
+        return [""] * len(fine)
+    return ["" if is_fine else text(k) for k, is_fine in enumerate(fine.tolist())]
 
 
 def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import GraspError
-from foretouch.types import Bool, Float64, Floating, Grasp
+from foretouch.grasp.pose import require_none
+from foretouch.types import Bool, Float64, Floating, Grasp, Grasps, Index
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
 _TOGETHER = 16  # of them at a time, for many grasps
-_CLEARLY = 1.0 - 1e-9  # of a squared limit, so that rounding does not matter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,55 +28,61 @@ DEFAULT_REACH = ReachConfig()
 
 
 def check_reach(grasp: Grasp, cloud_xyz: Floating, max_width_m: float, max_distance_m: float) -> None:
-    """Check that a hand can open as wide as a grasp, and that both contacts are at the object.
-
-    Args:
-        grasp: In the cloud's frame.
-        cloud_xyz: (..., 3) floating [m], the object's points; those that are not finite are ignored.
-        max_width_m: Largest distance of the contacts [m].
-        max_distance_m: Largest distance of a contact from the nearest point [m].
+    """Check one grasp, as `reach_faults`.
 
     Raises:
         GraspError: Names the measure and its limit.
     """
-    width = math.dist(grasp.g1.tolist(), grasp.g2.tolist())
-    if not width <= max_width_m:
-        raise GraspError(f"g1, g2: {width:.4g} m apart, more than max_width_m {max_width_m:g}")
-    points = cloud_xyz.reshape(-1, 3)
-    for name, contact in (("g1", grasp.g1), ("g2", grasp.g2)):
-        few = points[:: max(1, len(points) // _SAMPLED)]
-        if not _within(few, contact, max_distance_m) and not _within(points, contact, max_distance_m):
-            away = f"{_nearest_m(points, contact):.4g} m from the object"
-            raise GraspError(f"{name}: {away}, more than max_distance_m {max_distance_m:g}")
+    require_none(reach_faults(Grasps.of([grasp]), cloud_xyz, max_width_m, max_distance_m))
 
 
-def fast_accept_reach(g1: Float64, g2: Float64, cloud_xyz: Floating, max_width_m: float, max_distance_m: float) -> Bool:
-    """(K,) whether `check_reach` accepts each pair of (K, 3) contacts; false where it has to decide.
+def reach_faults(grasps: Grasps, cloud_xyz: Floating, max_width_m: float, max_distance_m: float) -> list[str]:
+    """Say which of K grasps are wider than a hand opens, or have a contact off the object.
 
-    A sample of the points is tried, the middle one first, which is within reach of most contacts.
+    Args:
+        grasps: In the cloud's frame.
+        cloud_xyz: (..., 3) floating [m], the object's points; those that are not finite are ignored.
+        max_width_m: Largest distance of the contacts [m].
+        max_distance_m: Largest distance of a contact from the nearest point [m].
+
+    Returns:
+        The measure and its limit for each grasp, "" where the hand reaches.
     """
+    with np.errstate(over="ignore", invalid="ignore"):
+        across = grasps.g1 - grasps.g2
+        width = np.hypot(np.hypot(across[:, 0], across[:, 1]), across[:, 2])
+    faults = [""] * len(grasps)
+    for k in np.flatnonzero(~(width <= max_width_m)).tolist():
+        faults[k] = f"g1, g2: {width[k]:.4g} m apart, more than max_width_m {max_width_m:g}"
     points = cloud_xyz.reshape(-1, 3)
-    few = points[:: max(1, len(points) // _SAMPLED)].astype(np.float64)
-    few = few[np.isfinite(few).all(axis=1)]
+    for name, contacts in (("g1", grasps.g1), ("g2", grasps.g2)):
+        for k in _off(points, contacts, max_distance_m).tolist():
+            away = f"{_nearest_m(points, contacts[k]):.4g} m from the object"
+            faults[k] = faults[k] or f"{name}: {away}, more than max_distance_m {max_distance_m:g}"
+    return faults
+
+
+def _off(points: Floating, contacts: Float64, distance_m: float) -> Index:
+    """Which of (K, 3) contacts have no point within a distance.
+
+    A sample of the points is tried first, its middle one before the others: it is within reach of most contacts.
+    """
+    few = points[:: max(1, len(points) // _SAMPLED)]
     middle = len(few) // 2
-    parts = [slice(middle, middle + 1), *(slice(k, k + _TOGETHER) for k in range(0, len(few), _TOGETHER))]
-    with np.errstate(over="ignore", invalid="ignore"):
-        accepted = np.asarray(((g1 - g2) ** 2).sum(axis=1) <= _CLEARLY * max_width_m**2, np.bool_)
-        for contacts in (g1, g2):
-            left = np.flatnonzero(accepted)
-            for part in parts:
-                apart = ((contacts[left][:, None] - few[part]) ** 2).sum(axis=2)
-                left = left[~(apart <= _CLEARLY * max_distance_m**2).any(axis=1)]
-                if not left.size:
-                    break
-            accepted[left] = False
-    return accepted
+    parts = [few[middle : middle + 1], *(few[k : k + _TOGETHER] for k in range(0, len(few), _TOGETHER))]
+    left = np.arange(len(contacts))
+    for part in parts:
+        left = left[~_near(part, contacts[left], distance_m)]
+        if not left.size:
+            return left
+    return np.array([k for k in left.tolist() if not _near(points, contacts[k : k + 1], distance_m)[0]], np.intp)
 
 
-def _within(points: Floating, contact: Float64, distance_m: float) -> bool:
+def _near(points: Floating, contacts: Float64, distance_m: float) -> Bool:
+    """(K,) whether any of (N, 3) points is within a distance of each contact; points that are not finite are not."""
     with np.errstate(over="ignore", invalid="ignore"):
-        apart = points - contact
-        return bool((np.einsum("ij,ij->i", apart, apart) <= distance_m * distance_m).any())
+        squares = ((contacts[:, None] - points) ** 2).sum(axis=2)
+        return np.asarray((squares <= distance_m * distance_m).any(axis=1), np.bool_)
 
 
 def _nearest_m(points: Floating, contact: Float64) -> float:

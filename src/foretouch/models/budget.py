@@ -112,7 +112,7 @@ def _measure(levels: Sequence[Level]) -> Times:
     return times
 
 
-def profile_scene(count: int) -> tuple[Cloud, list[Grasp]]:
+def profile_scene(count: int) -> tuple[Cloud, Sequence[Grasp]]:
     """A can of 3000 points on a table below the camera, and grasps across it."""
     rng = np.random.default_rng(0)
     angle, along = rng.uniform(0.0, np.pi, _POINTS), rng.uniform(-0.055, 0.055, _POINTS)

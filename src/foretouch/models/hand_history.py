@@ -12,7 +12,8 @@ import copy
 import fcntl
 import hashlib
 import os
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, Self
 
@@ -24,15 +25,18 @@ from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.files import free_name, open_own, read_bytes, replace_files, system_errors
 from foretouch.models.files import packed, under
-from foretouch.models.touch_model import Estimate, History, TouchModel
+from foretouch.models.touch_model import Estimate, HasCloud, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.description import require_same
-from foretouch.types import AnyArray, Cloud, Float64, Grasp, Touch, UInt8
+from foretouch.types import AnyArray, Cloud, Float64, Grasp, Predictions, Touch, UInt8
 from foretouch.types.channels import Channels
 
 VERSION: Final = 2
 """Of the file's format."""
+
+SAME_OBJECT_M: Final = 0.02
+"""How far an object may have moved, or changed in apparent size, since it was touched."""
 
 _TRACKER: Final = "tracker/"
 _LARGEST: Final = 10_000_000  # bytes; a file has about 200 kB
@@ -67,6 +71,7 @@ class HandHistory:
         self.signature: tuple[str, Float64] | None = None
         self.restarts: dict[str, int] = {}
         self._tare_ns = -1
+        self._tared = False  # after the last touch
         self._forgotten = 0
 
     @property
@@ -123,6 +128,67 @@ class HandHistory:
         restarted = self.tracker.add_touch(stamp_ns, values, estimate.counts[0], tdc=tdc, where=where)
         self.signature = cloud.frame_id, place_and_size(cloud)
         return self._counted(restarted)
+
+    def tare(self, reading: Touch, *, stamp_ns: int | None = None, tdc: Float64 | None = None) -> None:
+        """Add a reading without contact (see `add_tare`), of now unless a stamp [ns] is given."""
+        self.add_tare(self._stamp(stamp_ns), reading, tdc=tdc)
+        self._tared = True
+
+    def touched(
+        self,
+        target: Cloud | HasCloud,
+        grasp: Grasp,
+        reading: Touch,
+        *,
+        stamp_ns: int | None = None,
+        same_object: bool | None = None,
+        tdc: Float64 | None = None,
+    ) -> None:
+        """Add the reading of an executed grasp.
+
+        Args:
+            target: The object as it was seen before, or its cloud.
+            grasp: As executed, in the frame of its cloud.
+            reading: Both fingers in contact, in the unit of the sensor.
+            stamp_ns: When it was taken [ns]; now if None.
+            same_object: Whether the object was touched last, too; by default by place and size.
+            tdc: (F,) temperature of the fingers [counts], where it is known.
+
+        Raises:
+            TactileError: If the reading is of another sensor or not of working ones, or older than the last one.
+            CloudError: If the cloud cannot be used.
+            GraspError: If no hand can execute the grasp.
+        """
+        cloud = target if isinstance(target, Cloud) else target.cloud
+        same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
+        self.add_touch(self._stamp(stamp_ns), cloud, grasp, reading, new_object=not same, tdc=tdc)
+        self._tared = False
+
+    def predict(
+        self,
+        target: Cloud | HasCloud,
+        grasps: Sequence[Grasp],
+        *,
+        stamp_ns: int | None = None,
+        same_object: bool | None = None,
+    ) -> Predictions:
+        """Predict as `TouchModel.predict`, adapted to all readings so far; arguments as of `touched`."""
+        cloud = target if isinstance(target, Cloud) else target.cloud
+        same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
+        read = self.snapshot(self._stamp(stamp_ns), same_object=same, tare=self._tared)
+        return self.model.predict(cloud, grasps, history=read)
+
+    def save(self, path: str | Path) -> None:
+        """Write everything read so far to a file, which is replaced; a `FileError` if it cannot be written."""
+        replace_files({Path(path): _content(self, "")})
+
+    @classmethod
+    def load(cls, path: str | Path, model: TouchModel) -> "HandHistory":
+        """Read what `save` wrote, or the file of a hand; errors as of `read_history`."""
+        return read_history(Path(path), model)
+
+    def _stamp(self, stamp_ns: int | None) -> int:
+        return time.time_ns() if stamp_ns is None else stamp_ns
 
     def keep_to_clock(self, now_ns: int) -> bool:
         """See `SensorTracker.keep_to_clock`."""

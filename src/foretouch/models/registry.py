@@ -38,7 +38,9 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
         from foretouch.models.network.checkpoint import load_model as load
     else:
         from foretouch.models.contact.estimator import load_model as load
-    return load(path, card)
+    model = load(path, card)
+    model.path = path
+    return model
 
 
 def find_card(name_or_path: str | Path) -> Path:

@@ -9,42 +9,28 @@ through the tracker of the sensors' state (`models.tracker`), with the parameter
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import GraspError, ModelError, TactileError
-from foretouch.grasp.pose import check_rotation, fast_accept_rotations
-from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, fast_accept_reach
+from foretouch.errors import FileError, ModelError, TactileError
+from foretouch.files import read_bytes, replace_files, system_errors
+from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
+from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import card_sensor
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges, touch_faults
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
-from foretouch.types import (
-    Bool,
-    Cloud,
-    Evidence,
-    Float64,
-    Grasp,
-    GraspList,
-    Reference,
-    Touch,
-    TouchPrediction,
-    TouchPredictions,
-    stacked,
-)
+from foretouch.types import Bool, Cloud, Evidence, Float64, Grasp, Grasps, Predictions, Reference, Touch
+from foretouch.types.arrays import objects
+from foretouch.types.grasps import contact_faults
 
 SIMILAR_TOUCHES: Final = "similar_touches"
 """Flag of predictions in which took part where on the object its earlier touches were."""
-
-_FLAGS = {
-    (outside, known): ("out_of_range",) * outside + ("unfamiliar",) * (not known)
-    for outside in (False, True)
-    for known in (False, True)
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +97,15 @@ class Estimator(Protocol):
         ...
 
 
+class HasCloud(Protocol):
+    """What stands for a cloud, such as an object of a scene."""
+
+    @property
+    def cloud(self) -> Cloud:
+        """Its points."""
+        ...
+
+
 class TouchModel:
     """An estimator with its card and its calibration; immutable, so threads may share it.
 
@@ -141,12 +136,34 @@ class TouchModel:
         self.sensor = card_sensor(card, self.name)
         self.ranges = estimator.ranges
         self.estimator = estimator
+        self.path: Path | None = None  # of its card, where it was loaded
+        self.kept: object = None  # lives as long as the model: a temporary folder with its files
         self._widen = widen
 
     @property
     def simulated(self) -> bool:
         """Whether it was trained on simulated grasps, and so predicts for the simulated hand only."""
         return "scene_sha256" in self.card.get("data", {})
+
+    def save(self, folder: str | Path) -> Path:
+        """Write card, weights and calibration to a folder, for `load_model`; returns the path of the card.
+
+        Raises:
+            ModelError: If it was not loaded from files.
+            FileError: If a file exists or cannot be written.
+        """
+        if self.path is None:
+            raise ModelError(f"{self.name}: was not loaded from files, so it cannot be saved")
+        names = [self.path.name, self.card["weights"], (self.card.get("calibration") or {}).get("weights")]
+        folder = Path(folder)
+        files = {folder / name: read_bytes(self.path.with_name(name)) for name in names if name}
+        for path in files:
+            if path.exists():
+                raise FileError(path, "exists already; choose another folder")
+        with system_errors(folder, "cannot be written"):
+            folder.mkdir(parents=True, exist_ok=True)
+        replace_files(files)
+        return folder / self.path.name
 
     def reduced(self, estimator: Estimator, widen: Float64) -> "TouchModel":
         """The same model with a cheaper estimator, and (D,) factors of the half widths of its intervals."""
@@ -158,20 +175,20 @@ class TouchModel:
 
     def predict(
         self,
-        cloud: Cloud,
+        cloud: Cloud | HasCloud,
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
         history: History | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
-    ) -> Sequence[TouchPrediction]:
+    ) -> Predictions:
         """Predict the readings of both fingertips at each grasp.
 
         Predictions are deterministic, and independent of the other grasps of the call to the last bit.
 
         Args:
-            cloud: The object's points [m]; points without depth are ignored.
+            cloud: The object's points [m], or an object of a scene; points without depth are ignored.
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before, of a hand of which nothing else was read.
             history: Readings of the hand so far, which include tares; `tare` must be omitted.
@@ -179,7 +196,7 @@ class TouchModel:
             reach: Of the hand.
 
         Returns:
-            One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
+            A row for each grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
             `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
             grasp is out of the training distribution, `similar_touches` where the places of earlier touches took part.
@@ -195,21 +212,17 @@ class TouchModel:
                 raise ModelError("history: has tares and touches of its own")
             if history.tracker.parameters is not self._calibrated().tracker_parameters:
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
+        cloud = cloud if isinstance(cloud, Cloud) else cloud.cloud
         check_object(cloud.xyz, limits)
-        grasps = GraspList(grasps)
-        refusals = _refusals(grasps, cloud, reach.max_width_m, reach.max_distance_m)
-        if any(refusals):
-            usable = GraspList(grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason)
-            predicted = iter(self._predict(cloud, usable, tare, history))
-            return [
-                TouchPrediction(grasp, None, status="bad_grasp", reason=reason) if reason else next(predicted)
-                for grasp, reason in zip(grasps, refusals, strict=True)
-            ]
-        return self._predict(cloud, grasps, tare, history)
+        columns = Grasps.of(grasps)
+        faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
+        usable = np.array([not fault for fault in faults], np.bool_)
+        if usable.all():
+            return self._predict(cloud, columns, tare, history)
+        predictions = self._predict(cloud, columns.take(usable), tare, history)  # a useless cloud is named first
+        return Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults).put(usable, predictions)
 
-    def _predict(
-        self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None, history: History | None
-    ) -> Sequence[TouchPrediction]:
+    def _predict(self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: History | None) -> Predictions:
         """Predictions for executable grasps."""
         estimate = self.estimator.estimate(cloud, grasps)
         if tare is not None:
@@ -220,7 +233,8 @@ class TouchModel:
         if history is not None and history.evidence.readings:
             read = (*history.adapt(estimate), history.reference, history.evidence)
             similar = history.same_object and history.tracker.similar.enough and estimate.where is not None
-            return self._predictions(grasps, known, *read, (SIMILAR_TOUCHES,) * similar)
+            predictions = self._predictions(grasps, known, *read)
+            return predictions.flagged(SIMILAR_TOUCHES) if similar else predictions
         half = None
         if self.calibration is not None:
             half = np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
@@ -235,11 +249,11 @@ class TouchModel:
         """
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
-        refusals = _refusals(grasps, cloud, 2.0, limits.max_range_m)
-        usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
-        estimate = self.estimator.estimate(cloud, usable)  # a useless cloud is named first
-        if any(refusals):
-            raise GraspError(next(filter(None, refusals)))
+        columns = Grasps.of(grasps)
+        faults = _faults(columns, cloud, 2.0, limits.max_range_m)
+        usable = np.array([not fault for fault in faults], np.bool_)
+        estimate = self.estimator.estimate(cloud, columns.take(usable))  # a useless cloud is named first
+        require_none(faults)
         return estimate
 
     def tare_offset(self, tare: Touch) -> Float64:
@@ -270,43 +284,36 @@ class TouchModel:
 
     def _predictions(
         self,
-        grasps: Sequence[Grasp],
+        grasps: Grasps,
         in_distribution: Bool,
         counts: Float64,
         half: Float64 | None,
         reference: Reference,
         evidence: Evidence,
-        also: tuple[str, ...] = (),
-    ) -> Sequence[TouchPrediction]:
-        if not grasps:
-            return []
-        if half is not None and self._widen is not None:
-            half = half * self._widen
-        outside = np.any(self.ranges.outside(counts), axis=1).tolist()
-        flags = [_FLAGS[pair] + also for pair in zip(outside, in_distribution.tolist(), strict=True)]
-        bounds = None if half is None else (counts - half, counts + half)
-        refused = {
-            k: TouchPrediction(grasps[k], None, status="refused", reason="the model gives a value that is not finite")
-            for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist()
-        }
-        return TouchPredictions(grasps, self.sensor.channels, counts, bounds, flags, reference, evidence, refused)
+    ) -> Predictions:
+        """Rows of values with their intervals and flags; a row that is not finite is refused."""
+        half = np.full(counts.shape, np.nan) if half is None else half
+        half = half if self._widen is None else half * self._widen
+        finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
+        predictions = Predictions(
+            np.where(finite[:, None], counts, np.nan),
+            grasps,
+            self.sensor.channels,
+            np.where(finite[:, None], counts - half, np.nan),
+            np.where(finite[:, None], counts + half, np.nan),
+            status=np.where(finite, "ok", "refused").astype(object),
+            reason=np.where(finite, "", "the model gives a value that is not finite").astype(object),
+            reference=objects([reference] * len(grasps)),
+            evidence=objects([evidence] * len(grasps)),
+        )
+        outside = np.asarray(self.ranges.outside(counts).any(axis=1) & finite, np.bool_)
+        return predictions.flagged("out_of_range", outside).flagged("unfamiliar", ~in_distribution & finite)
 
 
-def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
+def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
     """Why no hand can execute each grasp; "" where one can."""
-    g1, g2, rotations = stacked(grasps)
-    fine = fast_accept_rotations(rotations) & fast_accept_reach(g1, g2, cloud.xyz, max_width_m, max_distance_m)
-    return [
-        "" if one else _refusal(grasp, cloud, max_width_m, max_distance_m)
-        for grasp, one in zip(grasps, fine.tolist(), strict=True)
-    ]
-
-
-def _refusal(grasp: Grasp, cloud: Cloud, max_width_m: float, max_distance_m: float) -> str:
-    """Why no hand can execute a grasp; "" if one can."""
-    try:
-        check_rotation(grasp.rotation)
-        check_reach(grasp, cloud.xyz, max_width_m, max_distance_m)
-    except GraspError as err:
-        return str(err)
-    return ""
+    return joined_faults(
+        contact_faults(grasps.g1, grasps.g2, grasps.rotation),
+        rotation_faults(grasps.rotation),
+        reach_faults(grasps, cloud.xyz, max_width_m, max_distance_m),
+    )

@@ -6,9 +6,7 @@ interval of the difference of two grasps is .5 to 1.03 times as wide as that of 
 rule here is that of a difference, on the safe side, and can be checked from the bounds of the answer alone.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +14,7 @@ from numpy.typing import ArrayLike
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile import Ranges
-from foretouch.types import Float64, Index, Touch, TouchPrediction, TouchPredictions, prediction_rows
+from foretouch.types import Float64, Index, Predictions, Touch
 
 EQUAL_PRESSURE: Final = "equal_pressure"
 """Flag of grasps whose predicted pressure differs from the lowest of the request by less than the half width of its interval."""
@@ -43,13 +41,13 @@ def scale_of(model: TouchModel) -> tuple[Touch | None, Ranges]:
     return rest, model.ranges
 
 
-def predicted_pressures(predictions: Sequence[Any], model: TouchModel) -> Float64:
+def predicted_pressures(predictions: Predictions, model: TouchModel) -> Float64:
     """(3, K, F) how hard each finger presses in predictions of a model, and its bounds (see `TaxelView.pressures`); NaN for none."""
-    rows = prediction_rows(predictions, model.sensor.channels.size)
+    rows = np.stack([predictions.value, predictions.lower, predictions.upper])
     return TaxelView(model.sensor).pressures(rows, *scale_of(model))
 
 
-def flag_equal_pressures(predictions: Sequence[TouchPrediction], model: TouchModel) -> Sequence[TouchPrediction]:
+def flag_equal_pressures(predictions: Predictions, model: TouchModel) -> Predictions:
     """The predictions for grasps on one object, with `EQUAL_PRESSURE` on each that cannot be ranked before another as the gentlest.
 
     The pressure is the mean of both fingers; models without intervals get no flag.
@@ -60,7 +58,4 @@ def flag_equal_pressures(predictions: Sequence[TouchPrediction], model: TouchMod
     equal = equal_groups(value, np.abs(upper - lower) / 2.0) == 0
     if np.count_nonzero(equal) < 2:
         return predictions
-    flags = [(EQUAL_PRESSURE,) if one else () for one in equal.tolist()]
-    if isinstance(predictions, TouchPredictions):
-        return predictions.flagged(flags)
-    return [replace(one, flags=one.flags + more) for one, more in zip(predictions, flags, strict=True)]
+    return predictions.flagged(EQUAL_PRESSURE, equal)

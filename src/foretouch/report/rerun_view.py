@@ -24,7 +24,7 @@ from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
-from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Prediction, Touch
 
 _COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2
 _DEAD: Final = (128, 128, 128, 90)
@@ -54,7 +54,7 @@ class ViewStep:
     objects: Mapping[str, Cloud] | None = None  # by id; the first is the target
     grasp: Grasp | None = None  # whose touch is predicted or was read
     candidates: Sequence[Grasp] = ()  # the other planned grasps
-    prediction: TouchPrediction | None = None  # for `grasp`
+    prediction: Prediction | None = None  # for `grasp`
     model: str = ""  # that predicted
     read: Touch | None = None  # of the executed grasp
     tare: Touch | None = None  # reading without contact
@@ -64,7 +64,7 @@ class ViewStep:
     @property
     def value(self) -> Touch | None:
         """The predicted touch, if there is one."""
-        return None if self.prediction is None else self.prediction.value
+        return self.prediction.value if self.prediction is not None and self.prediction.ok else None
 
 
 def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor = BIOTAC_SP) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from foretouch.tactile import Ranges
 from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.tactile.description import Sensor
-from foretouch.types import Float64, Index, Touch, TouchPrediction
+from foretouch.types import Float64, Index, Prediction, Touch
 from foretouch.types.channels import Channel
 
 
@@ -98,12 +98,12 @@ class TaxelView:
         none = np.full(values.shape[:-1], np.nan)
         return np.stack([one.mean(axis=-1) if one.shape[-1] else none for one in shares], axis=-1)
 
-    def scalars(self, finger: int, value: Touch, around: TouchPrediction | None = None) -> str:
+    def scalars(self, finger: int, value: Touch, around: Prediction | None = None) -> str:
         """The scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""
         texts = []
         for one, column in zip(self.sensor.scalar_channels, self.sensor.scalar_columns[finger], strict=True):
             half = ""
-            if around is not None and around.lower is not None and around.upper is not None:
+            if around is not None and around.calibrated:
                 half = f" ± {one.text((around.upper.values[column] - around.lower.values[column]) / 2.0)}"
             texts.append(f"{one.name} {one.text(value.values[column])}{half}")
         return ", ".join(texts)

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.report.panels import new_figure, save
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction, assumed_table
+from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Prediction, Touch, assumed_table
 
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _ROW_INCH = 2.2  # height of a grasp
@@ -36,8 +36,8 @@ _TARGET_COLOUR = "#ff8000"
 class DrawnGrasp:
     """One grasp to draw: its object, its prediction, and what was read where it was executed."""
 
-    prediction: TouchPrediction  # a refused one is drawn without its taxels
-    target: FoundObject | None = None  # the object; None draws neither scene nor contacts
+    prediction: Prediction  # a refused one is drawn without its taxels
+    target: Object | None = None  # the object; None draws neither scene nor contacts
     scene: Cloud | None = None  # the whole cloud, drawn if it is organised; None if there is only the object
     rest: Touch | None = None  # reading without contact; taxels are then coloured by their change from it
     read: Touch | None = None  # reading of the executed grasp
@@ -53,13 +53,16 @@ def save_touch_picture(
     the file is created.
     """
     view = TaxelView(sensor)
-    tared = all(view.has_rest(one.rest) for one in grasps if one.read or one.prediction.value)
+    tared = all(view.has_rest(one.rest) for one in grasps if one.read or one.prediction.ok)
     # Finger, `predicted` or `read`, touch and its levels in each panel of taxels; those of a finger are side by side.
     panels = [
         [
             (finger, what, touch, view.levels(touch.values, grasp.rest if tared else None, finger))
             for finger in range(len(view.fingers))
-            for what, touch in (("predicted", grasp.prediction.value), ("read", grasp.read))
+            for what, touch in (
+                ("predicted", grasp.prediction.value if grasp.prediction.ok else None),
+                ("read", grasp.read),
+            )
             if touch is not None
         ]
         for grasp in grasps
@@ -101,7 +104,7 @@ def save_touch_picture(
 def _inside(one: DrawnGrasp) -> Bool | None:
     """(D,) which values were read within their intervals; None without both."""
     lower, upper = one.prediction.lower, one.prediction.upper
-    if one.read is None or lower is None or upper is None:
+    if one.read is None or not one.prediction.calibrated:
         return None
     return (one.read.values >= lower.values) & (one.read.values <= upper.values)
 
@@ -109,7 +112,7 @@ def _inside(one: DrawnGrasp) -> Bool | None:
 def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
     """A sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
     value, read = one.prediction.value, one.read
-    if value is None or read is None:
+    if not one.prediction.ok or read is None:
         return f"not predicted: {one.prediction.reason}" if one.prediction.reason else ""
     columns = {channel: sensor.taxel_columns[..., k].ravel() for k, channel in enumerate(sensor.taxel_channels)}
     apart = np.abs(value.values - read.values)
@@ -126,8 +129,8 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor:
     """Write one PNG with the contacts and the readings of samples, a row each, as `save_touch_picture` draws them."""
     rows = [
         DrawnGrasp(
-            prediction=TouchPrediction(one.grasp, None),
-            target=FoundObject(one.object, one.cloud, assumed_table(one.cloud)),
+            prediction=Prediction.of(one.grasp, Touch.unknown(sensor.channels), status="refused"),
+            target=Object(one.object, one.cloud, assumed_table(one.cloud)),
             rest=one.tare,
             read=one.touch,
             title=one.id,
@@ -176,7 +179,7 @@ def draw_taxels(
     return drawn
 
 
-def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject, title: str) -> None:
+def _draw_scene(axes: Axes, scene: Cloud, target: Object, title: str) -> None:
     """Draw an organised scene as a depth image, with the outline of the target; of others there is no more than the object."""
     if not scene.organised or target.pixels is None or target.image_shape is None:
         axes.set_axis_off()

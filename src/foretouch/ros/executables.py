@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An entry point for each node: `ros2 run` and the launch files start these.
 
-Threads: one serves requests and timers, one takes messages (see `runtime.executor`), and one works on clouds (see
+Threads: one takes messages and serves requests and timers (rclpy's `SingleThreadedExecutor`), and one works on clouds (see
 `runtime.workers`), so that a cloud in work delays no service, parameter or lifecycle request, nor the next message.
 """
 
@@ -13,18 +13,15 @@ from functools import partial
 
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts
-from foretouch.ros.graph import NODES, PERCEPTION, Graph, node_class
+from foretouch.ros.graph import NODES, Graph, node_class
 from foretouch.ros.runtime.environment import prepare_environment
-
-EXECUTABLES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in NODES}, "perception": PERCEPTION}
-"""Nodes of each executable, which is installed as `foretouch_<name>` and is the function `<name>` of this module."""
 
 
 def __getattr__(name: str) -> Callable[[], int]:
-    """Return the entry point of an executable, such as `foretouch.ros.executables:camera`."""
-    if name not in EXECUTABLES:
+    """Return the entry point of a node, such as `foretouch.ros.executables:camera`, which is installed as `foretouch_camera`."""
+    if name not in NODES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return partial(run, *EXECUTABLES[name])
+    return partial(run, name)
 
 
 def run(*names: str, args: Sequence[str] | None = None) -> int:
@@ -56,7 +53,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
 
 def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
     """Refuses what is not for ROS, with exit status 2, and answers `--help`."""
-    program = next((name for name, nodes in EXECUTABLES.items() if nodes == tuple(names)), "nodes")
+    program = names[0] if len(names) == 1 else "nodes"
     parser = argparse.ArgumentParser(
         f"foretouch_{program}",
         description=f"Run {', '.join(names)} until Ctrl-C. Parameters: docs/reference/parameters.md, or `ros2 param list`.",

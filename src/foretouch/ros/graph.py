@@ -18,7 +18,7 @@ from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.laboratory import needs_laboratory
-from foretouch.ros.runtime.environment import prepare_environment, start_rclpy
+from foretouch.ros.runtime.environment import prepare_environment, stale_bytes, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 NODES = {
     "camera": "foretouch.ros.nodes.camera:CameraNode",
+    "perception": "foretouch.ros.nodes.perception:PerceptionNode",
     "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNode",
     "grasp": "foretouch.ros.nodes.grasp:GraspNode",
     "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
@@ -38,8 +39,6 @@ NODES = {
     "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
 }
 """Module and class of each node by name; that of the simulated hand is in the laboratory."""
-
-PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 
 _SOURCES = ("replay", "camera")
 
@@ -74,7 +73,7 @@ class Graph:
 
     def __enter__(self) -> Self:
         begin(self._arguments, list(self._parameters), **self._namespace)
-        from foretouch.ros.runtime.executor import GraphExecutor
+        from rclpy.executors import SingleThreadedExecutor
 
         try:
             with uninterrupted():
@@ -89,7 +88,7 @@ class Graph:
             with uninterrupted():
                 served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
                 self._errors = served[0].internal_errors
-                self._executor = GraphExecutor(self._errors)
+                self._executor = SingleThreadedExecutor()
                 for one in served:
                     self._executor.add_node(one)
             for node in self.nodes.values():
@@ -127,11 +126,6 @@ class Graph:
     def replay(self) -> "ReplayNode | None":
         """The replay, if it is one of the nodes."""
         return cast("ReplayNode | None", self.nodes.get("replay"))
-
-    def default(self, node: str, **values: Any) -> None:
-        """Set parameters of a node which neither its options nor the parameter file have set."""
-        given = getattr(self.nodes[node], "_parameter_overrides", {})
-        self.nodes[node].set_parameters([*_parameters({k: v for k, v in values.items() if k not in given})])
 
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
@@ -204,6 +198,7 @@ class Graph:
 def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
     """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
     prepare_environment()
+    stale_bytes(free=True)
     check_parameters(arguments, NODES, names, namespace)
     start_rclpy(arguments)
 

@@ -21,7 +21,7 @@ import numpy as np
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, TactileError, nearest, none_of, shown
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.layout import MOST_TAXELS, ArrayConfig, Layout, read_layout, require_length
+from foretouch.tactile.layout import MOST_TAXELS, ArrayConfig, Layout, present, read_layout, require_length
 from foretouch.types import Bool, Index
 from foretouch.types.channels import LARGEST, Channel, Channels
 
@@ -136,6 +136,11 @@ class SensorConfig(Settings):
     )
     array: ArrayConfig | None = None
     taxels: str = setting("", "Name of a CSV file beside the description: index, x, y, z, nx, ny, nz [m]")
+    absent: tuple[int, ...] = setting(
+        (),
+        "Places in the series of a message at which there is no taxel; the taxels are counted without them",
+        minimum=0,
+    )
     pad: tuple[float, ...] = setting(
         (-0.2, -0.2, -0.2, 0.2, 0.2, 0.2), "Box that holds all taxels: lowest x, y, z, then highest", unit="m"
     )
@@ -185,6 +190,16 @@ class Sensor:
     def size(self) -> int:
         """Number of taxels of a finger."""
         return len(self.layout.positions)
+
+    @property
+    def series_size(self) -> int:
+        """Numbers in the series of a message: taxels, and places without one."""
+        return self.size + len(self.config.absent)
+
+    @cached_property
+    def places(self) -> Index:
+        """(N,) places of the taxels in the series of a message."""
+        return present(self.series_size, self.config.absent)
 
     @cached_property
     def sha256(self) -> str:
@@ -312,7 +327,9 @@ def load_sensor(sensor: str | Path) -> Sensor:
             raise ConfigError(f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(sensor, known)}")
         path = known[str(sensor)]
     config = SensorConfig.from_mapping(load_yaml(path), str(path))
-    layout = config.array.layout() if config.array else read_layout(path.parent / config.taxels)
+    layout = (
+        config.array.layout(config.absent) if config.array else read_layout(path.parent / config.taxels, config.absent)
+    )
     return _checked(config, layout, shown(path))
 
 
@@ -323,6 +340,9 @@ def _checked(config: SensorConfig, layout: Layout, where: str) -> Sensor:
         index = int(outside.argmax())
         place = ", ".join(f"{value:g}" for value in layout.positions[index])
         raise ConfigError(f"{where}: pad: taxel {index} at ({place}) m is outside; {outside.sum()} taxels are")
+    series = len(layout.positions) + len(config.absent)
+    if len(set(config.absent)) < len(config.absent) or max(config.absent, default=-1) >= series:
+        raise ConfigError(f"{where}: absent: are not different places below {series}")
     for finger in config.fingers:
         if max(finger.dead, default=-1) >= len(layout.positions):
             raise ConfigError(f"{where}: dead: {finger.name} has no taxel {max(finger.dead)}")
@@ -342,7 +362,7 @@ def sensor_of(mapping: Any, where: str) -> Sensor:
         raise ConfigError(f"{where}: taxels: are missing")
     if len(config.chosen_fingers()) < 2:
         raise ConfigError(f"{where}: fingers: there is one, and a grasp has two")
-    return _checked(config, layout or config.array.layout(), where)  # type: ignore[union-attr]
+    return _checked(config, layout or config.array.layout(config.absent), where)  # type: ignore[union-attr]
 
 
 def _layout_of(taxels: list[Any], where: str) -> Layout:

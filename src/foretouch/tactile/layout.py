@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the taxels of a sensor are: in an array, or by a CSV file with a line for each."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -96,12 +97,24 @@ class ArrayConfig(Settings):
         if (self.rows > 1 and not along_x) or (self.cols > 1 and not along_y):
             raise ConfigError("size, spacing: 0 m from a taxel to the next")
 
-    def layout(self) -> Layout:
-        """The taxels, in the order of a message."""
+    def layout(self, absent: Sequence[int] = ()) -> Layout:
+        """The taxels, in the order of a message; places of the array that are `absent` hold none.
+
+        Raises:
+            ConfigError: If there is no such place, or no taxel is left.
+        """
         grid = np.indices((self.rows, self.cols)).transpose((1, 2, 0) if self.order == "row-major" else (2, 1, 0))
         positions = np.zeros((self.rows * self.cols, 3))
         positions[:, :2] = grid.reshape(-1, 2) * np.array(self.spacing or self.size) - self.offset
+        if not max(absent, default=-1) < len(positions) or len(set(absent)) == len(positions):
+            raise ConfigError(f"absent: of the places 0 to {len(positions) - 1} at least one must hold a taxel")
+        positions = positions[present(len(positions), absent)]
         return Layout(positions, np.tile((0.0, 0.0, 1.0), (len(positions), 1)))
+
+
+def present(count: int, absent: Sequence[int]) -> Index:
+    """The places 0 to `count` - 1 that are not absent, ascending."""
+    return np.setdiff1d(np.arange(count), np.array(absent, np.intp))
 
 
 def require_length(settings: Settings, length: int, *names: str) -> None:
@@ -111,10 +124,10 @@ def require_length(settings: Settings, length: int, *names: str) -> None:
             raise ConfigError(f"{name}: {list(getattr(settings, name))} are not {length} numbers")
 
 
-def read_layout(path: Path) -> Layout:
+def read_layout(path: Path, absent: Sequence[int] = ()) -> Layout:
     """Read the taxels from a CSV file with the columns of `COLUMNS` [m]; `#` begins a comment.
 
-    Normals that were rounded are made of unit length, others are as written, to the bit. A `FileError` names the file, the line and
+    The index is the place in a message, so that those that are `absent` are left out. Normals that were rounded are made of unit length, others are as written, to the bit. A `FileError` names the file, the line and
     the rule.
     """
     text = read_bytes(path, _BYTES).decode("utf-8-sig", "replace").splitlines()
@@ -130,7 +143,11 @@ def read_layout(path: Path) -> Layout:
         length = np.linalg.norm(normals, axis=1)
     again = ~np.isin(np.arange(len(index)), np.unique(index, return_index=True)[1])
     for rule, wrong in (
-        (f"index: not each of 0 to {len(table) - 1} once", again | ~np.isin(index, np.arange(len(index)))),
+        (
+            f"index: not each of 0 to {len(table) + len(absent) - 1} once"
+            + (", without those absent" if absent else ""),
+            again | ~np.isin(index, present(len(table) + len(absent), absent)),
+        ),
         ("nx, ny, nz: the normal is zero; where it is unknown, state that of the nearest taxel", length == 0.0),
         ("nx, ny, nz: the normal is not of unit length", np.abs(length - 1.0) > 0.01),
     ):

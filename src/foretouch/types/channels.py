@@ -111,6 +111,28 @@ class Channels:
             raise TactileError(f"modality: {none_of(unknown[0], self.modalities)}")
         return np.concatenate([np.empty(0, np.intp), *(self.modality_columns[name] for name in modalities)])
 
+    def part(self, values: _Floats, name: str) -> _Floats:
+        """Values of a channel or of a modality, from (..., D) values of a touch.
+
+        Args:
+            values: (..., D) float64.
+            name: Of a channel, such as E, or of a modality, such as E_TH.
+
+        Returns:
+            Of a channel (..., F, N), or (..., F) if it has one value a finger; of a modality (..., M).
+
+        Raises:
+            TactileError: If there is none of that name.
+        """
+        if name in self.modality_columns:
+            return values[..., self.modality_columns[name]]
+        names = [channel.name for channel in self.channels]
+        if name not in names:
+            raise TactileError(f"channel: {none_of(name, (*names, *self.modalities))}")
+        columns = self.columns([f"{name}_{finger}" for finger in self.fingers])
+        part = values[..., columns].reshape(*values.shape[:-1], len(self.fingers), -1)
+        return part[..., 0] if self.channels[names.index(name)].size == 1 else part
+
     def by_modality(self, values: npt.ArrayLike) -> Any:
         """(D, ...) numbers of the values, from (M, ...) of the modalities."""
         return np.asarray(values)[self.modality_of_value]
@@ -160,33 +182,8 @@ class Channels:
         return _kept(self.by_modality(np.array(values, np.float64)))
 
 
-class Predicted(np.ndarray[Any, np.dtype[np.float32]]):
-    """Values of one channel with their bounds, arrays of the same shape; see `foretouch.reading`."""
-
-    lower: npt.NDArray[np.float32]
-    upper: npt.NDArray[np.float32]
-
-
-def read_prediction(message: Any) -> dict[str, Predicted]:
-    """See `foretouch.reading`."""
-    fingers = len(message.fingers)
-    many = (len(message.statuses),) if hasattr(message, "statuses") else ()
-    found = {}
-    for names, ends in (
-        (message.scalar_channels, ("scalars", "scalars_lower", "scalars_upper")),
-        (message.channels, ("values", "lower", "upper")),
-    ):
-        taxels = (len(message.valid) // max(1, fingers),) if names is message.channels else ()
-        shape = (*many, fingers, *taxels, len(names))
-        parts = [np.asarray(getattr(message, end), np.float32) for end in ends]
-        for end, part in zip(ends, parts, strict=True):
-            if part.size != np.prod(shape):
-                raise TactileError(f"{end}: {part.size} values are not {' x '.join(map(str, shape))}")
-        values, lower, upper = (part.reshape(shape) for part in parts)
-        for k, name in enumerate(names):
-            one = found[name] = values[..., k].view(Predicted)
-            one.lower, one.upper = lower[..., k], upper[..., k]
-    return found
+NO_CHANNELS: Final = Channels("", "", (), ())
+"""Of a touch whose sensor is not known: it has no values."""
 
 
 def _mean_rows(groups: Mapping[str, _Index], size: int) -> _Floats:

@@ -19,7 +19,7 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.grasp.original_score import original_score
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.types import Cloud, Int32
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
@@ -73,7 +73,7 @@ class Scenes:
         return hashlib.sha256(b"".join(cloud.xyz.tobytes() for cloud, _ in self.images)).hexdigest()
 
     @cached_property
-    def targets(self) -> list[tuple[int, FoundObject]]:
+    def targets(self) -> list[tuple[int, Object]]:
         """The objects that the shipped segmentation finds, with the number of their scene."""
         pipeline = _pipeline(VARIANTS[0])
         return [(k, one) for k, (cloud, _) in enumerate(self.images) for one in pipeline.segment(cloud).targets]

@@ -62,8 +62,10 @@ def sensor_to_msg(kind: type, sensor: Sensor, readings: Sequence[Float64], nanos
         known = dict(zip((one.name for one, _ in sensor.predicted), np.split(values, ends), strict=False))
         for channel in (*config.scalars, *config.values):
             path = f"{finger.field}.{channel.field}".strip(".").replace(".[", "[")
-            absent = np.full(sensor.size if channel in config.values else 1, np.clip(0.0, *channel.limits))
-            _write(message, FieldPath(path).steps, known.get(channel.name, absent).tolist(), _number)
+            sent = np.full(sensor.series_size if channel in config.values else 1, np.clip(0.0, *channel.limits))
+            if channel.name in known:
+                sent[sensor.places if channel in config.values else slice(None)] = known[channel.name]
+            _write(message, FieldPath(path).steps, sent.tolist(), _number)
     if config.source.stamp:
         unit_ns = STAMP_UNITS[config.source.stamp_unit]
         _write(message, FieldPath(config.source.stamp).steps, [nanoseconds], partial(_stamp, unit_ns))

@@ -2,7 +2,7 @@
 import numpy as np
 from every_case import every_case, every_refusal
 
-from foretouch.cloud.geometry.pixel_grid import PixelGrid
+from foretouch.cloud.geometry.pixel_grid import PixelGrid, listed_image
 from foretouch.errors import CloudError
 
 HEIGHT, WIDTH, FOCAL = 60, 80, 600.0
@@ -52,3 +52,31 @@ def test_clouds_without_pixels_and_pixels_far_apart_make_no_grid_and_no_list_of_
         ("is not a list of indices", [0.5]),
     ]
     every_refusal(CloudError, cases, lambda pixels: PixelGrid.from_pixels(np.array(pixels), (2, 3)))
+
+
+def test_the_image_of_a_list_is_recovered_in_any_order_with_holes_of_many_columns_and_rows(rng):
+    row, column = np.mgrid[:200, :260]
+    z = np.where((row // 9 + column // 13) % 2, 1.0, 1.06) + rng.normal(0, 0.001, row.shape)
+    image = np.stack([(column - 137.3) / FOCAL * z, (row - 90.8) / FOCAL * z, z], axis=-1).astype(np.float32)
+    image[rng.random(row.shape) < 0.1] = np.nan
+    image[40:49] = image[:, 100:113] = np.nan
+    image[5, 5] = np.nan
+    image[3, 3, 2] = 9.0  # out of range, like the next two: no part of the image, nor a reason against it
+    image[3, 4] = -image[3, 4]
+    image[3, 5, 0] = np.inf
+    expected = image.copy()
+    expected[3, 3:6] = np.nan
+    flat = image.reshape(-1, 3)
+    for order in (np.arange(len(flat)), rng.permutation(len(flat))):
+        found = listed_image(flat[order], 0.16, 2.0, 1.7)
+        assert found is not None
+        np.testing.assert_array_equal(found.xyz, expected)
+        place = np.full(len(flat), -1)
+        place[order] = np.arange(len(flat))
+        place[np.isnan(expected).any(axis=-1).ravel()] = -1
+        np.testing.assert_array_equal(found.place, place)
+        there = np.isfinite(expected).all(axis=-1).ravel()
+        assert (found.n_points, found.connected) == (there.sum(), (there[1:] & there[:-1]).sum())
+    assert listed_image(flat, 0.16, 2.0, 0.1) is None  # beyond the tangent
+    assert listed_image(np.vstack([flat, flat[:1000]]), 0.16, 2.0, 1.7) is None  # two points of a pixel
+    assert listed_image(rng.normal(1.0, 0.1, (20000, 3)).astype(np.float32), 0.16, 2.0, 1.7) is None

@@ -13,14 +13,7 @@ import pytest
 from depth_builders import FRAME, STAMP_NS, compressed, header, image, info, png, rvl
 from every_case import every_case, every_refusal
 
-from foretouch.cloud.io.depth_messages import (
-    CameraInfos,
-    camera_model,
-    decode_depth,
-    depth_cloud,
-    info_topic,
-    is_rectified,
-)
+from foretouch.cloud.io.depth_messages import CameraInfos, camera_model, decode_depth, info_topic, is_rectified
 from foretouch.errors import CalibrationError, CloudError
 from foretouch.types import Cloud
 from foretouch.types.camera import CameraModel
@@ -60,8 +53,10 @@ def test_every_encoding_byte_order_and_padding(depth: np.ndarray) -> None:
 
 
 def test_a_cloud_has_the_frame_and_stamp_of_its_image(depth: np.ndarray) -> None:
-    camera = CameraModel(84, 48, 61.0, 61.0, 41.5, 23.5)
-    cloud = depth_cloud(image(depth, "16UC1", big=True, padding=2), camera)
+    camera, infos = CameraModel(84, 48, 61.0, 61.0, 41.5, 23.5), CameraInfos()
+    k = np.array([61.0, 0.0, 41.5, 0.0, 61.0, 23.5, 0.0, 0.0, 1.0])
+    infos.add(info(width=84, height=48, k=k), 0.0)
+    cloud = infos.cloud(image(depth, "16UC1", big=True, padding=2), 0.1)
     assert (cloud.frame_id, cloud.stamp_ns, cloud.camera) == (FRAME, STAMP_NS, camera)
     np.testing.assert_array_equal(cloud.xyz, Cloud.from_depth(depth, camera).xyz)
 
@@ -277,18 +272,19 @@ def test_the_messages_of_rosbags_and_rclpy() -> None:
         head, 480, 848, "plumb_bob", plain.d, plain.k, plain.r, plain.p, 0, 0, roi
     )
     raw = types["sensor_msgs/msg/Image"](head, 480, 848, "16UC1", 0, 1696, pixels.reshape(-1).view(np.uint8))
-    expected = Cloud.from_depth(pixels, CAMERA).xyz
+    expected, infos = Cloud.from_depth(pixels, CAMERA).xyz, CameraInfos()
+    infos.add(info(header=header("")), 0.0)
     for message, name in ((raw, "Image"), (sent, "CameraInfo")):
         data = store.serialize_cdr(message, f"sensor_msgs/msg/{name}")
         back = store.deserialize_cdr(data, f"sensor_msgs/msg/{name}")
         if name == "Image":
-            cloud = depth_cloud(back, CAMERA)
+            cloud = infos.cloud(back, 0.0)
             assert (cloud.stamp_ns, np.array_equal(cloud.xyz, expected)) == (3_000_000_004, True)
         else:
             assert camera_model(back) == CAMERA
     msg = pytest.importorskip("sensor_msgs.msg")
     ours = msg.Image(height=480, width=848, encoding="16UC1", step=1696, data=pixels.tobytes())
-    assert np.array_equal(depth_cloud(ours, CAMERA).xyz, expected)
+    assert np.array_equal(infos.cloud(ours, 0.0).xyz, expected)
     assert (
         camera_model(msg.CameraInfo(height=480, width=848, k=plain.k, d=[0.0] * 5, distortion_model="plumb_bob"))
         == CAMERA

@@ -6,7 +6,7 @@ import pytest
 from seen_solids import Camera, about_vertical, box, can
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, ObjectSegment, TargetConfig, select_free
-from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
+from foretouch.pipeline import Pipeline, PipelineConfig, Scene
 from foretouch.types import Cloud
 
 _BOX, _WALL, _CAN = box(0.05, 0.05, 0.09), box(0.15, 0.035, 0.09), can(0.03, 0.1)
@@ -23,7 +23,7 @@ def _pile(*solids: tuple, yaw: float = 0.0) -> Cloud:
     return Cloud((rays / rays[..., 2:] * nearest[..., None]).astype(np.float32))
 
 
-def _scene(cloud: Cloud, mode: str) -> SegmentedScene:
+def _scene(cloud: Cloud, mode: str) -> Scene:
     return Pipeline(PipelineConfig().updated({"target.mode": mode})).segment(cloud)
 
 

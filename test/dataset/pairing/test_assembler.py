@@ -50,7 +50,7 @@ class Session:
 
     def look(self, number: float, at: int) -> None:
         """Add the cloud of a grasp, taken at a time [ns]."""
-        message = cloud_fields(Cloud(np.full((5, 3), number, np.float32), frame_id="camera", stamp_ns=at))
+        message = cloud_fields(Cloud(np.full((5, 3), number + 1, np.float32), frame_id="camera", stamp_ns=at))
         data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
         self.assembler.add("cloud", SerializedCloud(data, lambda: message), received_ns=0, now_s=0.0)
 

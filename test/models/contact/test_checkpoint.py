@@ -79,7 +79,7 @@ def test_a_model_without_calibration_has_no_bounds_and_a_networks_brings_its_fal
     card = save_contact(tmp_path, "bare", small_estimator(), {})
     assert load_calibration(card, read_card(card), BIOTAC) == (None, None)
     (prediction,) = load_model(card).predict(SAMPLES[0].cloud, [SAMPLES[0].grasp])
-    assert prediction.lower is None
+    assert not prediction.calibrated
     sizes = np.array([object_sizes(sample.cloud.xyz) for sample in SAMPLES])
     fallback = Fallback.fit(BIOTAC, sizes, np.tile(np.linspace(1000.0, 3000.0, 50), (len(SAMPLES), 1)))
     card = save_network(tmp_path, "net", make_net(), {}, (make_calibration(), FACTS), fallback)

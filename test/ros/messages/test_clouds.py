@@ -6,7 +6,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_from_msg, objects_to_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
@@ -38,7 +38,7 @@ def test_a_cloud_and_objects_with_their_pixels_are_received_as_they_were_and_rea
         assert np.shares_memory(back.rgb, memory)
     assert (back.frame_id, back.stamp_ns) == ("cam", 12_345_678_901)
     members = ((7, np.array([4, 5, 12, 13])), (2, np.array([30, 31, 47])))
-    targets = [FoundObject(str(number), cloud.take(pixels), PLANE, pixels, (6, 8)) for number, pixels in members]
+    targets = [Object(str(number), cloud.take(pixels), PLANE, pixels, (6, 8)) for number, pixels in members]
     back = objects_from_msg(sent(objects_to_msg(targets, "cam", 99)), PLANE)
     assert [one.id for one in back] == ["7", "2"]
     for one, old in zip(back, targets, strict=True):

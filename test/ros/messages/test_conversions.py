@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from answer_builders import touch_message
+from answer_builders import refusal, touch_message
 from every_case import every_case
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +16,6 @@ from shape_msgs.msg import Plane as PlaneMsg
 from foretouch.cli.answers import answer_record
 from foretouch.errors import CloudError, GraspError, ModelError
 from foretouch.grasp.messages import decode_grasp, has_orientation, rotation_from_quaternion
-from foretouch.ros.messages.answers import Refusal
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
     grasp_to_msg,
@@ -28,7 +27,7 @@ from foretouch.ros.messages.conversions import (
 )
 from foretouch.ros.messages.requests import RefusalError, read_table
 from foretouch.tactile import biotac_touch
-from foretouch.types import Grasp, Plane, TouchPrediction
+from foretouch.types import Grasp, Plane, Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
@@ -114,7 +113,7 @@ HEADER = header_to_msg("camera", 5)
 
 
 def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
-    prediction = TouchPrediction(grasp=UNIT, value=biotac_touch(np.full(50, 2000.0)), lower=None, upper=None)
+    prediction = Prediction.of(UNIT, biotac_touch(np.full(50, 2000.0)))
     good, strange = (touch_message(prediction, grasp_to_msg(UNIT), HEADER) for _ in range(2))
     strange.reference = 77
     reason = "reference: 77 is not one of none, tare, touches, history"
@@ -123,7 +122,7 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
     assert reference_text(strange) == "reference 77"
     bad = grasp_to_msg(UNIT)
     bad.g1.x = float("nan")
-    refused = touch_message(Refusal(Status.BAD_GRASP, "g1: is not finite"), bad, HEADER)
+    refused = touch_message(refusal("bad_grasp", "g1: is not finite"), bad, HEADER)
     lines = answer_record(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))["predictions"]
     assert lines[0]["status"] == "ok"
     assert lines[1:] == [{"status": "failed", "reason": reason}, {"status": "bad_grasp", "reason": "g1: is not finite"}]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from answer_builders import refusal
 from constant_models import sensor_with_dead
 from std_msgs.msg import Header
 
@@ -12,7 +13,7 @@ from foretouch.ros.messages.clouds import object_to_msg
 from foretouch.ros.messages.markers import object_markers, touch_markers
 from foretouch.tactile import P2_RANGES, Ranges, biotac_touch
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import Grasp, Touch, TouchPrediction
+from foretouch.types import Grasp, Prediction, Touch
 from foretouch_msgs.msg import ObjectArray, TablePlane
 
 BIOTAC_VIEW = TaxelView(packaged_sensor("biotac_sp"))
@@ -24,7 +25,7 @@ GRASP = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.array(
 def drawn(e_th, e_mf, **options):
     """Markers of a prediction by their namespace."""
     touch = biotac_touch(np.hstack([2800.0, 1800.0, np.asarray(e_th, float), np.asarray(e_mf, float)]))
-    return by_name(touch_markers(TouchPrediction(GRASP, touch), HEADER, BIOTAC_VIEW, P2_RANGES.ranges, **options))
+    return by_name(touch_markers(Prediction.of(GRASP, touch), HEADER, BIOTAC_VIEW, P2_RANGES.ranges, **options))
 
 
 def by_name(array):
@@ -79,9 +80,7 @@ def test_electrodes_contacts_and_hand_axes_are_where_the_grasp_is_and_thumb_take
     flat = [marker for group in markers.values() for marker in group]
     assert len({(m.ns, m.id) for m in flat}) == len(flat)
     assert {m.header.frame_id for m in flat} == {"cam"}
-    assert not touch_markers(
-        TouchPrediction(GRASP, None, status="refused"), HEADER, BIOTAC_VIEW, P2_RANGES.ranges
-    ).markers
+    assert not touch_markers(refusal("refused", "")[0], HEADER, BIOTAC_VIEW, P2_RANGES.ranges).markers
 
 
 def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest():
@@ -92,7 +91,7 @@ def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest(
     values[sensor.taxel_columns[1, 7, 2]] -= 500.0
     values[sensor.taxel_columns[1, 8, 0]] += 5000.0  # X is not shown
     ranges = Ranges(sensor.channels, ((29_000.0, 31_000.0),) * len(sensor.channels.modalities))
-    found = by_name(touch_markers(TouchPrediction(GRASP, Touch(values, sensor.channels)), HEADER, view, ranges, rest))
+    found = by_name(touch_markers(Prediction.of(GRASP, Touch(values, sensor.channels)), HEADER, view, ranges, rest))
     thumb, finger = found["thumb"][0], found["FF"][0]
     np.testing.assert_allclose(points(thumb)[:, 0], 0.04, atol=1e-9)  # flat on the contact
     np.testing.assert_allclose(points(finger)[:, 0], -0.04, atol=1e-9)

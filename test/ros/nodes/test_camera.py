@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from camera_builders import record
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from sim_builders import CAN, scene
 
 from foretouch.camera.config import RealSenseConfig
+from foretouch.cloud.io.depth_messages import CameraInfos, camera_model
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.tactile.messages.table import stamp_ns
@@ -70,6 +71,36 @@ def test_a_camera_publishes_organised_clouds_while_it_is_active(graph, start):
     assert (len(heard), bool(reports)) == (count, True)
     node.trigger_activate()
     graph.until(lambda: len(heard) > count)
+
+
+def test_depth_images_have_the_names_of_realsense2_camera_and_the_points_of_the_clouds(graph, start):
+    images = graph.listen(Image, "depth/image_rect_raw")
+    infos = graph.listen(CameraInfo, "depth/camera_info")
+    _, heard, _ = start()
+    graph.until(lambda: min(map(len, (heard, images, infos))) >= 3)
+    clouds = {stamp_ns(message.header.stamp): decode_cloud(message) for message in heard}
+    both = [message for message in images if stamp_ns(message.header.stamp) in clouds]
+    assert both
+    known = CameraInfos("depth/image_rect_raw")
+    known.add(infos[0], 0.0)
+    for message in both:
+        assert (message.encoding, message.step, message.header.frame_id) == ("16UC1", 424, "camera_depth_optical_frame")
+        cloud = known.cloud(message, 0.0)
+        np.testing.assert_array_equal(cloud.xyz, clouds[cloud.stamp_ns].xyz)
+    assert {stamp_ns(message.header.stamp) for message in infos[1:]} <= {
+        stamp_ns(message.header.stamp) for message in images
+    } | {stamp_ns(infos[-1].header.stamp)}
+    assert camera_model(infos[0], rectified=True) == camera_model(infos[0])
+
+
+def test_a_cloud_is_made_only_for_a_subscriber(graph, monkeypatch, tmp_path):
+    made = []
+    monkeypatch.setattr("foretouch.ros.nodes.camera.cloud_to_msg", made.append)
+    (tmp_path / "scene.yaml").write_text(json.dumps(SHOWN.to_mapping()), encoding="utf-8")
+    images = graph.listen(Image, "depth/image_rect_raw")
+    graph.add("camera", source="scene", scene__path=str(tmp_path / "scene.yaml"), camera__fps=15)
+    graph.until(lambda: len(images) >= 5)
+    assert not made
 
 
 def test_a_stalled_or_unplugged_camera_is_named_in_diagnostics_and_comes_back(graph, start):

@@ -70,11 +70,13 @@ def test_a_header_stands_for_the_latest_object_and_a_frame_that_nobody_knows_is_
     for publisher, message in ((tables, table), (clouds, own), (sent, GraspArray(header=own.header, grasps=grasps))):
         publisher.publish(message)
         time.sleep(0.1)
-    graph.until(lambda: node._latest is not None)
+    graph.until(lambda: node._step.latest is not None)
     expected, answer = ask(graph, cloud=own, grasps=grasps), ask(graph, cloud=latest, grasps=grasps)
     assert "unknown_frame" not in expected.predictions[0].flags
     assert answer.header == own.header
-    assert_allclose(reading(answer.predictions[0])["PDC"], reading(expected.predictions[0])["PDC"], rtol=1e-6)
+    assert_allclose(
+        reading(answer.predictions[0])["PDC"].value, reading(expected.predictions[0])["PDC"].value, rtol=1e-6
+    )
     latest.header.frame_id = "world"
     answer = ask(graph, cloud=latest, grasps=grasps)
     assert answer.status == Status.UNKNOWN_FRAME

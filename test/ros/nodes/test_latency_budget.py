@@ -10,7 +10,7 @@ from foretouch import reading
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
 from foretouch.models.budget import levels_of, profile_scene
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages import answers
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
@@ -33,7 +33,7 @@ def profile(monkeypatch):
 
 def request(count=1):
     cloud, grasps = profile_scene(count)
-    message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", 5)
+    message = objects_to_msg([Object("1", cloud, ASSUMED_TABLE)], "cam", 5)
     return PredictTouch.Request(cloud=message, grasps=[grasp_to_msg(one) for one in grasps])
 
 
@@ -59,7 +59,7 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
         message = ask(graph)
         assert message.status == Status.OK
         (prediction,), (expected,) = message.predictions, level.model.predict(cloud, grasps)
-        assert reading(prediction)["PDC"][0] == pytest.approx(expected.value["PDC_TH"][0], rel=1e-6)
+        assert reading(prediction)["PDC"].value[0] == pytest.approx(expected.value["PDC_TH"][0], rel=1e-6)
         assert reading(prediction)["PDC"].lower[0] == pytest.approx(expected.lower["PDC_TH"][0], rel=1e-6)
         assert ("reduced" in prediction.flags) == reduced
         assert node.notes().get("budget.level") == (level.name if budget_ms else None)

@@ -14,7 +14,7 @@ from foretouch.cli.live import live_panel
 from foretouch.cli.run import _draw
 from foretouch.errors import ModelError
 from foretouch.models.budget import profile_scene
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg, prediction_from_msg
 from foretouch.ros.nodes.monitor import MonitorNode
@@ -68,7 +68,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
         console.print(live_panel(monitor.view(), "title"))
     for words in ("Z_TH", "Z_FF", "±", "last prediction (counts) by constant"):
         assert words in shown.get()
-    target = FoundObject("1", profile_scene(1)[0], ASSUMED_TABLE)
+    target = Object("1", profile_scene(1)[0], ASSUMED_TABLE)
     _draw([(None, target, one, None)], str(tmp_path / "a.png"), sensor)
     assert (tmp_path / "a.png").stat().st_size > 10_000
     (warning,) = [text for text in node.warnings() if "adapt" in text]
@@ -85,11 +85,11 @@ def test_another_sensor_is_predicted_by_the_service_and_the_action(graph, uskin)
     request = PredictTouch.Request(cloud=cloud, grasps=grasps, table=table)
     expected = dict(zip(uskin.sensor.channels.modalities, counted(uskin.sensor).reshape(6, 16), strict=True))
     (one, *_) = graph.call(PredictTouch, "predict_touch", request).touch.predictions
-    np.testing.assert_array_equal(reading(one)["Z"], np.float32([expected["Z_TH"], expected["Z_FF"]]))
+    np.testing.assert_array_equal(reading(one)["Z"].value, np.float32([expected["Z_TH"], expected["Z_FF"]]))
     _, result, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(cloud=cloud, table=table))
     assert (result.status, result.grasp_state) == (Status.OK, "success")
     assert np.isfinite(result.costs).all()
-    np.testing.assert_array_equal(reading(result.predictions[0])["Z"], reading(one)["Z"])
+    np.testing.assert_array_equal(reading(result.predictions[0])["Z"].value, reading(one)["Z"].value)
 
 
 def _scene():

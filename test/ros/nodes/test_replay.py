@@ -4,11 +4,12 @@
 import sys
 import time
 
+import depth_builders
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_typestore
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 
 from foretouch.cloud.io.files import write_cloud
@@ -86,6 +87,31 @@ def test_every_cloud_is_played_once_in_order_and_in_time_as_recorded_and_the_end
     assert (summary.received, summary.used, summary.waiting) == (11, 11, 0)
     values = node.notes()
     assert (values["replay"], values["clouds"], values["played./foretouch/points"]) == ("finished", "11", "11")
+
+
+@pytest.mark.parametrize("form", ["", "/compressedDepth"])
+def test_depth_images_and_their_infos_keep_their_topics(graph, tmp_path, form):
+    folder = "/foretouch/depth"  # as the camera node of this package: what a graph publishes itself is else left out
+    topic, info_topic, sent = f"{folder}/image_rect_raw{form}", f"{folder}/camera_info", []
+    pixels = np.full((480, 848), 700, np.uint16)
+    for k in range(3):
+        head = {"header": depth_builders.header(stamp_ns=START_NS + k * STEP_NS)}
+        message = depth_builders.image(pixels, "16UC1", **head)
+        if form:
+            message = depth_builders.compressed(depth_builders.png(pixels))
+            message.header = head["header"]
+        sent += [
+            (info_topic, START_NS + k * STEP_NS, depth_builders.info(**head)),
+            (topic, START_NS + k * STEP_NS + 1, message),
+        ]
+    path = depth_builders.write_bag(tmp_path / "bag", sent)
+    kinds = {topic: CompressedImage if form else Image, info_topic: CameraInfo}
+    node, received = play(graph, path, kinds)
+    with Recording(path) as recording:
+        for name, kind in kinds.items():
+            assert received[name] == [deserialize_message(one.data, kind) for one in recording.messages([name])]
+    assert (node.outcome, dict(node.played)) == ("finished", {topic: 3, info_topic: 3})
+    assert node.clouds_topic == topic
 
 
 def test_nothing_is_played_before_subscribers_are_there_but_the_wait_has_a_limit(graph, bag, capfd):

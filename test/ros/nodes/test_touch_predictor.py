@@ -56,7 +56,7 @@ def test_costs_within_the_interval_of_the_lowest_are_equal_and_ordered_by_score(
     scores = [one.score for one in result.grasps]
     assert (len(set(result.costs)), scores) == (1, sorted(scores, reverse=True))
     assert all("equal_pressure" in one.flags for one in result.predictions)
-    pdc = np.array([reading(one)["PDC"] for one in result.predictions])
+    pdc = np.array([reading(one)["PDC"].value for one in result.predictions])
     shares = ((pdc - (2500.0, 1600.0)) / (900.0, 700.0)).mean(axis=1)
     assert result.costs[0] == pytest.approx(shares.min())
     assert sorted(planner.feedback[0].costs) == pytest.approx(sorted(shares))  # as they are predicted
@@ -100,7 +100,7 @@ def test_an_internal_error_is_a_status_and_configuring_again_restores_service_an
         raise FloatingPointError("overflow")
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(planner.node._predictor), "answer", fail)
+        patch.setattr(type(planner.node._step.predictor), "answer", fail)
         answer = planner.ask()
         assert (answer.status, answer.reason) == (Status.FAILED, "FloatingPointError: overflow")
         assert answer.header.frame_id == "cam"
@@ -116,9 +116,9 @@ def test_a_model_of_the_simulated_hand_warns_of_readings_that_come_from_another(
     sender = graph.talk(BiotacAll, "/other/tactile")
     graph.until(lambda: node.get_publishers_info_by_topic("/other/tactile"))
     assert node.warnings() == ()  # the default model is not made for one hand only
-    monkeypatch.setattr(type(node._predictor.model), "simulated", True)
+    monkeypatch.setattr(type(node._step.predictor.model), "simulated", True)
     (line,) = node.warnings()
-    model = node._predictor.model.name
+    model = node._step.predictor.model.name
     assert line.startswith(f"model {model} is made for the simulated hand only, but /other/tactile comes from ")
     del sender
 

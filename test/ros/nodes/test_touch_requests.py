@@ -38,14 +38,16 @@ def test_grasps_are_answered_in_order_with_the_models_numbers_and_posed_if_need_
     assert answer.header.frame_id == "cam"
     for message, prediction in zip(answer.predictions, expected, strict=True):
         assert message.status == Status.OK
-        assert reading(message)["PDC"][0] == np.float32(prediction.value["PDC_TH"][0])
-        np.testing.assert_array_equal(reading(message)["E"][1].tolist(), prediction.value["E_MF"].astype(np.float32))
+        assert reading(message)["PDC"].value[0] == np.float32(prediction.value["PDC_TH"][0])
+        np.testing.assert_array_equal(
+            reading(message)["E"].value[1].tolist(), prediction.value["E_MF"].astype(np.float32)
+        )
     request = planner.request()
     without_orientation(request.grasps[0])
     (posed,) = planner.ask(request).predictions
     grasp = Pipeline().grasp_between(planner.target, planner.grasps[0].g1, planner.grasps[0].g2)
     (expected,) = load_model(model_card).predict(planner.target.cloud, [grasp])
-    assert reading(posed)["PDC"][1] == np.float32(expected.value["PDC_MF"][0])
+    assert reading(posed)["PDC"].value[1] == np.float32(expected.value["PDC_MF"][0])
     request.table[0].coef = [0.0, 0.0, 1.0, 1.0]
     answer = planner.ask(request)
     assert (answer.status, "is behind the camera" in answer.reason) == (Status.BAD_PLANE, True)
@@ -99,7 +101,7 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
         answer = planner.ask(request)
         assert [answer.status, *(p.status for p in answer.predictions)] == [0, Status.OK, Status.BAD_GRASP, Status.OK]
         assert reason in answer.predictions[1].reason
-        assert math.isnan(reading(answer.predictions[1])["PDC"][0])
+        assert math.isnan(reading(answer.predictions[1])["PDC"].value[0])
 
 
 def arrays_of(request, *, oriented=True):
@@ -121,9 +123,9 @@ def test_arrays_are_answered_with_the_numbers_of_messages_and_with_the_orientati
         assert batch.header == messages[0].header
         for k, message in enumerate(messages):
             assert (batch.statuses[k], batch.reasons[k]) == (message.status, message.reason)
-            for name, values in reading(message).items():
-                np.testing.assert_array_equal(found[name][k], values)
-                np.testing.assert_array_equal(found[name].lower[k], values.lower)
+            for name in (*message.scalar_channels, *message.channels):
+                for many, one in zip(found[name], reading(message)[name], strict=True):
+                    np.testing.assert_array_equal(many[k], one)
             names = [name for name, has in zip(batch.flags, np.reshape(batch.flagged, (10, -1))[k], strict=True) if has]
             assert sorted(names) == sorted(message.flags)
         rotations = np.reshape(batch.rotations, (-1, 9))
@@ -178,7 +180,7 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(planner):
     for pose, grasp in zip(result.grasp_candidates, result.grasps, strict=True):
         assert (pose.pose, pose.header.frame_id) == (grasp.pose, "cam")
     first = result.predictions[0]
-    share = ((reading(first)["PDC"][0] - 2500) / 900 + (reading(first)["PDC"][1] - 1600) / 700) / 2
+    share = ((reading(first)["PDC"].value[0] - 2500) / 900 + (reading(first)["PDC"].value[1] - 1600) / 700) / 2
     assert result.costs[0] == pytest.approx(share, rel=1e-5)
     assert sorted(planner.feedback[0].costs) == list(result.costs)
     assert not any("equal_pressure" in one.flags for one in result.predictions)  # this model has no intervals
@@ -188,12 +190,12 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(planner):
 
 
 def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
-    graph, real, sizes, handles = planner.graph, type(planner.node._predictor).answer, [], []
+    graph, real, sizes, handles = planner.graph, type(planner.node._step.predictor).answer, [], []
 
     def many(pipeline, targets, header):
-        array = plan_targets(pipeline, targets, header)
+        array, plans = plan_targets(pipeline, targets, header)
         array.grasps = list(array.grasps) * 1000
-        return array
+        return array, plans
 
     def slow(predictor, targets, grasps, *rest):
         sizes.append(len(grasps))
@@ -203,7 +205,7 @@ def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
         return real(predictor, targets, grasps, *rest)
 
     monkeypatch.setattr("foretouch.ros.messages.requests.plan_targets", many)
-    monkeypatch.setattr(type(planner.node._predictor), "answer", slow)
+    monkeypatch.setattr(type(planner.node._step.predictor), "answer", slow)
     sent = graph.action_client(SampleGrasps, "sample_grasps").send_goal_async(planner.goal())
     sent.add_done_callback(lambda future: handles.append(future.result()))
     graph.until(lambda: handles)

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts of inputs, the report of a node, and messages that reach no callback, whoever lost them."""
 
-import threading
-import time
-
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from foretouch.ros.runtime.diagnostics import InputStatistics, Losses, diagnostic_status
-from foretouch_msgs.msg import TablePlane
+from foretouch.ros.runtime.diagnostics import InputStatistics, diagnostic_status
 
 pytestmark = pytest.mark.ros
 
@@ -52,43 +48,3 @@ def test_silence_is_a_warning_where_inputs_are_expected_drops_are_reported_once_
     assert status.message == "dropped: 1 superseded, 3 lost in transport"
     assert (values(status)["dropped.superseded"], values(status)["lost_on_the_way"]) == ("1", "3")
     assert diagnostic_status("n", "active", now, now).level == DiagnosticStatus.OK
-
-
-def test_gaps_in_the_numbers_of_each_publisher_are_losses_and_a_new_numbering_is_one():
-    lost = []
-    losses = Losses(lost.append)
-    numbers = [
-        (7, b"a"),
-        (8, b"a"),
-        (12, b"a"),
-        (100, b"b"),
-        (12, b"a"),
-        (2**31 + 3, b"a"),
-        (2**31 + 5, b"a"),
-        (1, b"a"),
-    ]
-    heard = [losses.arrived({"publication_sequence_number": n, "publisher_gid": {"data": p}}) for n, p in numbers]
-    losses.arrived(
-        {"publication_sequence_number": None, "publisher_gid": {"data": b"a"}}
-    )  # a middleware without numbers
-    assert (heard, losses.count, lost) == ([True] * 4 + [False] + [True] * 3, 6, [3, 1, 1, 1])
-
-
-def test_a_message_that_is_replaced_in_the_queue_is_counted(graph):
-    (node,) = graph.add("grasp", diagnostics_period_s=0.1)
-    reports, tables = graph.reports("grasp"), graph.talk_matched(TablePlane, "table")
-    tables.publish(TablePlane())
-    graph.until(lambda: node.statistics.summary().received)
-    blocked, released = threading.Event(), threading.Event()
-    node.subscribe(TablePlane, "other", lambda _: (blocked.set(), released.wait()))  # it takes all inputs of the node
-    other = graph.talk_matched(TablePlane, "other")
-    other.publish(TablePlane())
-    assert blocked.wait(5.0)
-    for number in range(20):
-        message = TablePlane()
-        message.header.stamp.nanosec = number
-        tables.publish(message)
-    time.sleep(0.2)
-    released.set()
-    graph.until(lambda: node.statistics.summary().lost == 15)
-    graph.until(lambda: reports and reports[-1].values.get("lost_on_the_way.table") == "15")

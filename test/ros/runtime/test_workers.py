@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What waits when a worker is stopped is dropped and told; full queues are those of `test/camera/test_bounded_queue.py`."""
+"""Of what waits, the newest comes next; what is dropped is reported, also when a worker is stopped."""
 
 import threading
 import time
@@ -7,31 +7,54 @@ import time
 from foretouch.ros.runtime.workers import Worker
 
 
+class Recorded:
+    """A worker whose work waits for `go`."""
+
+    def __init__(self, **options):
+        self.done, self.dropped, self.begun, self.go = [], [], threading.Semaphore(0), threading.Semaphore(0)
+        self.worker = Worker("w", self.work, lambda *one: self.dropped.append(one), **options)
+
+    def work(self, item):
+        self.begun.release()
+        assert self.go.acquire(timeout=5.0)
+        self.done.append(item)
+
+    def begin(self, item):
+        self.worker.put(item)
+        assert self.begun.acquire(timeout=5.0)
+
+
+def test_the_newest_replaces_the_oldest_that_waits():
+    for depth, done, dropped in ((1, [1, 4], [2, 3]), (2, [1, 3, 4], [2])):
+        one = Recorded(depth=depth)
+        one.worker.start()
+        one.begin(1)
+        for item in (2, 3, 4):
+            one.worker.put(item)
+        for _ in done:
+            one.go.release()
+        for _ in done[1:]:
+            assert one.begun.acquire(timeout=5.0)
+        one.worker.stop()
+        assert (one.done, one.dropped) == (done, [(item, "superseded") for item in dropped])
+
+
 def test_stopping_drops_what_waits_and_what_comes_later_and_a_worker_can_be_started_again():
-    done, dropped, begun, go = [], [], threading.Event(), threading.Event()
-
-    def work(item):
-        done.append(item)
-        begun.set()
-        go.wait(5.0)
-
-    worker = Worker("w", 5, work, lambda *one: dropped.append(one), None)
-    worker.stop()  # never started
-    worker.start()
-    worker.put("a")
-    assert begun.wait(5.0)
-    worker.put("b")
-    stopper = threading.Thread(target=worker.stop)
+    one = Recorded()
+    one.worker.stop()  # never started
+    one.worker.start()
+    one.begin("a")
+    one.worker.put("b")
+    stopper = threading.Thread(target=one.worker.stop)
     stopper.start()
-    while not worker._queue.closed:
+    while not one.dropped:
         time.sleep(0.001)
-    go.set()
+    one.go.release()
     stopper.join(5.0)
-    worker.put("late")
-    assert (done, dropped) == (["a"], [("b", "stopped"), ("late", "stopped")])
-    begun.clear()
-    worker.start()
-    worker.put("c")
-    assert begun.wait(5.0)
-    worker.stop()
-    assert done == ["a", "c"]
+    one.worker.put("late")
+    assert (one.done, one.dropped) == (["a"], [("b", "stopped"), ("late", "stopped")])
+    one.worker.start()
+    one.go.release()
+    one.begin("c")
+    one.worker.stop()
+    assert one.done == ["a", "c"]

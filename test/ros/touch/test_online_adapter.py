@@ -25,11 +25,11 @@ from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
-from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import BIOTAC, biotac_touch
@@ -68,7 +68,7 @@ class CanRobot(Robot):
             Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), ACROSS, 1.0 - k, f"{name}{' too' * k}", "7")
             for k, y in enumerate((0.0, 0.02))
         ]
-        cloud = objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
+        cloud = objects_to_msg([Object("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
         return cloud, [grasp_to_msg(grasp) for grasp in self.planned]
 
     def grasp(self, name, number):
@@ -86,7 +86,7 @@ class CanRobot(Robot):
             stamp, counts = self.content(message)
             buffer.add(TouchReading(stamp, counts, np.empty(0, np.float32), stamp))
         interval = Interval(**{name: stamp_ns(stamp) for name, stamp in times.items()})
-        return cut_touch(buffer, interval, TouchPredictorConfig.from_mapping({"pairing": PAIRING}).pairing)
+        return cut_touch(buffer, interval, TouchSettings.from_mapping({"pairing": PAIRING}).pairing)
 
     @staticmethod
     def content(message):
@@ -101,7 +101,7 @@ class DirectHand(CanRobot):
 
     def __init__(self, model, **settings):
         self.begin()
-        self.config = TouchPredictorConfig.from_mapping({"pairing": PAIRING, "use_tare": False, **settings})
+        self.config = TouchSettings.from_mapping({"pairing": PAIRING, "use_tare": False, **settings})
         self.model, self.said, self.now = load_model(model) if isinstance(model, str) else model, [], time.time_ns()
         reader, self.keeper = make_reader(self.config.tactile), HistoryKeeper(self.model)
         self.adapter = OnlineAdapter(
@@ -113,7 +113,8 @@ class DirectHand(CanRobot):
         self.feel(self.rest, 5)  # from then on clouds are kept
 
     def see(self, name, *, requested=False):
-        self.adapter.add_grasps(*self.look(name), requested=requested)
+        cloud, grasps = self.look(name)
+        self.adapter.add_grasps(cloud.header, lambda: cloud, grasps, requested=requested)
 
     def ask(self):
         """The predictions for a cloud of now."""

@@ -2,16 +2,23 @@
 """The pixels of the points of a depth image, given or recovered from the rays of the points."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from foretouch.errors import CloudError
-from foretouch.types import Float32, Float64, Int64, Integer
+from foretouch.kernels import Kernel
+from foretouch.types import Float32, Float64, Int32, Int64, Integer
+
+_ray_cells = Kernel("ray_cells", np.float32, int, *[float] * 4, np.float64, np.int32, np.int64)
+_fill_image = Kernel(
+    "fill_image", *(np.float32, int, float, float, np.int32, *[int] * 4, np.float32, np.int32, np.int64)
+)
 
 _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its column or row
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
-_LATTICE_SIZE = 1e5  # columns or rows of any camera
+_LATTICE_HOLES = 5  # times that the widest gap is taken for a hole
+_LATTICE_SAMPLE = 8192  # points that the lattice is fitted to
 _LATTICE_CELLS = 64  # cells per point; a sparser image is not an object seen by one camera
 _IMAGE_CELLS = 1280 * 720  # cells in any case: a depth image of a RealSense
 _IMAGE_SIDE = 4096  # columns or rows in any case
@@ -65,14 +72,10 @@ class PixelGrid:
         Args:
             xyz: (N, 3) float32 [m], finite.
         """
-        if len(xyz) < 2 or xyz[:, 2].min() <= 0.0:
+        found = _on_lattice(xyz, 0.0, np.inf, np.inf)
+        if found is None or found.n_points != len(xyz) or found.height * found.width > _LATTICE_CELLS * len(xyz):
             return None
-        z = xyz[:, 2].astype(np.float64)
-        column, row = (_lattice(xyz[:, i] / z) for i in (0, 1))
-        if column is None or row is None:
-            return None
-        if (column.max() + 1) * (row.max() + 1) > _LATTICE_CELLS * len(xyz):
-            return None
+        column, row = found.cells.T.astype(np.int64)
         return cls._cropped(row, column)
 
     @classmethod
@@ -90,21 +93,87 @@ class PixelGrid:
         return cls(row, column, height, width)
 
 
-def _lattice(ray: Float64) -> Int64 | None:
-    """Index of each ray on an evenly spaced line, or None if they are not evenly spaced."""
+class ListedImage(NamedTuple):
+    """The image that a list of points was, in whatever order."""
+
+    xyz: Float32  # (H, W, 3) float32 [m], NaN where there is no point
+    place: Int32  # (H * W,) int32, row of each pixel in the list, -1 where there is no point
+    n_points: int  # in the image
+    connected: int  # those with a point to their right
+
+
+def listed_image(xyz: Float32, low_m: float, high_m: float, tangent: float) -> ListedImage | None:
+    """Recover the image of the finite points of a list within a range of depth; None if their rays form no lattice.
+
+    Args:
+        xyz: (N, 3) float32 [m].
+        low_m: Smallest depth, above 0 [m].
+        high_m: Largest depth [m].
+        tangent: Largest |x / z| and |y / z|, beyond which there is no image.
+    """
+    xyz = np.ascontiguousarray(xyz)
+    found = _on_lattice(xyz, low_m, high_m, tangent)
+    if found is None or found.height * found.width > _LATTICE_CELLS * found.n_points:
+        return None
+    shape = found.height, found.width
+    image, place, result = (
+        np.empty((*shape, 3), np.float32),
+        np.empty(found.height * found.width, np.int32),
+        np.zeros(2, np.int64),
+    )
+    _fill_image(xyz, len(xyz), low_m, high_m, found.cells, found.column, found.row, *shape, image, place, result)
+    return None if result[1] else ListedImage(image, place, found.n_points, int(result[0]))
+
+
+class _Cells(NamedTuple):
+    """The pixels of points, relative to any origin."""
+
+    cells: Int32  # (N, 2) int32, column and row; -1 for points that are no part of it
+    n_points: int  # that are part of it
+    column: int  # smallest
+    row: int  # smallest
+    height: int
+    width: int
+
+
+def _on_lattice(xyz: Float32, low_m: float, high_m: float, tangent: float) -> _Cells | None:
+    """The cells of the finite points (N, 3) within a range of depth; None if their rays form no lattice."""
+    some = xyz
+    if len(xyz) > _LATTICE_SAMPLE:
+        some = xyz[np.random.default_rng(0).integers(len(xyz), size=_LATTICE_SAMPLE)]
+    with np.errstate(invalid="ignore"):
+        some = some[np.isfinite(some).all(axis=1) & (some[:, 2] > 0.0) & (some[:, 2] >= low_m) & (some[:, 2] <= high_m)]
+    if len(some) < 2:
+        return None
+    z = some[:, 2].astype(np.float64)
+    fits = [_lattice(some[:, i] / z) for i in (0, 1)]
+    if fits[0] is None or fits[1] is None:
+        return None
+    cells, result = np.empty((len(xyz), 2), np.int32), np.empty(5, np.int64)
+    limits = (float(np.nextafter(np.float32(low_m), np.float32(1.0))) if low_m == 0.0 else low_m, high_m, tangent)
+    _ray_cells(
+        np.ascontiguousarray(xyz), len(xyz), *limits, _LATTICE_TOLERANCE, np.array([*fits[0], *fits[1]]), cells, result
+    )
+    count, left, right, top, bottom = result.tolist()
+    return None if count < 2 else _Cells(cells, count, left, top, bottom - top + 1, right - left + 1)
+
+
+def _lattice(ray: Float64) -> tuple[float, float, float] | None:
+    """Fit evenly spaced lines to rays: the mean ray, one divided by the pitch, and the index of the mean; None if they are none."""
     levels = np.sort(ray)
     gaps = np.diff(levels)
-    if gaps.max() == 0.0:
-        return None
-    step = np.median(gaps[gaps > _LATTICE_GAP * gaps.max()])
-    index = np.cumsum(np.concatenate([[0.0], np.rint(gaps / step)]))
-    # Fit a line to all rays: an error of 0.1 % in the step would be a whole pixel after a thousand columns.
-    spread = index - index.mean()
-    if not spread.any():
-        return None
-    pitch = (spread @ levels) / (spread @ spread)
-    position = (ray - levels.mean()) / pitch + index.mean()
-    nearest = np.rint(position)
-    if np.abs(position - nearest).max() > _LATTICE_TOLERANCE or np.abs(nearest).max() > _LATTICE_SIZE:
-        return None
-    return np.asarray(nearest, np.int64)
+    widest = gaps.max()
+    for _ in range(_LATTICE_HOLES):
+        if widest == 0.0:
+            break
+        step = np.median(gaps[gaps > _LATTICE_GAP * widest])
+        index = np.cumsum(np.concatenate([[0.0], np.rint(gaps / step)]))
+        # Fit a line to all rays: an error of 0.1 % in the step would be a whole pixel after a thousand columns.
+        spread = index - index.mean()
+        if spread.any():
+            slope = (spread @ spread) / (spread @ levels)
+            off = (levels - levels.mean()) * slope + index.mean()
+            if np.abs(off - np.rint(off)).max() <= _LATTICE_TOLERANCE:
+                return float(levels.mean()), float(slope), float(index.mean())
+        widest = gaps[gaps <= widest / 2.0].max(initial=0.0)  # which was a hole of several columns
+    return None

@@ -32,17 +32,6 @@ _MOST: Final = 32  # frames and sizes that are remembered
 _PATIENCE_S: Final = 3.0  # without a camera info until that is an error, and between those of two publishers
 
 
-def depth_cloud(message: Any, camera: CameraModel) -> Cloud:
-    """Make the cloud of a depth message, raw or compressed, with the frame and stamp of its header.
-
-    Raises:
-        CloudError: If the message holds no depth image, or one of another size than the camera's.
-    """
-    return Cloud.from_depth(
-        decode_depth(message), camera, frame_id=message.header.frame_id, stamp_ns=stamp_ns(message.header.stamp)
-    )
-
-
 def decode_depth(message: Any) -> AnyArray:
     """Decode a `sensor_msgs/Image` or a `sensor_msgs/CompressedImage`.
 
@@ -109,14 +98,12 @@ def _from_png(data: UInt8) -> AnyArray:
 
 
 def _from_rvl(data: UInt8) -> AnyArray:
-    if data.size < 8:
-        raise CloudError(f"data: {data.size} bytes are no RVL")
+    if data.size < 8 or data.size % 4:
+        raise CloudError(f"data: the RVL is truncated: {data.size} bytes are not whole words")
     width, height = struct.unpack("<2I", data[:8].tobytes())
     _check_size(height, width)
     depth, decoded = np.empty((height, width), np.uint16), np.empty(1, np.int64)
-    words = np.zeros(-(-(data.size - 8) // 4) * 4, np.uint8)
-    words[: data.size - 8] = data[8:]
-    _decode_rvl(words, words.size // 4, depth.size, depth, decoded)
+    _decode_rvl(data[8:], data.size // 4 - 2, depth.size, depth, decoded)
     if decoded[0] != depth.size:
         raise CloudError(f"data: the RVL is truncated or damaged after {decoded[0]} of {depth.size} pixels")
     return depth
@@ -250,6 +237,21 @@ class CameraInfos:
             was_told, new.alternates_s = _alternates(known, now_s), now_s
             return "" if was_told else self._two(place)
         return f"{info_topic(self.topic)}: the camera of {_named(place)} changed to {camera}"
+
+    def cloud(self, message: Any, now_s: float) -> Cloud:
+        """Make the cloud of a depth message, raw or compressed, with the frame and stamp of its header.
+
+        Args:
+            message: A `sensor_msgs/Image` or a `sensor_msgs/CompressedImage`.
+            now_s: When it arrived [s], as in `add`.
+
+        Raises:
+            CalibrationError: As `camera`.
+            CloudError: As `decode_depth` and `Cloud.from_depth`.
+        """
+        depth, frame_id = decode_depth(message), message.header.frame_id
+        camera = self.camera(frame_id, (depth.shape[0], depth.shape[1]), now_s)
+        return Cloud.from_depth(depth, camera, frame_id=frame_id, stamp_ns=stamp_ns(message.header.stamp))
 
     def camera(self, frame_id: str, shape: tuple[int, int], now_s: float) -> CameraModel:
         """Find the camera of an image.

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from foretouch.cloud.geometry.frames import not_optical
-from foretouch.cloud.geometry.pixel_grid import PixelGrid
+from foretouch.cloud.geometry.frames import TANGENT, not_optical
+from foretouch.cloud.geometry.pixel_grid import listed_image
 from foretouch.cloud.segmentation.background import REASONS, find_background
 from foretouch.cloud.segmentation.clusters import (
     NOISE_FACTOR,
@@ -130,31 +130,23 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
     """As `_segment`; a list of the points of an image, in any order, is processed as that image."""
     if cloud.organised or cloud.size > _LARGEST_LIST:
         return _segment(cloud, config, counts, ms)
-    rows = np.flatnonzero(in_range(cloud.xyz[:, 2], config.crop) & finite_rows(cloud.xyz))
-    points = cloud.xyz[rows]
-    in_view = len(rows) >= _MIN_POINTS and not out_of_view(points).any()
-    grid = PixelGrid.from_rays(points) if in_view else None
-    if grid is None or min(grid.height, grid.width) < 2:
+    image = listed_image(cloud.xyz, config.crop.min_range_m, config.crop.max_range_m, TANGENT)
+    # Of a thinned image clusters would fall apart.
+    if image is None or image.connected < _CONNECTED * image.n_points or min(image.xyz.shape[:2]) < 2:
         return _segment(cloud, config, counts, ms)
-    place = np.full(grid.height * grid.width, -1, np.intp)
-    place[grid.row * grid.width + grid.column] = rows
-    connected = np.count_nonzero((place[1:] >= 0) & (place[:-1] >= 0))
-    if connected < _CONNECTED * len(rows):  # thinned: clusters would fall apart
-        return _segment(cloud, config, counts, ms)
-    xyz = np.full((grid.height, grid.width, 3), np.nan, np.float32)
-    xyz[grid.row, grid.column] = points
-    status, reason, plane, objects, background, outline, image = _segment(Cloud(xyz), config, counts, ms)
+    status, reason, plane, objects, background, outline, image_labels = _segment(Cloud(image.xyz), config, counts, ms)
     finite, usable = _count_depths(cloud.xyz, config.crop)
     counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
     labels = np.zeros(cloud.size, np.int32)
-    labels[rows] = image[grid.row, grid.column]
-    listed, others = (tuple(_listed(one, cloud, place) for one in some) for some in (objects, background))
+    labelled = np.flatnonzero(image_labels)
+    labels[image.place[labelled]] = image_labels.reshape(-1)[labelled]
+    listed, others = (tuple(_listed(one, cloud, image.place) for one in some) for some in (objects, background))
     return status, reason, plane, listed, others, outline, labels
 
 
-def _listed(one: ObjectSegment, cloud: Cloud, place: Index) -> ObjectSegment:
+def _listed(one: ObjectSegment, cloud: Cloud, place: Int32) -> ObjectSegment:
     """An object of an image as one of the list of its points, by the row of each pixel in that list."""
-    pixels = np.sort(place[one.pixels])
+    pixels = np.sort(place[one.pixels]).astype(np.int64)
     rgb = None if cloud.rgb is None else cloud.rgb[pixels]
     return replace(one, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
 

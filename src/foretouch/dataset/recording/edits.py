@@ -20,6 +20,8 @@ from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
 from foretouch.dataset.files import require_version, sync_folder
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
+from foretouch.dataset.recording import folder
+from foretouch.dataset.recording.folder import restate, stated
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import COUNT, TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema, system_errors
 
@@ -109,8 +111,12 @@ def _changed(changes: Changes, edit: Edit) -> Changes:
 
 
 def read_edits(path: Path) -> EditLog:
-    """Read the log of a dataset; a `FileError` names the line that is damaged or of another version."""
-    return EditLog(_read(path / EDITS)[0])
+    """Read the log of a dataset.
+
+    Raises a `FileError` that names the line that is damaged or of another version, and if the log is not the one that the
+    manifest states, or a part of it.
+    """
+    return EditLog(_read(path)[0])
 
 
 def append_edit(path: Path, edit: Edit) -> int:
@@ -119,7 +125,7 @@ def append_edit(path: Path, edit: Edit) -> int:
     After a `FileError`, as of a full disk, it is not in force.
     """
     file = path / EDITS
-    edits, before, size = _read(file)
+    edits, before, size = _read(path)
     body = {"schema_version": _VERSION, **asdict(edit)}
     digest = _digest(before, body)
     line = (json.dumps({**body, "sha256": digest}, ensure_ascii=False) + "\n").encode()
@@ -130,22 +136,20 @@ def append_edit(path: Path, edit: Edit) -> int:
                 if log.write(line) < len(line):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 os.fsync(log.fileno())
-            except OSError:
+                restate(path, folder.EDITS, {"count": len(edits) + 1, "sha256": digest})
+            except (OSError, FileError):
                 log.truncate(size)
                 raise
         sync_folder(path)
     return len(edits) + 1
 
 
-def _read(file: Path) -> tuple[list[Edit], str, int]:
-    """The edits, the digest of all, and the offset of the next one [bytes]."""
-    try:
-        data = read_bytes(file, TEXT_LIMIT)
-    except FileError as err:
-        if isinstance(err.__cause__, FileNotFoundError):
-            return [], "", 0
-        raise
+def _read(path: Path) -> tuple[list[Edit], str, int]:
+    """The edits of a dataset, the digest of all, and the offset of the next one [bytes]."""
+    file, manifest = path / EDITS, stated(path, folder.EDITS)
+    data = read_bytes(file, TEXT_LIMIT) if os.path.lexists(file) else b""
     edits: list[Edit] = []
+    reached = not manifest  # whether the log holds what the manifest states
     digest, size = "", data.rfind(b"\n") + 1
     if _COMPLETE_LINE.search(data, size):
         raise FileError(file, "damaged: the last line is complete, but has no line end", field=f"byte {size}")
@@ -156,6 +160,12 @@ def _read(file: Path) -> tuple[list[Edit], str, int]:
             rule = err.rule if isinstance(err, FileError) else " ".join(str(err).split())
             raise FileError(file, rule, field=f"line {number}") from err
         edits.append(edit)
+        reached |= manifest == {"count": len(edits), "sha256": digest}
+    if not reached:
+        cure = "restore it, or go on without edits by `foretouch dataset repair`"
+        raise FileError(
+            file, f"holds {len(edits)} edits, not the {manifest.get('count')} that the manifest states: {cure}"
+        )
     return edits, digest, size
 
 

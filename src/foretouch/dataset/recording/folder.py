@@ -5,6 +5,7 @@ Layout, schema version 2 (1 differs in the messages of its samples)::
 
     dataset/
       manifest.json        format, schema version, hand, camera, version of foretouch, and the sensor if it is no BioTac SP;
+                           the sessions by name with the id in each, and the number of edits with the checksum over them;
                            with its own checksum
       session-0001.mcap    the first session; later ones add files, and never change a finished file
       .lock                locked by the one process that writes
@@ -13,7 +14,7 @@ Layout, schema version 2 (1 differs in the messages of its samples)::
 import fcntl
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -31,6 +32,8 @@ _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
 _SEAL: Final = "sha256"
 _LOCK: Final = ".lock"
+SESSIONS: Final = "sessions"  # in the manifest, as the next
+EDITS: Final = "edits"
 _PART: Final = f"{_MANIFEST}.part"
 
 
@@ -43,18 +46,26 @@ def is_dataset(path: str | Path) -> bool:
         return False
 
 
-def recorded_files(path: Path, *, convert: bool = False) -> list[Path]:
+def recorded_files(path: Path, *, convert: bool = False, complete: bool = True) -> list[Path]:
     """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
 
-    A dataset of version 1 is refused, except to `convert` it.
+    A dataset of version 1 is refused, except to `convert` it, and one of which a session is absent, unless it need not be `complete`:
+    then the files of a bag are given, too.
     """
     if path.is_file():
         return [path]
     if not is_dataset(path):
-        raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
+        files = [] if complete or (path / _MANIFEST).exists() else sorted(path.glob("*.mcap"))
+        if not files:
+            raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
+        return files
     _read_identity(path)
     if _manifest(path)["schema_version"] != SCHEMA_VERSION and not convert:
         raise FileError(path, OLD_VERSION)
+    for name in stated(path, SESSIONS):
+        if complete and not (path / name).exists():
+            rule = "is absent: restore it, or take it off the list by `foretouch dataset repair`"
+            raise FileError(path / _MANIFEST, f"{name} {rule}", field=SESSIONS)
     return session_files(path)
 
 
@@ -74,6 +85,19 @@ def _read_identity(path: Path) -> tuple[Identity, str]:
     """Hand and camera of a dataset, and the version of foretouch that made it (raises as `read_manifest`)."""
     content = require_schema(path / _MANIFEST, _manifest(path), {"hand": {"*": str}, "camera": {"*": str}})
     return Identity(hand=content["hand"], camera=content["camera"]), str(content.get("foretouch"))
+
+
+def stated(path: Path, name: str) -> dict[str, Any]:
+    """What the manifest states of `SESSIONS` or `EDITS`; nothing in one that was written before 0.4 (raises as `read_manifest`)."""
+    content = require_schema(path / _MANIFEST, _manifest(path), {f"{name}?": {"*": str} if name == SESSIONS else dict})
+    return dict(content.get(name, {}))
+
+
+def restate(path: Path, name: str, facts: Mapping[str, Any]) -> None:
+    """Let the manifest of a locked dataset state other facts of `SESSIONS` or `EDITS`; a `FileError` leaves it as it is."""
+    replace_files({path / _MANIFEST: sealed({**_manifest(path), name: dict(facts)}, _SEAL).encode()})
+    with system_errors(path):
+        sync_folder(path)
 
 
 @contextmanager

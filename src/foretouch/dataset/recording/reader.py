@@ -11,9 +11,16 @@ from typing import Any
 from foretouch.dataset.mcap_reader import MAGIC, Damage, RecordedMessage
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.edits import EditLog, read_edits
-from foretouch.dataset.recording.folder import is_dataset, recorded_files, recorded_sensor, session_files
+from foretouch.dataset.recording.folder import (
+    SESSIONS,
+    is_dataset,
+    recorded_files,
+    recorded_sensor,
+    session_files,
+    stated,
+)
 from foretouch.dataset.recording.records import MessageCounts, RecordingFile, TopicCounts
-from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPES, StoredSample, decode_sample
+from foretouch.dataset.recording.sample_codec import ABOUT, SAMPLE_TOPIC, SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, FileError, VersionError
 from foretouch.files import open_regular
@@ -150,3 +157,19 @@ def recorded_ids(path: Path) -> set[str]:
             elif file.finished:
                 raise FileError(session, "holds a damaged sample: run `foretouch dataset repair`")
     return ids
+
+
+def known_sessions(path: Path) -> dict[str, str]:
+    """The ids of the sessions in a dataset by file: those that the manifest states, and of others what is in the file."""
+    known: dict[str, str] = stated(path, SESSIONS)
+    for session in session_files(path):
+        if session.name not in known:
+            known[session.name] = session_id(session)
+    return known
+
+
+def session_id(path: Path) -> str:
+    """The id in a session; "" if it has none, as before 0.4."""
+    file = RecordingFile(path)
+    next(file.messages(only=SAMPLE_TYPES), None)
+    return file.metadata.get(ABOUT, {}).get("id", "")

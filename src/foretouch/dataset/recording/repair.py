@@ -22,10 +22,11 @@ from mcap.writer import CompressionType
 
 from foretouch.dataset.files import sync_folder
 from foretouch.dataset.mcap_reader import MAGIC, Damage
+from foretouch.dataset.recording import folder
 from foretouch.dataset.recording.edits import EDITS, read_edits
-from foretouch.dataset.recording.folder import lock, recorded_files
+from foretouch.dataset.recording.folder import SESSIONS, is_dataset, lock, recorded_files, restate, stated
 from foretouch.dataset.recording.mcap_file import LIBRARY, McapFile
-from foretouch.dataset.recording.reader import readable
+from foretouch.dataset.recording.reader import readable, session_id
 from foretouch.dataset.recording.records import MessageCounts, RecordingFile, TopicCounts
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
@@ -62,17 +63,30 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
             a file holds nothing that could be kept.
     """
     path = Path(path)
-    recorded_files(path)  # refuses other folders, before a lock file is created there
-    if not path.is_dir():
-        return [_repair_file(path)]
+    files = recorded_files(path, complete=False)  # refuses other folders, before a lock file is created there
+    if not is_dataset(path):
+        return [_repair_file(file) for file in files]
     with lock(path):
-        reports = [_repair_file(file) for file in recorded_files(path)]
+        reports = [_repair_file(file) for file in files]
+        found = {file.name: session_id(file) for file in files}
+        for name, session in stated(path, SESSIONS).items():
+            if found.get(name) != session:
+                rule = (
+                    "has another id than the manifest listed, and is now"
+                    if name in found
+                    else "is absent, and no longer"
+                )
+                reports.append(RepairReport(path / name, changed=True, lost=[Damage(0, f"{rule} listed")]))
+        if found != stated(path, SESSIONS):
+            restate(path, SESSIONS, found)
         try:
             read_edits(path)
         except FileError as err:
-            kept = free_name(path / EDITS, "before-repair")
+            kept = free_name(path / EDITS, "before-repair") if (path / EDITS).exists() else None
             with system_errors(path / EDITS):
-                (path / EDITS).rename(kept)
+                if kept is not None:
+                    (path / EDITS).rename(kept)
+            restate(path, folder.EDITS, {})
             reports.append(RepairReport(path / EDITS, changed=True, original=kept, lost=[Damage(0, err.rule)]))
         return reports
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from foretouch.dataset.mcap_reader import Damage
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import recorded_files, recorded_sensor
+from foretouch.dataset.recording.folder import SESSIONS, is_dataset, recorded_files, recorded_sensor, stated
+from foretouch.dataset.recording.reader import session_id
 from foretouch.dataset.recording.records import MessageCounts, RecordingFile
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, decode_sample
 from foretouch.errors import DatasetError
@@ -48,12 +49,18 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     dataset, or its manifest or log is damaged; a `ConfigError` if the sensor's description in the manifest is.
     """
     path = Path(path)
-    files = recorded_files(path)
-    if not path.is_dir():
-        return [verify_file(RecordingFile(path))]
+    files = recorded_files(path, complete=False)
+    if not is_dataset(path):
+        return [verify_file(RecordingFile(file)) for file in files]
     sensor = recorded_sensor(path)
     read_edits(path)
     reports = [verify_file(RecordingFile(file), sensor) for file in files]
+    for name, session in sorted(stated(path, SESSIONS).items()):
+        report = next((one for one in reports if one.path.name == name), None)
+        if report is None:
+            reports.append(FileReport(path / name, faults=[Damage(0, "is absent, though the manifest lists it")]))
+        elif session_id(report.path) != session:
+            report.faults.append(Damage(0, "is another recording than the manifest lists under this name"))
     owners: dict[str, Path] = {}
     for report in reports:
         for sample_id in report.ids:

@@ -30,17 +30,17 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Self
+from uuid import uuid4
 
 from mcap.records import Message
 
 from foretouch import __version__
 from foretouch.config import Settings, setting
-from foretouch.dataset.files import sync_folder
 from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
 from foretouch.dataset.recording.edits import Edit, append_edit
-from foretouch.dataset.recording.folder import new_session_path, opened_to_write
+from foretouch.dataset.recording.folder import SESSIONS, new_session_path, opened_to_write, restate
 from foretouch.dataset.recording.mcap_file import McapFile
-from foretouch.dataset.recording.reader import recorded_ids
+from foretouch.dataset.recording.reader import known_sessions, recorded_ids
 from foretouch.dataset.recording.records import MessageCounts
 from foretouch.dataset.recording.sample_codec import (
     ABOUT,
@@ -117,10 +117,11 @@ class RecordingWriter:
             self.file = new_session_path(self.path)
             self.output = McapFile(self.file)  # once it is `removed`, nothing more should be recorded
             stack.callback(self.output.abandon)
-            self.output.write_metadata(ABOUT, _about(self.file.stem, identity))
+            session = uuid4().hex
+            self.output.write_metadata(ABOUT, {**_about(self.file.stem, identity), "id": session})
             self.output.declare(SAMPLE_TOPIC, SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
             self._sync()
-            sync_folder(self.path)
+            restate(self.path, SESSIONS, {**known_sessions(self.path), self.file.name: session})
             self._release = stack.pop_all()
         self._flushed_s = self._counted_s = time.monotonic()
 

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.kernels import Kernel
 from foretouch.models.novelty import principal_axes, usable_points
-from foretouch.types import Float64, Grasp, Int32, Int64, stacked
+from foretouch.types import Float64, Grasp, Grasps, Int32, Int64
 
 _sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)
 _describe_contacts = Kernel(
@@ -135,7 +135,8 @@ class HandFrameFeatures:
         """
         if not grasps:
             return np.empty((0, len(FEATURES)))
-        g1, g2, hand = stacked(grasps)
+        columns = Grasps.of(grasps)
+        g1, g2, hand = columns.g1, columns.g2, columns.rotation
         away = np.where(hand[:, 2, :1] < 0.0, -1.0, 1.0)
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
         objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))

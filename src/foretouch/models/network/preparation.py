@@ -17,7 +17,7 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, ModelError
 from foretouch.kernels import Kernel
 from foretouch.models.network.config import ModelConfig
-from foretouch.types import Bool, Cloud, Float32, Float64, Grasp, Integer, stacked
+from foretouch.types import Bool, Cloud, Float32, Float64, Grasp, Grasps, Integer
 
 MINIMUM_POINTS = 32
 """Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""
@@ -104,7 +104,8 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
     count = len(grasps)
     if not config.use_grasp or count == 0:
         return np.zeros((count, config.grasp_size), np.float32)
-    g1, g2, rotations = stacked(grasps)
+    columns = Grasps.of(grasps)
+    g1, g2, rotations = columns.g1, columns.g2, columns.rotation
     parts = [frame.apply_points(g1), frame.apply_points(g2), rotations.reshape(count, 9)]
     if config.metric_inputs:
         width = np.linalg.norm(g1 - g2, axis=1)
@@ -160,7 +161,8 @@ def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
     if not grasps:
         return np.empty((0, len(LENGTHS)))
     frame = prepared.frame
-    g1, g2, _ = stacked(grasps)
+    columns = Grasps.of(grasps)
+    g1, g2 = columns.g1, columns.g2
     offset = np.linalg.norm((g1 + g2) / 2.0 - frame.centre, axis=1)
     width = np.linalg.norm(g1 - g2, axis=1)
     cloud = [float(np.linalg.norm(frame.centre)), frame.scale]

@@ -12,13 +12,14 @@ from builtin_interfaces.msg import Duration
 from std_msgs.msg import Header
 
 from foretouch.ros.messages.conversions import REFERENCE_CODES, evidence_fields
+from foretouch.ros.messages.requests import status_code
 from foretouch.tactile.description import Sensor
-from foretouch.types import Evidence, Float32, Float64, Grasp, Index, TouchPrediction, TouchPredictions, prediction_rows
+from foretouch.types import Float32, Float64, Grasp, Index, Predictions
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPredictionArray, TouchPredictionBatch
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
-_ENDS = (("values", "scalars"), ("lower", "scalars_lower"), ("upper", "scalars_upper"))  # of `prediction_rows`
+_ENDS = (("values", "scalars"), ("lower", "scalars_lower"), ("upper", "scalars_upper"))
 
 
 class Refusal(NamedTuple):
@@ -28,16 +29,13 @@ class Refusal(NamedTuple):
     reason: str
 
 
-_OK = Refusal(Status.OK, "")
-
-
 @dataclass(eq=False)
 class TouchAnswer:
     """What is known of the grasps of a request, in their order."""
 
     header: Header  # of the cloud
-    grasps: Sequence[GraspMsg | Grasp | Refusal]  # messages; of a request that holds arrays what was read from them
-    outcomes: Sequence[TouchPrediction | Refusal]  # predictions have a value; `TouchPredictions` are never made objects
+    grasps: Sequence[GraspMsg | Grasp]  # messages; of a request that holds arrays what was read from them
+    predictions: Predictions  # of the grasps
     flags: tuple[str, ...] = ()  # of all, beside those of each
     age: Duration = field(default_factory=Duration)  # of the cloud
     model: str = ""  # its name
@@ -49,20 +47,14 @@ class TouchAnswer:
     @cached_property
     def summary(self) -> Refusal:
         """OK without a reason if any prediction is, else the refusal of the first."""
-        refused = [refusal for refusal, _ in self._states if refusal.status != Status.OK]
-        return refused[0] if refused and len(refused) == len(self.outcomes) else _OK
+        if self.predictions.ok.any() or not len(self.predictions):
+            return Refusal(Status.OK, "")
+        return Refusal(status_code(self.predictions[0].status), self.predictions[0].reason)
 
     @property
-    def answered(self) -> list[Any]:
+    def answered(self) -> list[GraspMsg | Grasp]:
         """The grasps that have a prediction."""
-        return [grasp for grasp, (refusal, _) in zip(self.grasps, self._states, strict=True) if refusal is _OK]
-
-    @property
-    def _states(self) -> list[tuple[Refusal, tuple[str, ...]]]:
-        """Refusal, or `_OK`, and flags of each grasp."""
-        if isinstance(self.outcomes, TouchPredictions):
-            return [(_OK, flags) for flags in self.outcomes.flags]
-        return [(one, ()) if isinstance(one, Refusal) else (_OK, one.flags) for one in self.outcomes]
+        return [self.grasps[k] for k in np.flatnonzero(self.predictions.ok).tolist()]
 
     @property
     def reply(self) -> TouchPredictionArray | TouchPredictionBatch:
@@ -74,39 +66,39 @@ class TouchAnswer:
         """A message for each grasp."""
         shared, numbers = self._shared, self._numbers
         rows = {name: [array.array("f", row.tobytes()) for row in table] for name, table in numbers.items()}
-        made = []
-        for k, (grasp, ((status, reason), flags)) in enumerate(zip(self.grasps, self._states, strict=True)):
-            made.append(
-                TouchPredictionMsg(
-                    header=self.header,
-                    grasp=grasp,
-                    status=status,
-                    reason=reason,
-                    flags=[*flags, *self.flags],
-                    **_adapted(self.outcomes[k]),
-                    **shared,
-                    **{name: table[k] for name, table in rows.items()},
-                )
+        columns = self.predictions
+        made = [
+            TouchPredictionMsg(
+                header=self.header,
+                grasp=grasp,
+                status=status_code(columns.status[k]),
+                reason=columns.reason[k],
+                flags=[*columns.flags[k], *self.flags],
+                **_adapted(columns, k),
+                **shared,
+                **{name: table[k] for name, table in rows.items()},
             )
+            for k, grasp in enumerate(self.grasps)
+        ]
         return TouchPredictionArray(header=self.header, predictions=made, **self.summary._asdict())
 
     @property
     def batch(self) -> TouchPredictionBatch:
         """All grasps of a request that holds arrays."""
-        refusals, flags = [one for one, _ in self._states], [(*own, *self.flags) for _, own in self._states]
-        names = list(dict.fromkeys(flag for one in set(flags) for flag in sorted(one)))
-        flagged = np.array([[name in one for name in names] for one in flags], np.uint8)
+        columns = self.predictions
+        flags = [(*own, *self.flags) for own in columns.flags]
+        names = list(dict.fromkeys(flag for row in set(flags) for flag in sorted(row)))
+        flagged = np.array([[name in row for name in names] for row in flags], np.uint8)
         rotations = np.zeros(0) if self.rotations is None else self.rotations
-        first = next((k for k, one in enumerate(refusals) if one is _OK), 0)
         return TouchPredictionBatch(
             header=self.header,
             rotations=array.array("d", rotations.tobytes()),
-            statuses=array.array("B", [one.status for one in refusals]),
-            reasons=[one.reason for one in refusals],
+            statuses=array.array("B", [status_code(status) for status in columns.status]),
+            reasons=columns.reason.tolist(),
             flags=names,
             flagged=array.array("B", flagged.tobytes()),
             **self.summary._asdict(),
-            **_adapted(self.outcomes[first]),
+            **_adapted(columns, int(columns.ok.argmax())),
             **self._shared,
             **{name: array.array("f", table.tobytes()) for name, table in self._numbers.items()},
         )
@@ -120,11 +112,12 @@ class TouchAnswer:
     @property
     def _numbers(self) -> dict[str, Float32]:
         """(K, F N C) and (K, F S) float32 by field: values, scalars and their bounds; NaN where there is none."""
-        if self.sensor is None or not self.outcomes:
+        if self.sensor is None or not len(self.predictions):
             return {}
         with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
-            table = prediction_rows(self.outcomes, self.sensor.channels.size).astype(np.float32)
-        taxels, scalars = (table[..., columns] for columns in _columns(self.sensor))
+            columns = self.predictions
+            table = np.stack([columns.value, columns.lower, columns.upper]).astype(np.float32)
+        taxels, scalars = (table[..., part] for part in _columns(self.sensor))
         ends = zip(_ENDS, taxels, scalars, strict=True)
         return {name: part for names, *parts in ends for name, part in zip(names, parts, strict=True)}
 
@@ -148,8 +141,6 @@ def _columns(sensor: Sensor) -> tuple[Index, Index]:
     return sensor.taxel_columns.ravel(), sensor.scalar_columns.ravel()
 
 
-def _adapted(outcome: TouchPrediction | Refusal) -> dict[str, Any]:
+def _adapted(predictions: Predictions, k: int) -> dict[str, Any]:
     """The fields that hold what a prediction was adapted to."""
-    if isinstance(outcome, Refusal):
-        return evidence_fields(Evidence())
-    return {"reference": REFERENCE_CODES[outcome.reference], **evidence_fields(outcome.evidence)}
+    return {"reference": REFERENCE_CODES[predictions.reference[k]], **evidence_fields(predictions.evidence[k])}

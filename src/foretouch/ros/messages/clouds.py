@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`sensor_msgs/PointCloud2` to clouds and back, and the layout of `object_cloud`.
+"""Depth images and clouds to messages and back, and the layout of `object_cloud`.
 
 `object_cloud` holds the points of all targets, one after the other, best first. Besides x, y, z (and rgb)
 each point has `label` (UINT32, the object's id), `row` and `column` (UINT16, its pixel in the image that
@@ -9,33 +9,69 @@ without these fields is one object without an image.
 
 import array
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from typing import Final
 
 import numpy as np
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Header
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
+from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import decode_objects
 from foretouch.cloud.segmentation.objects import ObjectSegment
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
-from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import AnyArray, Cloud, Plane
-from foretouch_msgs.msg import Object
+from foretouch.types.camera import MODELS
+from foretouch_msgs.msg import Object as ObjectMsg
+
+_MILLIMETRE: Final = 1e-3  # [m], the unit of 16UC1
 
 
 def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
     """Convert a cloud to a message of 12 bytes per point, 16 with colour, and further columns (see `encode`)."""
     content = vars(encode(cloud, **columns))
     data, fields = content.pop("data"), [PointField(**vars(field)) for field in content.pop("fields")]
-    message = PointCloud2(header=header_to_msg(cloud.frame_id, cloud.stamp_ns), fields=fields, **content)
-    message._data = data  # noqa: SLF001  its setter copies, byte by byte
-    return message
+    header = header_to_msg(cloud.frame_id, cloud.stamp_ns)
+    return PointCloud2(header=header, fields=fields, data=_bytes(data), **content)
 
 
-def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: int) -> PointCloud2:
+def _bytes(numbers: AnyArray) -> "array.array[int]":
+    """Contiguous numbers in the only type that rclpy takes over without looking at each byte."""
+    data = array.array("B")
+    data.frombytes(numbers.data.cast("B"))
+    return data
+
+
+def depth_to_msgs(frame: DepthFrame) -> tuple[Image, CameraInfo]:
+    """Convert a depth image to 16UC1 in millimetres, or 32FC1 in metres where its unit is another, and its camera."""
+    header, camera = header_to_msg(frame.frame_id, frame.stamp_ns), frame.camera
+    height, width = frame.depth.shape
+    depth, encoding = frame.depth.astype("<u2", copy=False), "16UC1"
+    if round(frame.scale_m, 9) != _MILLIMETRE:
+        depth, encoding = (frame.depth * np.float32(frame.scale_m)).astype("<f4"), "32FC1"
+    image = Image(
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        step=width * depth.itemsize,
+        data=_bytes(np.ascontiguousarray(depth)),
+    )
+    d = [*camera.distortion, *[0.0] * (5 - len(camera.distortion))]
+    info = CameraInfo(
+        header=header,
+        height=camera.height,
+        width=camera.width,
+        distortion_model=MODELS[len(d) > 5],
+        d=[*d, *[0.0] * (8 - len(d))] if len(d) > 5 else d,
+        k=camera.matrix.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.insert(camera.matrix.ravel(), [3, 6, 9], 0.0),
+    )
+    return image, info
+
+
+def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -> PointCloud2:
     """Convert the targets, whose ids are integers, to `object_cloud`; without any, to a cloud without points.
 
     Frame and stamp [ns] are those of the scene's cloud.
@@ -54,23 +90,10 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     return cloud_to_msg(Cloud(xyz, rgb, frame_id, nanoseconds), **columns)
 
 
-@dataclass(eq=False)
-class TargetCloud:
-    """An `object_cloud` for subscribers of this process, which use the targets themselves."""
-
-    header: Header  # of the scene's cloud
-    targets: Sequence[FoundObject]  # best first
-
-    @cached_property
-    def message(self) -> PointCloud2:
-        """The message for all others, made when it is first needed."""
-        return objects_to_msg(self.targets, self.header.frame_id, stamp_ns(self.header.stamp))
-
-
-def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
+def object_to_msg(segment: ObjectSegment, *, target: bool) -> ObjectMsg:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
     low, high = segment.bounds
-    return Object(
+    return ObjectMsg(
         id=str(segment.id),
         n_points=segment.n_points,
         centroid=point_to_msg(segment.centroid),
@@ -81,9 +104,6 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
     )
 
 
-def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
+def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[Object, ...]:
     """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
-    return tuple(
-        FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape)
-        for one in (message.targets if isinstance(message, TargetCloud) else decode_objects(message))
-    )
+    return tuple(Object(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))

@@ -2,7 +2,7 @@
 """Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
 import array
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -12,24 +12,17 @@ from std_msgs.msg import Header
 
 from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import Obstacles, quaternion_xyzw
-from foretouch.grasp.messages import decode_grasp
+from foretouch.grasp.messages import REFERENCES, decode_predictions
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
-from foretouch.types.channels import read_prediction
+from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
-REFERENCE_CODES: dict[Reference, int] = {
-    "none": TouchPredictionMsg.NONE,
-    "tare": TouchPredictionMsg.TARE,
-    "touches": TouchPredictionMsg.TOUCHES,
-    "history": TouchPredictionMsg.HISTORY,
-}
+REFERENCE_CODES: dict[str, int] = {name: code for code, name in enumerate(REFERENCES)}
 """Numbers of references in messages."""
 
-_REFERENCE_NAMES = {code: name for name, code in REFERENCE_CODES.items()}
 _MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
 _MAX_COEFFICIENT = 1e100  # of a plane
 
@@ -129,47 +122,18 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
     )
 
 
-def values_from_msg(message: TouchPredictionMsg, sensor: Sensor) -> Float64:
-    """(3, D) value, lower and upper bounds of a prediction, float32 in double precision; NaN where there is none.
-
-    A `ModelError` if it is for another sensor, a `TactileError` if its arrays do not fit their names.
-    """
-    if not len(message.values):  # without a model there is no sensor
-        return np.full((3, sensor.channels.size), np.nan)
-    if message.sensor_sha256 != sensor.sha256:
-        raise ModelError(f"sensor: {message.sensor} ({message.sensor_sha256[:8]}) is not {sensor.config.name}")
-    parts, names = read_prediction(message), [one.name for one in sensor.channels.channels]
-    if unknown := [name for name in names if name not in parts]:
-        raise ModelError(f"channels: {unknown[0]} of {sensor.config.name} is missing")
-    found = [parts[name] for name in names]
-    ends = ([one.ravel() for one in end] for end in (found, [p.lower for p in found], [p.upper for p in found]))
-    return np.array([np.concatenate(end) for end in ends], np.float64)
-
-
-def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP) -> TouchPrediction:
-    """Convert a received prediction; values are float32, and NaN bounds become None.
+def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP) -> Prediction:
+    """Convert a received prediction, whose values are float32; what it holds none of is NaN.
 
     Raises:
-        GraspError: As `decode_grasp`.
         ModelError: If the reference is unknown, or the prediction is for another sensor.
         TactileError: If its arrays do not fit their names.
     """
-    value, lower, upper = values_from_msg(message, sensor)
-    if (reference := _REFERENCE_NAMES.get(message.reference)) is None:
+    if message.reference not in REFERENCE_CODES.values():
         raise ModelError(f"reference: {message.reference} is not one of {', '.join(REFERENCE_CODES)}")
-    refused = bool(np.isnan(value).any())
-    refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
-    return TouchPrediction(
-        grasp=decode_grasp(message.grasp),
-        value=None if refused else Touch(value, sensor.channels),
-        lower=None if np.isnan(lower).any() else Touch(lower, sensor.channels),
-        upper=None if np.isnan(upper).any() else Touch(upper, sensor.channels),
-        reference=reference,
-        flags=tuple(message.flags),
-        status=refusal if refused else "ok",
-        reason=message.reason,
-        evidence=Evidence(message.touches, _age(message.touch_age), message.readings, _age(message.reading_age)),
-    )
+    if message.fingers and message.sensor_sha256 != sensor.sha256:  # without a model there is no sensor
+        raise ModelError(f"sensor: {message.sensor} ({message.sensor_sha256[:8]}) is not {sensor.config.name}")
+    return decode_predictions(message, sensor.channels)[0]
 
 
 def evidence_fields(evidence: Evidence) -> dict[str, Any]:
@@ -182,14 +146,9 @@ def evidence_fields(evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _age(duration: Duration) -> float | None:
-    seconds = duration.sec + duration.nanosec / SECOND_NS
-    return None if seconds < 0.0 else float(seconds)
-
-
 def reference_text(message: TouchPredictionMsg) -> str:
     """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
-    name = _REFERENCE_NAMES.get(message.reference, f"reference {message.reference}")
+    name = dict(enumerate(REFERENCES)).get(message.reference, f"reference {message.reference}")
     return evidence_text(name, message.touches, message.readings)
 
 

@@ -16,7 +16,7 @@ from foretouch.grasp.pose import taxels_at
 from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.conversions import evidence_text, point_to_msg
 from foretouch.tactile import Ranges
-from foretouch.types import Float64, Grasp, Touch, TouchPrediction
+from foretouch.types import Float64, Grasp, Prediction, Touch
 from foretouch_msgs.msg import ObjectArray, TablePlane
 
 _CONTACT_M = 0.012  # diameter of a contact's sphere
@@ -50,7 +50,7 @@ def object_markers(message: ObjectArray, table: TablePlane) -> MarkerArray:
 
 
 def touch_markers(
-    prediction: TouchPrediction,
+    prediction: Prediction,
     header: Header,
     view: TaxelView,
     ranges: Ranges,
@@ -71,7 +71,7 @@ def touch_markers(
         rest: Reading without contact, if it is known.
         thumb_takes_g1: Whether the first finger of the sensor is drawn at g1, else the second.
     """
-    if prediction.value is None:
+    if not prediction.ok:
         return MarkerArray()
     grasp, value = prediction.grasp, prediction.value
     ids = count()
@@ -96,7 +96,7 @@ def touch_markers(
     return MarkerArray(markers=markers)
 
 
-def _scalars(view: TaxelView, value: Touch, around: TouchPrediction | None = None) -> str:
+def _scalars(view: TaxelView, value: Touch, around: Prediction | None = None) -> str:
     """The scalars of both fingers, `PDC 2779 ± 60 | 1800 ± 50 `; "" if there are none."""
     texts = [view.scalars(k, value, around) for k in range(len(view.fingers))]
     name = texts[0].partition(" ")[0]

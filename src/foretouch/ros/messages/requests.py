@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs from other nodes, read or refused with a status, and the plan of grasps that answers."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,12 +15,12 @@ from std_msgs.msg import Header
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, LimitError
-from foretouch.grasp import GraspHold, Obstacles
-from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
+from foretouch.grasp import GraspHold, GraspPlan, Obstacles
+from foretouch.pipeline import Object, Pipeline
+from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Float64, Plane
+from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Plane
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
 _CODES: dict[str, int] = {name.lower(): getattr(Status, name) for name in dir(Status) if name.isupper()}
@@ -51,13 +51,6 @@ class GraspArrays:
         return len(self.contacts)
 
 
-class Latest(NamedTuple):
-    """The newest object_cloud and the table of the same stamp."""
-
-    cloud: PointCloud2 | TargetCloud
-    table: TablePlane
-
-
 class RefusalError(ForetouchError):
     """An input cannot be answered: a status of `foretouch_msgs/Status`, not OK, and the reason as text."""
 
@@ -65,6 +58,15 @@ class RefusalError(ForetouchError):
         super().__init__(reason)
         self.status = status
         self.reason = str(self)
+
+
+class Latest(NamedTuple):
+    """The newest objects on a table, for requests that bring no cloud."""
+
+    header: Header  # of their cloud
+    targets: tuple[Object, ...]
+    message: Callable[[], PointCloud2]  # makes their `object_cloud`
+    refusal: RefusalError | None = None  # why there is no table
 
 
 @contextmanager
@@ -103,7 +105,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
         return decode_cloud(message)
 
 
-def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
+def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tuple[Object, ...]:
     """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
 
     Raises:
@@ -113,7 +115,7 @@ def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: Objec
         targets = objects_from_msg(message, plane)
     if not targets:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
-    for target in () if isinstance(message, TargetCloud) else targets:  # those of this process were checked
+    for target in targets:
         try:
             check_object(target.cloud.xyz, limits)
         except FrameError as err:
@@ -146,19 +148,30 @@ def read_obstacles(message: TablePlane) -> Obstacles | None:
         return obstacles_from_msg(message)
 
 
-def with_latest(
-    cloud: PointCloud2, table: Sequence[PlaneMsg], latest: Latest | None
-) -> tuple[PointCloud2 | TargetCloud, Sequence[PlaneMsg]]:
-    """Cloud and table, none or one, of a request: a cloud that is only a header stands for the latest one, with its table.
+def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) -> tuple[Object, ...]:
+    """Convert objects with their table and what stands around them; raises as `read_targets`, `read_table`, `read_obstacles`."""
+    plane, obstacles = read_table(table, message.header), read_obstacles(table)
+    return tuple(replace(target, obstacles=obstacles) for target in read_targets(message, plane, limits))
 
-    A `RefusalError`: EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if it is in another frame.
+
+def requested_targets(
+    cloud: PointCloud2, table: Sequence[PlaneMsg], latest: Latest | None, limits: ObjectLimits
+) -> tuple[Header, tuple[Object, ...], bool]:
+    """Convert cloud and table, none or one, of a request: a cloud that is only a header stands for the latest one, with its table.
+
+    Returns the header of the cloud, its objects, and whether their table is known. Raises as `read_targets` and `read_plane`; a
+    `RefusalError` too, EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if it is in another frame.
     """
+    plane = read_plane(table[0]) if table else None
     if cloud.fields or not cloud.header.frame_id:
-        return cloud, table
+        return cloud.header, read_targets(cloud, plane or ASSUMED_TABLE, limits), plane is not None
     if latest is None:
         raise no_latest_cloud()
-    check_frames("cloud", cloud.header, latest.cloud.header)
-    return latest.cloud, table or ([latest.table.plane] if latest.table.status == Status.OK else [])
+    check_frames("cloud", cloud.header, latest.header)
+    if not latest.targets:
+        raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
+    targets = latest.targets if plane is None else tuple(replace(one, plane=plane) for one in latest.targets)
+    return latest.header, targets, plane is not None or latest.refusal is None
 
 
 def no_latest_cloud() -> RefusalError:
@@ -183,13 +196,13 @@ def check_frames(name: str, header: Header, cloud: Header) -> None:
 
 def plan_targets(
     pipeline: Pipeline,
-    targets: Sequence[FoundObject],
+    targets: Sequence[Object],
     header: Header,
     note: str = "",
     held: GraspHold | None = None,
     margin: float = 0.0,
-) -> GraspArray:
-    """Plan grasps on all targets; those of the first target come first, each with an id made of stamp, object and rank.
+) -> tuple[GraspArray, list[GraspPlan]]:
+    """Plan grasps on all targets, and give them as message and as plans; those of the first target come first, each with an id made of stamp, object and rank.
 
     There is at least one target; `note` says how they were selected, for the reason. `held`, the best grasps of the
     previous cloud, are kept and updated: another grasp must be better by a score of `margin`. The status is OK if any
@@ -206,12 +219,13 @@ def plan_targets(
     grasps = []
     for target, plan in plans:
         for rank, grasp in enumerate(plan.grasps):
-            message = grasp_to_msg(grasp, status_code(plan.status), plan.reason)
-            message.id = message.id or f"{stamp_ns(header.stamp)}/{target.id}/{rank}"
-            message.object_id = target.id
-            grasps.append(message)
+            planned = grasp_to_msg(grasp, status_code(plan.status), plan.reason)
+            planned.id = planned.id or f"{stamp_ns(header.stamp)}/{target.id}/{rank}"
+            planned.object_id = target.id
+            grasps.append(planned)
     reasons = [note] if note else []
     reasons += [f"object {t.id}: {p.reason}" if len(plans) > 1 else p.reason for t, p in plans if p.status != "ok"]
     answered = [plan.status for _, plan in plans if plan.grasps]
     status = min(map(status_code, answered)) if answered else status_code(plans[0][1].status)
-    return GraspArray(header=header, grasps=grasps, status=status, reason="; ".join(reasons))
+    message = GraspArray(header=header, grasps=grasps, status=status, reason="; ".join(reasons))
+    return message, [plan for _, plan in plans]

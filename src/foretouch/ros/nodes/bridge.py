@@ -13,7 +13,6 @@ from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.qos import ReliabilityPolicy
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
@@ -22,6 +21,7 @@ from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.subscription import type_name
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _DEPTH: Final = 100
@@ -56,13 +56,13 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         topics = sample_topics(self.config, depth=_DEPTH, cloud_depth=_CLOUD_DEPTH, points_depth=_CLOUD_DEPTH)
         topics += [InputTopic(topic, kind, _DEPTH) for topic, kind in others.items()]
         for topic in (*topics, InputTopic("/diagnostics", DiagnosticArray, _DEPTH)):
-            name, kind = self.resolve_topic_name(topic.name), topic.type_name
+            name, kind = self.resolve_topic_name(topic.name), type_name(topic.message)
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definitions.text(kind).encode())
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)
             self._served[name] = topic, channel
-            self._closing.callback(channel.close)
+            self.closing.callback(channel.close)
         timer = self.create_timer(0.2, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
-        self._closing.callback(self.destroy_timer, timer)
+        self.closing.callback(self.destroy_timer, timer)
 
     def _start(self) -> None:
         foxglove, config = foxglove_sdk(), self.config
@@ -111,11 +111,9 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
                     if name in self._asked:
                         self._asked.pop(name).destroy()
                 elif name in self._asked:
-                    self._asked[name].adapt()
+                    self._asked[name].follow()
                 else:
-                    offered = {end.qos_profile.reliability for end in self.get_publishers_info_by_topic(name)}
-                    reliable = ReliabilityPolicy.BEST_EFFORT not in offered
-                    self._asked[name] = SerializedInput(self, topic, self._forward, reliable=reliable)
+                    self._asked[name] = SerializedInput(self, topic, self._forward)
 
     def _forward(self, message: SerializedMessage) -> None:
         arrived = self.statistics.receive()

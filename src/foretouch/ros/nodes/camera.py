@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishes `points` from a RealSense that is connected, recorded or simulated.
+"""Publishes depth images from a RealSense that is connected, recorded or simulated, by the names of `realsense2_camera`.
+
+Clouds are published on `points` while somebody subscribes to them.
 
 Threads: one thread reads the camera (and so opens, waits for and reopens it) and publishes; the
 executor's callbacks only read its status.
@@ -8,17 +10,22 @@ executor's callbacks only read its status.
 import threading
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from foretouch.camera.config import RealSenseConfig, ScheduleConfig
 from foretouch.camera.realsense import CameraStatus, RealSenseCamera
+from foretouch.camera.stream import DepthFrame
+from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.config import setting
-from foretouch.errors import ForetouchError
+from foretouch.errors import CloudError, ForetouchError
 from foretouch.laboratory import laboratory
-from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+
+DEPTH_TOPIC: Final = "depth/image_rect_raw"
+"""Of the depth images, as `realsense2_camera` names it; their infos are beside it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +40,9 @@ class CameraNodeConfig(NodeConfig):
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
-    """Publishes organised clouds, and the state of the camera in /diagnostics."""
+    """Publishes depth images with their camera info, clouds where they are asked for, and the camera's state in /diagnostics."""
 
-    exclusive_topics = ("points",)
+    exclusive_topics = (DEPTH_TOPIC,)
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
         self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `scene`
@@ -52,6 +59,8 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             simulation = laboratory("simulation.scene_camera", "source: scene")
             self.synthetic = simulation.scheduled_camera(config.scene, config.camera.fps)
             self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
+        self._image = self.advertise(Image, DEPTH_TOPIC)
+        self._info = self.advertise(CameraInfo, info_topic(DEPTH_TOPIC))
         self._points = self.advertise(PointCloud2, "points")
 
     def _start(self) -> None:
@@ -116,9 +125,11 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
     def _run(self, camera: RealSenseCamera) -> None:
         counted: Counter[str] = Counter()
+        while self.state_name != "active" and not self._stopping.wait(0.01):
+            pass  # an image that is read before would not be published
         while not self._stopping.is_set() and camera.status.state != "ended":
             try:
-                cloud = camera.read(0.1)  # then the thread checks whether it should end
+                frame = camera.read_frame(0.1)  # then the thread checks whether it should end
             except ForetouchError as err:  # the device does not offer what the settings ask for: do not try again
                 self._fail(str(err))
                 return
@@ -127,10 +138,20 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
                     self.statistics.receive()
                     self.statistics.drop(reason)
                 counted[reason] = count
-            if cloud is not None:
-                arrived, age_s = self.statistics.receive(), self.age_s(cloud.stamp_ns)
-                self._points.publish(cloud_to_msg(cloud))
+            if frame is not None:
+                arrived, age_s = self.statistics.receive(), self.age_s(frame.stamp_ns)
+                self._publish(frame)
                 self.statistics.use(arrived, age_s)
+
+    def _publish(self, frame: DepthFrame) -> None:
+        image, info = depth_to_msgs(frame)
+        self._info.publish(info)  # first, so that no image waits for it
+        self._image.publish(image)
+        if self._points.get_subscription_count():
+            try:
+                self._points.publish(cloud_to_msg(frame.cloud()))
+            except CloudError as err:
+                self.get_logger().warning(f"points: {err}")
 
     def _fail(self, reason: str) -> None:
         self._failure = reason

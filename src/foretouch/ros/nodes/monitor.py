@@ -23,7 +23,7 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.errors import CloudError, DatasetError, TactileError
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.messages.tactile import tactile_class
@@ -48,7 +48,7 @@ class View:
     nodes: dict[str, tuple[int, str, dict[str, str]]] = field(default_factory=dict)
 
 
-Drawable: TypeAlias = tuple[Cloud | None, FoundObject, TouchPrediction, TouchCut | None]
+Drawable: TypeAlias = tuple[Cloud | None, Object, TouchPrediction, TouchCut | None]
 """The whole cloud, if it was received; the object; its prediction; and the readings of the grasp, if it was executed."""
 
 

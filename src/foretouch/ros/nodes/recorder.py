@@ -122,9 +122,9 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
         self.input_topics = RecorderSubscriptions(self, [*topics, *others])
-        self._closing.callback(self.input_topics.destroy)
+        self.closing.callback(self.input_topics.destroy)
         group = MutuallyExclusiveCallbackGroup()
-        self._closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
+        self.closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
         services: tuple[tuple[Any, str, Callable[[Any, Any], str]], ...] = (
             (StartRecording, "start_recording", self._start_recording),
             (StopRecording, "stop_recording", self._stop_recording),

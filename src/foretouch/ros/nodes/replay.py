@@ -6,7 +6,7 @@ callbacks only note answers. Messages of a recording are published byte for byte
 unless `restamp` is set. Its other topics are played too, where this machine has their types.
 
 /diagnostics reports the state of the replay, `replay`: `waiting`, `playing`, then `finished`, `stopped` or `failed`, and the
-counts. In the same process, `ReplayNode.ended` is set at the end.
+counts. Depth images keep the name of their topic, and their camera infos are beside them. In the same process, `ReplayNode.ended` is set at the end.
 """
 
 import importlib
@@ -22,7 +22,7 @@ from typing import Any, cast
 from ament_index_python import has_resource
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.cloud.messages import read_header, with_stamp
 from foretouch.config import setting
@@ -171,13 +171,17 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         for note in self._source.notes:
             self.get_logger().warning(note)
         segmented = cloud_is_object(self._source)  # samples, and files whose clouds are not organised
-        clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False)
+        if self._source.info_topic:
+            compressed = self._source.topic.endswith("/compressedDepth")
+            clouds = self.advertise(CompressedImage if compressed else Image, self._source.topic, depth=_DEPTH)
+        else:
+            clouds = self.advertise(PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH)
         self._topic_publishers[CLOUDS], self.clouds_topic = clouds, str(clouds.topic_name)
-        self._table = self.advertise(TablePlane, "table", depth=_DEPTH, direct=False) if segmented else None
+        self._table = self.advertise(TablePlane, "table", depth=_DEPTH) if segmented else None
         self._advertise_others(self._source)
         if config.lockstep:
             answers = self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH)
-            self._closing.callback(self.destroy_subscription, answers)
+            self.closing.callback(self.destroy_subscription, answers)
         try:
             self._wait_for = [self.resolve_topic_name(name) for name in config.wait_for]
         except RuntimeError as err:  # of rcl
@@ -351,11 +355,14 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def _advertise_others(self, source: Source) -> None:
         classes, self._left_out = playable(source.others, self.get_namespace())
+        infos = [one for one in source.others if one.name == source.info_topic]
+        classes |= dict.fromkeys(infos, CameraInfo)  # also where this package's camera node was recorded
         for topic, message in classes.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
             profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
             publisher = self._topic_publishers[topic.name] = self.create_publisher(message, topic.name, profile)
-            self._closing.callback(self.destroy_publisher, publisher)
+            self.closing.callback(self.destroy_publisher, publisher)
+        self._left_out = {name: why for name, why in self._left_out.items() if name != source.info_topic}
         for topic_name, reason in self._left_out.items():
             self.get_logger().info(f"{topic_name}: not played: {reason}")
 

@@ -31,6 +31,7 @@ from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
 from foretouch.ros.recorder.touch_hold import HoldEvaluator
+from foretouch.ros.runtime.subscription import type_name
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import GraspSample
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
@@ -104,7 +105,7 @@ class RecordingSession:
             if one.topic.name in roles
         }
         for name, one in topics.inputs.items():
-            writer.add_topic(name, one.topic.type_name)
+            writer.add_topic(name, type_name(one.topic.message))
         self._warn = warn
         self._hold, self._publish = HoldEvaluator(writer.sensor), publish
         self._unreadable: Counter[str] = Counter()

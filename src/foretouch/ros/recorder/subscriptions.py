@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions that receive serialised messages: those of the recorder, with their queue and statistics, and of the bridge.
-
-A reliable subscriber receives nothing from a best-effort publisher. Therefore every subscription starts reliable, is
-replaced by one with best effort as soon as a publisher on its topic offers no more, and by a reliable one when all
-publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.reliability` overrides that: the
-subscription is then as the parameter demands.
-"""
+"""Subscriptions that receive serialised messages: those of the recorder, with their queue and statistics, and of the bridge."""
 
 import threading
 import time
@@ -16,20 +10,16 @@ from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera.bounded_queue import BoundedQueue
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
-from foretouch.ros.runtime.diagnostics import Losses
-from foretouch.ros.runtime.executor import InputGroup
+from foretouch.ros.runtime.subscription import FollowingSubscription
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
-_ADAPTED = QoSPolicyKind.RELIABILITY
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
 
 #: Topics of the robot, for viewers: no sample is made of them. With the types of their messages.
@@ -52,12 +42,6 @@ class InputTopic:
     optional: bool = False  # whether nothing is reported of it until a message arrives
     latched: bool = False  # whether its publishers send their last messages to late subscribers (transient local)
 
-    @property
-    def type_name(self) -> str:
-        """Name of the type, such as `sensor_msgs/msg/PointCloud2`."""
-        module = self.message.__module__.split(".")
-        return f"{module[0]}/{module[1]}/{self.message.__name__}"
-
 
 @dataclass(frozen=True, slots=True)
 class SerializedMessage:
@@ -70,79 +54,32 @@ class SerializedMessage:
     sequence: int | None  # sequence number of its publisher; None where the middleware has none
 
 
-class SerializedInput:
-    """The subscription of a node to one topic, which begins as `reliable` as asked before it has adapted.
+class SerializedInput(FollowingSubscription):
+    """The subscription of a node to one topic, whose messages are passed on as bytes.
 
-    `receive` is called with every message, in a thread of the executor, and must return at once.
-
-    Attributes:
-        name: Full name of the topic.
-        reliable: Whether lost messages are sent again.
-        losses: Messages that the middleware has lost.
+    Args:
+        node: The node.
+        topic: The topic.
+        receive: Called with every message, in the thread of the executor; must return at once.
     """
 
-    def __init__(
-        self, node: Node, topic: InputTopic, receive: Callable[[SerializedMessage], None], *, reliable: bool = True
-    ) -> None:
+    def __init__(self, node: Node, topic: InputTopic, receive: Callable[[SerializedMessage], None]) -> None:
         self.topic = topic
-        self.name: str = node.resolve_topic_name(topic.name)
-        self.reliable = reliable
-        self.losses = Losses()
-        self._node = node
         self._forward = receive
-        override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
-        self._overridden = override in getattr(node, "_parameter_overrides", {})
-        self._subscription = self._subscribe()
-
-    def adapt(self) -> bool:
-        """Adapt to what the publishers offer; whether the subscription was replaced."""
-        if self._overridden:
-            return False
-        offered = {info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(self.name)}
-        reliable = ReliabilityPolicy.BEST_EFFORT not in offered
-        if not offered or reliable == self.reliable:
-            return False
-        old, self.reliable = self._subscription, reliable
-        self._subscription = self._subscribe()
-        self._node.destroy_subscription(old)
-        return True
-
-    def excluded(self) -> list[str]:
-        """A line for each other type of publishers that nothing is received from, such as those of another sensor."""
-        kinds = {info.topic_type for info in self._node.get_publishers_info_by_topic(self.name)} - {
-            self.topic.type_name
-        }
-        return [
-            f"{self.name}: a publisher sends {kind}, not {self.topic.type_name}: nothing is received from it"
-            for kind in sorted(kinds)
-        ]
-
-    def destroy(self) -> None:
-        """End the subscription."""
-        self._node.destroy_subscription(self._subscription)
-
-    def _subscribe(self) -> Any:
-        reliability = ReliabilityPolicy.RELIABLE if self.reliable else ReliabilityPolicy.BEST_EFFORT
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if self.topic.latched else DurabilityPolicy.VOLATILE
-        profile = QoSProfile(depth=self.topic.depth, reliability=reliability, durability=durability)
-        overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, *[_ADAPTED] * self._overridden]
-        subscription = self._node.create_subscription(
-            self.topic.message,
-            self.topic.name,
-            self._receive,
-            profile,
-            callback_group=InputGroup(),
-            qos_overriding_options=QoSOverridingOptions(overridden),
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        super().__init__(
+            node,
+            topic.message,
+            topic.name,
+            self._pass_on,
+            depth=topic.depth,
+            group=MutuallyExclusiveCallbackGroup(),
+            latched=topic.latched,
             raw=True,
         )
-        self.reliable = profile.reliability == ReliabilityPolicy.RELIABLE  # overrides were written into it
-        return subscription
 
-    def _receive(self, data: bytes, info: Any) -> None:
-        if self.losses.arrived(info):  # else it was received before the subscription was replaced
-            times = info["received_timestamp"], info["source_timestamp"]
-            self._forward(SerializedMessage(self.name, data, *times, info.get("publication_sequence_number")))
+    def _pass_on(self, data: bytes, info: Any) -> None:
+        times = info["received_timestamp"], info["source_timestamp"]
+        self._forward(SerializedMessage(self.name, data, *times, info.get("publication_sequence_number")))
 
 
 def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[InputTopic]:
@@ -257,7 +194,7 @@ class RecorderSubscriptions:
         return [text for text in self.excluded if text not in before] + [
             f"{one.name}: subscribed with {'reliable' if one.reliable else 'best effort'} QoS, as its publishers offer"
             for one in self.inputs.values()
-            if one.adapt()
+            if one.follow()
         ]
 
     def statistics(self) -> dict[str, TopicStatistics]:

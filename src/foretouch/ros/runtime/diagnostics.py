@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a node reports in /diagnostics: its state, rate, ages and latencies, and what became of every input."""
 
+import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 _WINDOW: Final = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
-_LARGEST_GAP: Final = 10_000_000  # messages that one silence may cost: hours at 1 kHz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,34 +95,6 @@ def _quantiles(values: deque[float]) -> tuple[float, float] | None:
     return float(middle), float(high)
 
 
-class Losses:
-    """Counts the lost messages of one subscription, and calls `report` with their number at each loss.
-
-    They show as gaps in the sequence numbers of a publisher: what the network lost, and what a newer message has replaced in the
-    queue, as with a process that does not get to run. A larger step than any silence explains, up or down, is a new numbering, and
-    counts as one.
-    """
-
-    def __init__(self, report: Callable[[int], None] = lambda _: None) -> None:
-        self.count = 0
-        self._report = report
-        self._last: dict[bytes, int] = {}  # sequence number by publisher
-
-    def arrived(self, info: Any) -> bool:
-        """Count what is missing before a message, by what is known of it (see `take`); False if it was received before."""
-        sequence, publisher = info["publication_sequence_number"], info["publisher_gid"]["data"]
-        if sequence is None:  # the middleware has none
-            return True
-        step = sequence - self._last.get(publisher, sequence - 1)
-        if -_LARGEST_GAP < step <= 0:
-            return False
-        self._last[publisher] = sequence
-        if missing := step - 1 if 0 < step <= _LARGEST_GAP else 1:
-            self.count += missing
-            self._report(missing)
-        return True
-
-
 def diagnostic_status(
     name: str,
     state: str,
@@ -147,7 +119,7 @@ def diagnostic_status(
         level, message = DiagnosticStatus.WARN, "; ".join(warnings)
     else:
         level, message = DiagnosticStatus.OK, f"{state}, {now.rate_hz:.1f} Hz"
-    values = {"state": state, **_numbers(now), **(notes or {})}
+    values = {"state": state, "pid": str(os.getpid()), **_numbers(now), **(notes or {})}
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     return DiagnosticStatus(level=level, name=name, message=message, hardware_id="none", values=pairs)
 

@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.node import Node
 
 # Nodes that answer clouds, or show the answers.
-_GRAPH = ("segmentation", "grasp", "touch_predictor", "replay", "monitor")
+_GRAPH = ("perception", "segmentation", "grasp", "touch_predictor", "replay", "monitor")
 
 
 def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Environment variables and limits of memory that must be set before NumPy and rclpy are imported, and the start of rclpy.
+"""What a process of foretouch sets for itself before NumPy and rclpy are imported, and the start of rclpy.
 
-The user's own are never changed. And the shared memory of Fast DDS: whether large clouds pass through it between processes, and
+Importing or activating a node changes nothing of this: commands and executables call it. The user's own variables are never changed. And the shared memory of Fast DDS: whether large clouds pass through it between processes, and
 what one that was killed leaves behind, about 67 MB with our profile. Fast DDS holds a lock on `<segment>_el` as long as the owner
 of a segment lives, which `fastdds shm clean` tests too.
 """
 
-import ctypes
 import fcntl
 import os
 import shutil
@@ -34,7 +33,7 @@ _PROFILE_VARIABLES = {"fastdds": "FASTDDS_DEFAULT_PROFILES_FILE", "fastrtps": "F
 
 
 def prepare_environment() -> None:
-    """Set what is missing: the ament index, the shared-memory profile, one thread for linear algebra, large blocks kept.
+    """Set what is missing: the ament index, the shared-memory profile, one thread for linear algebra.
 
     The matrices here are small: with a pool of threads, a plane fit waits for the other threads longer than
     it computes (8 ms against 0.6 ms on a loaded two-core machine).
@@ -44,7 +43,6 @@ def prepare_environment() -> None:
         os.environ[profile_variable()] = str(SHARED_MEMORY_PROFILE)
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
-    _keep_large_blocks()
 
 
 def profile_variable() -> str:
@@ -61,9 +59,7 @@ def start_rclpy(arguments: Sequence[str]) -> None:
     Where large clouds may be lost between processes, a warning says so once.
     """
     prepare_environment()
-    stale_bytes(free=True)
     import rclpy
-    from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.logging import get_logger
     from rclpy.signals import SignalHandlerOptions
 
@@ -71,9 +67,9 @@ def start_rclpy(arguments: Sequence[str]) -> None:
         try:
             _name_log_folder()
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-        except (RCLError, ValueError, UnknownROSArgsError) as err:
+        except Exception as err:  # rclpy declares no public type for what it raises here
             rclpy.try_shutdown()
-            rule = "unknown: " if isinstance(err, UnknownROSArgsError) else ""
+            rule = "unknown: " if type(err).__name__ == "UnknownROSArgsError" else ""
             raise ConfigError(f"ROS arguments: {rule}{' '.join(str(err).split())}") from err
         text, pass_on = large_clouds(rclpy.utilities.get_rmw_implementation_identifier())
         if not pass_on:
@@ -88,19 +84,6 @@ def _name_log_folder() -> None:
     exists = next(path for path in (home, *home.parents) if path.exists())
     if not os.environ.get("HOME") or not exists.is_dir() or not os.access(exists, os.W_OK):
         os.environ["ROS_LOG_DIR"] = mkdtemp(prefix="foretouch-log-")
-
-
-def _keep_large_blocks() -> None:
-    """Let glibc keep the memory of a cloud for the next: new pages made receiving four times as expensive.
-
-    One arena for all threads, or each thread that ever takes a cloud keeps memory of its own for the next one.
-    """
-    set_limit = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if set_limit is None or any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ):
-        return
-    # M_MMAP_THRESHOLD, at its maximum, M_TRIM_THRESHOLD, and M_ARENA_MAX.
-    for parameter, value in ((-3, 32 << 20), (-1, 128 << 20), (-8, 1)):
-        set_limit(parameter, value)
 
 
 def large_clouds(rmw: str, folder: Path = _FOLDER) -> tuple[str, bool]:

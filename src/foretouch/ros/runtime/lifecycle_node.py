@@ -4,37 +4,49 @@
 A node implements four hooks, `_setup` and `_teardown` (configure, clean up) and `_start` and `_stop` (activate,
 deactivate). An error in `_setup` or `_start` refuses the transition and is logged in one line.
 
-Inputs are subscribed to with sensor-data QoS, outputs are published reliably: this pair is compatible with every
-publisher and subscriber. Outputs that are kept for late subscribers are transient local. All can be overridden
-(`qos_overrides.<topic>...` parameters). rclpy logs subscribers with incompatible QoS.
+Inputs follow the QoS of their publishers (see `FollowingSubscription`), outputs are published reliably. Outputs that are kept for
+late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). rclpy logs subscribers with
+incompatible QoS.
 """
 
-import gc
-import threading
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.topics import NAMESPACE
-from foretouch.errors import ForetouchError
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, Losses, diagnostic_status
-from foretouch.ros.runtime.direct import DirectInput, DirectPublisher, direct_topics
+from foretouch.errors import ForetouchError, shown
+from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, diagnostic_status
 from foretouch.ros.runtime.discovery import find_conflicts
-from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
+from foretouch.ros.runtime.subscription import FollowingSubscription
 
 _C = TypeVar("_C", bound="NodeConfig")
+_TRANSITIONS = {
+    "unconfigured": {
+        "configure": Transition.TRANSITION_CONFIGURE,
+        "shutdown": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    },
+    "inactive": {
+        "activate": Transition.TRANSITION_ACTIVATE,
+        "cleanup": Transition.TRANSITION_CLEANUP,
+        "shutdown": Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    },
+    "active": {"deactivate": Transition.TRANSITION_DEACTIVATE, "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN},
+    "finalized": {},
+}  # that a state admits, by label
 REQUESTS = QoSProfile(depth=5000)
 """Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
 
@@ -45,9 +57,6 @@ class NodeConfig(Settings, read_only=True):
 
     autostart: bool = setting(True, "Whether the node configures and activates itself")
     diagnostics_period_s: float = setting(1.0, "Time between reports in /diagnostics", bounds=(0.1, 60.0))
-    direct: bool = setting(
-        True, "Whether messages to nodes of the same process that have this set are handed over without the middleware"
-    )
 
 
 class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
@@ -62,29 +71,29 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
         super().__init__(name, **{"namespace": NAMESPACE, **options})
-        self._closing = ExitStack()  # of what `_setup` made
+        self.closing = ExitStack()  # of what `_setup` made, closed when the node is cleaned up
         try:
             self._settings = NodeSettings(self, config_class, self._config_changed)
         except ForetouchError:
             self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = partial(self._change_state, service.callback)
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
         self.has_failed = False  # whether the process ends with exit status 1
         self.last_failure = ""  # why the latest step that failed did
-        self.direct_topics = direct_topics(self.context)
-        self._outputs: list[DirectPublisher] = []
-        self._input_lock = threading.RLock()
-        self._losses: dict[str, Losses] = {}
+        self._followed: dict[str, FollowingSubscription] = {}  # by topic
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()
-        self._input_group = InputGroup()
+        self._input_group = MutuallyExclusiveCallbackGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
-        self.create_timer(1.0, self._look, callback_group=own_group)
+        self.create_timer(0.5, self._look, callback_group=own_group)
 
     @property
     def config(self) -> _C:
@@ -103,7 +112,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Deactivate: end what `_start` started; also called where nothing was started."""
 
     def _teardown(self) -> None:
-        """Clean up: forget what `_setup` made, after what is in `_closing` was closed."""
+        """Clean up: forget what `_setup` made, after what is in `closing` was closed."""
 
     def _config_changed(self, config: _C) -> None:
         """React to a parameter that was changed at run time."""
@@ -126,76 +135,62 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     # What a node uses.
 
-    def advertise(
-        self, message: type, topic: str, *, depth: int = 10, direct: bool = True, keep: bool = False
-    ) -> DirectPublisher:
+    def advertise(self, message: type, topic: str, *, depth: int = 10, keep: bool = False) -> LifecyclePublisher:
         """Make a reliable publisher, which publishes only while the node is active.
 
         Args:
             message: Type of the messages.
             topic: Name of the topic.
             depth: Messages that may wait for a subscriber.
-            direct: Whether subscriptions of the same process may get the objects that are published, which must
-                then stay as they are; not for serialised messages.
             keep: Whether a late subscriber that asks for it (transient local) gets the last `depth` messages.
         """
         durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
-
         overridden = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY]
-        publisher: DirectPublisher = self.create_publisher(
+        if keep:
+            overridden.append(QoSPolicyKind.DURABILITY)
+        publisher = self.create_lifecycle_publisher(
             message,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
-            qos_overriding_options=QoSOverridingOptions([*overridden, *[QoSPolicyKind.DURABILITY] * keep]),
-            publisher_class=DirectPublisher,
+            qos_overriding_options=QoSOverridingOptions(overridden),
         )
-        self.add_managed_entity(publisher)
-        self._outputs.append(publisher)
-        self._closing.callback(self._withdraw, publisher)
-        if direct and self.config.direct:
-            self.direct_topics.add(publisher)
+        self.closing.callback(self.destroy_lifecycle_publisher, publisher)
         return publisher
 
-    def subscribe(self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = 5) -> None:
-        """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
-        losses = self._losses[topic] = Losses(self.statistics.lose)
-
-        def _receive(content: Any) -> None:
-            with self._input_lock:
-                callback(content)
-
-        def _take(content: Any, info: Any) -> None:
-            if direct is None or not direct.is_copy(content):
-                losses.arrived(info)
-                _receive(content)
-
-        direct: DirectInput | None = None
-        subscription = self.create_subscription(
+    def subscribe(
+        self,
+        message: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        *,
+        depth: int = 5,
+        latched: bool | None = False,
+    ) -> None:
+        """Subscribe (see `FollowingSubscription`); callbacks of a node never run at the same time."""
+        guarded = self.internal_errors.guarded(topic, callback)
+        self._followed[topic] = FollowingSubscription(
+            self,
             message,
             topic,
-            self.internal_errors.guarded(topic, _take),
-            QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
-            callback_group=self._input_group,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            lambda content, _: guarded(content),
+            depth=depth,
+            group=self._input_group,
+            latched=latched,
+            report=self.statistics.lose,
         )
-        self._closing.callback(self.destroy_subscription, subscription)
-        if self.config.direct:
-            direct = DirectInput(subscription, self.internal_errors.guarded(topic, _receive))
-            self._closing.callback(self.direct_topics.remove, direct)
-            self.direct_topics.add(direct)
+        self.closing.callback(lambda: self._followed.pop(topic).destroy())
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
         """Offer a service until the node is cleaned up."""
         guarded = self.guarded_service(name, callback)
         service = self.create_service(kind, name, guarded, callback_group=group, qos_profile=REQUESTS)
-        self._closing.callback(self.destroy_service, service)
+        self.closing.callback(self.destroy_service, service)
 
     def _look(self) -> None:
-        """What is done every second: look for a second graph, and send what is kept to late subscribers."""
+        """Do what is due now and then: follow the publishers, and look for a second graph."""
+        for subscription in tuple(self._followed.values()):
+            subscription.follow()
         self.look_for_second_graph()
-        for publisher in tuple(self._outputs):
-            publisher.send_unsent()
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
@@ -211,6 +206,18 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return float(self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
 
     # Transitions.
+
+    def _change_state(self, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        """Refuse a transition that the state does not admit; rclpy raises an error for it."""
+        admitted, asked = _TRANSITIONS[self.state_name], request.transition
+        if asked.label in admitted if asked.label else asked.id in admitted.values():
+            return callback(request, response)
+        known = ", ".join(admitted) or "none"
+        self.get_logger().warning(
+            f"transition {shown(asked.label) or asked.id}: refused: {self.state_name} admits {known}"
+        )
+        response.success = False
+        return response
 
     def autostart(self) -> bool:
         """Configure and activate, if the parameter `autostart` is set; False if a transition was refused."""
@@ -232,9 +239,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start."""
         if not self._attempt(self._start):
+            self.stop()  # what it has started
             return TransitionCallbackReturn.FAILURE
         result = super().on_activate(state)
-        gc.freeze()  # else all that was loaded is searched for garbage from time to time, for 0.1 s
         self.state_name = "active"
         return result
 
@@ -248,7 +255,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Tear down, and destroy publishers and subscriptions."""
         result = super().on_cleanup(state)
         self._release()
-        gc.collect()  # scenes and models refer to themselves, and would stay for minutes beside the next ones
         self.state_name = "unconfigured"
         return result
 
@@ -268,7 +274,6 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def _destroy(self) -> None:
         super().destroy_node()
-        self._state_machine.destroy_when_not_in_use()  # else the node would be listed until it is garbage
 
     def _attempt(self, hook: Callable[[], None]) -> bool:
         try:
@@ -284,14 +289,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return True
 
     def _release(self) -> None:
-        gc.unfreeze()
-        self._attempt(self._closing.close)
+        self._attempt(self.closing.close)
         self._attempt(self._teardown)
 
-    def _withdraw(self, publisher: DirectPublisher) -> None:
-        self._outputs.remove(publisher)
-        self.direct_topics.remove(publisher)
-        self.destroy_lifecycle_publisher(publisher)
+    def _lost(self) -> dict[str, str]:
+        """Messages that were lost on the way, by topic."""
+        counts = {topic: one.losses.count for topic, one in self._followed.items()}
+        return {f"lost_on_the_way.{topic}": str(count) for topic, count in counts.items() if count}
 
     def _report(self) -> None:
         now, errors = self.statistics.summary(), self.internal_errors.counts()
@@ -305,7 +309,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             warnings=(*self.conflicts, *self.warnings(), *recent),
             notes={
                 **self.notes(),
-                **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
+                **self._lost(),
                 **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
             },
             silence_s=getattr(self.config, "silence_s", None),

@@ -18,6 +18,13 @@ from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, nearest
 
 _SHARED: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
+STEPS: Final = ("segmentation", "grasp", "touch_predictor")
+"""Nodes of single steps, for who replaces one of them; `perception` does the work of all."""
+_CHANGED: Final = {  # in 0.4
+    "hand": "is called hand_name since 0.4",
+    "queue_depth": "was removed in 0.4: the newest cloud is answered next",
+    "direct": "was removed in 0.4: perception is one node",
+}
 _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
 
 
@@ -33,6 +40,7 @@ def check_parameters(arguments: Sequence[str], nodes: Mapping[str, str], own: Se
         if option == "--params-file":
             for name, given in nodes_of_file(value):
                 _check(value, name, given, nodes, namespace)
+                _refuse_moved(value, name, given, own)
         elif option in {"-p", "--param"} and ":=" in value:
             name, _, parameter = value.partition(":=")[0].rpartition(":")
             _require_known(f"{option} {value}", [name] if name in nodes else own, {parameter: None}, nodes)
@@ -70,6 +78,16 @@ def _check(path: str, name: str, given: Mapping[str, Any], nodes: Mapping[str, s
         raise ConfigError(f"{path}: {name}: there is no such node; in {graph} are {', '.join(nodes)}{hint}")
 
 
+def _refuse_moved(path: str, name: str, given: Mapping[str, Any], own: Sequence[str]) -> None:
+    """Refuse parameters of single steps where one node does the work of all of them."""
+    place, _, short = name.rpartition("/")
+    if short in STEPS and "perception" in own and short not in own and given:
+        listed = ", ".join(sorted(given))
+        raise ConfigError(
+            f"{path}: {name}: {listed}: the node {place}/perception has these parameters since 0.4: move them there"
+        )
+
+
 def _taken_for(name: str, known: typing.Iterable[str]) -> bool:
     return bool(get_close_matches(name, list(known), 1, _ALIKE))
 
@@ -79,7 +97,8 @@ def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], n
     known = [info for name in names for info in _parameters_of(nodes[name])]
     for parameter, value in given.items():
         if parameter not in known and parameter.partition(".")[0] not in _SHARED:
-            raise ConfigError(f"{place}: {parameter}: unknown parameter{nearest(parameter, known)}")
+            rule = _CHANGED.get(parameter, f"unknown parameter{nearest(parameter, known)}")
+            raise ConfigError(f"{place}: {parameter}: {rule}")
         if value is EMPTY:
             raise ConfigError(f"{place}: {parameter}: is empty")
 

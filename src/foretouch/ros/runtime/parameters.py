@@ -82,11 +82,14 @@ def _declare(node: Node, info: SettingInfo) -> Any:
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    overrides = getattr(node, "_parameter_overrides", {})
-    if info.type is float and info.name in overrides:
-        overrides[info.name] = _as_float(overrides[info.name])
+    default = _plain(info.default)
     try:
-        return _plain(node.declare_parameter(info.name, _plain(info.default), descriptor).value)
+        if info.type is float and not descriptor.dynamic_typing:  # a whole number is a float, too
+            anything = ParameterDescriptor(dynamic_typing=True)
+            default = _as_float(node.declare_parameter(info.name, default, anything)).value
+            node.undeclare_parameter(info.name)
+            return node.declare_parameter(info.name, default, descriptor, ignore_override=True).value
+        return _plain(node.declare_parameter(info.name, default, descriptor).value)
     except ParameterException as err:
         raise ConfigError(f"{info.name}: {' '.join(str(err).split())}") from err
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the touch predictor."""
+"""Settings of the step that predicts touch."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -10,7 +10,6 @@ from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.runtime.processing_node import ProcessingConfig
 from foretouch_msgs.action import SampleGrasps
 
 PRESSURE: Final = SampleGrasps.Goal.PRESSURE
@@ -21,8 +20,8 @@ COSTS: Final = (PRESSURE, SCORE, HARDER_FINGER)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchPredictorConfig(ProcessingConfig, ReachConfig, TactileInput):
-    """Settings of the touch predictor, with the hand's reach and its tactile messages."""
+class TouchSettings(ReachConfig, TactileInput):
+    """Settings of the step, with the hand's reach and its tactile messages."""
 
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
     fallback_model: str = setting(
@@ -50,7 +49,7 @@ class TouchPredictorConfig(ProcessingConfig, ReachConfig, TactileInput):
     same_object_m: float = setting(
         0.02, "How far an object may have moved, or changed in apparent size, since it was touched", bounds=(0.0, 1.0)
     )
-    hand: str = setting(
+    hand_name: str = setting(
         "",
         "Name of the hand, such as right: what its sensors read is kept in a file of this name across restarts; empty: until "
         "the node ends",

@@ -16,11 +16,12 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
-from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.errors import described
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import Latest, RefusalError, no_latest_cloud
-from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchPredictorConfig
+from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchSettings
 from foretouch.types import Float64
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction
@@ -34,7 +35,7 @@ _PLANNER_COUNT = 20  # grasps in its answer, at most
 Predicted: TypeAlias = tuple[TouchPrediction, Float64]
 """The prediction of a grasp, and (3, F) how hard each finger presses (`TaxelView.pressures`): values and bounds, NaN for none."""
 
-Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[Predicted]]
+Predict: TypeAlias = Callable[[Object, Sequence[Grasp], Header], Sequence[Predicted]]
 
 _BATCH = 100  # grasps that are predicted between two looks for a cancel; predictions do not depend on it
 
@@ -49,7 +50,7 @@ class _Candidate(NamedTuple):
 def sample_grasps(
     goal: Any,
     latest: Latest | None,
-    config: TouchPredictorConfig,
+    config: TouchSettings,
     name: str,
     predict: Predict,
     feedback: Callable[[Any], None],
@@ -76,7 +77,7 @@ def sample_grasps(
     for target in targets:
         if cancelled():
             break
-        plan = requests.plan_targets(pipeline, [target], header)
+        plan, _ = requests.plan_targets(pipeline, [target], header)
         for grasp in plan.grasps:
             grasp.id += f"/{name}"
         for first in range(0, len(plan.grasps), _BATCH):
@@ -120,7 +121,7 @@ def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     return [candidates[k]._replace(cost=float(lowest[groups[k]])) for k in np.lexsort((-scores, groups))]
 
 
-def _targets(goal: Any, latest: Latest | None, config: TouchPredictorConfig) -> tuple[Header, tuple[FoundObject, ...]]:
+def _targets(goal: Any, latest: Latest | None, config: TouchSettings) -> tuple[Header, tuple[Object, ...]]:
     """The objects of a goal, and the header of their cloud."""
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:
@@ -128,8 +129,9 @@ def _targets(goal: Any, latest: Latest | None, config: TouchPredictorConfig) -> 
         return goal.cloud.header, requests.read_targets(goal.cloud, requests.read_plane(goal.table[0]), config.limits)
     if latest is None:
         raise no_latest_cloud()
-    header = latest.cloud.header
-    return header, requests.read_targets(latest.cloud, requests.read_table(latest.table, header), config.limits)
+    if latest.refusal is not None:
+        raise latest.refusal
+    return latest.header, latest.targets
 
 
 def _fields(candidates: Sequence[_Candidate], header: Header) -> dict[str, Any]:
@@ -156,15 +158,16 @@ def cost_of(rule: str, grasp: Grasp, pressed: Float64) -> float:
     return cost if math.isfinite(cost) else math.inf
 
 
-def planner_action_class() -> Any:
-    """The class of the action of MoveIt Task Constructor; None where its package is not installed."""
+def planner_action_class() -> tuple[Any, str]:
+    """Find the class of the action of MoveIt Task Constructor; None where its package is not installed, or cannot be used and why."""
     package, name = PLANNER_TYPE
     try:
         kind = getattr(importlib.import_module(f"{package}.action"), name)
         check_for_type_support(kind)
-    except Exception:  # noqa: BLE001  also of rosidl: a package whose libraries are not found must not end the node
-        return None
-    return kind
+    except Exception as err:  # noqa: BLE001  also of rosidl: a package whose libraries are not found must not end the node
+        absent = isinstance(err, ModuleNotFoundError) and (err.name or "").partition(".")[0] == package
+        return None, "" if absent else f"{PLANNER_ACTION}: not offered: {package}/{name}: {described(err)}"
+    return kind, ""
 
 
 def planner_goal(request: Any, max_grasps: int) -> Any:

@@ -21,6 +21,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
@@ -29,14 +30,13 @@ from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.touch_model import History, TouchModel
-from foretouch.ros.messages.clouds import TargetCloud
-from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Touch, TouchPrediction
+from foretouch.types import Cloud, Float32, Grasp, Predictions, Touch
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -53,7 +53,7 @@ class OnlineAdapter:
         model: TouchModel,
         reader: TactileReader,
         keeper: HistoryKeeper,
-        config: Callable[[], TouchPredictorConfig],
+        config: Callable[[], TouchSettings],
         now_ns: Callable[[], int],
         warn: Callable[[str], object],
     ) -> None:
@@ -105,23 +105,27 @@ class OnlineAdapter:
                 self._assembler.add("executed", message, received_ns=0, now_s=time.monotonic())
 
     def add_grasps(
-        self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[GraspMsg], *, requested: bool = False
+        self, header: Header, cloud: Callable[[], PointCloud2], grasps: Sequence[GraspMsg], *, requested: bool = False
     ) -> None:
         """Keep a cloud and the grasps on it that have an id, if there is a hand that may execute one.
 
-        Instead of a cloud that was `requested`, one from the topic with the same stamp is used.
+        Args:
+            header: Of the cloud.
+            cloud: Makes its message.
+            grasps: The grasps.
+            requested: Whether a cloud from the topic with the same stamp is used instead, if there is one.
         """
-        stamp, named = stamp_ns(cloud.header.stamp), [grasp for grasp in grasps if grasp.id]
+        stamp, named = stamp_ns(header.stamp), [grasp for grasp in grasps if grasp.id]
         if not self._config().use_touches or not self._received or not stamp or not named:
             return
         with self._input_lock:
             known = requested and self._assembler.clouds.get(stamp) is not None
-        data = b"" if known else bytes(serialize_message(cloud.message if isinstance(cloud, TargetCloud) else cloud))
+        data = b"" if known else bytes(serialize_message(cloud()))
         with self._input_lock:
             if not known:
                 message = SerializedCloud(data, partial(deserialize_message, data, PointCloud2))
                 self._assembler.add("cloud", message, received_ns=0, now_s=time.monotonic())
-            self._assembler.matcher.add_plan(stamp, cloud.header.frame_id, named)
+            self._assembler.matcher.add_plan(stamp, header.frame_id, named)
 
     # Output, for the thread that predicts.
 
@@ -133,7 +137,7 @@ class OnlineAdapter:
         limits: ObjectLimits,
         reach: ReachConfig,
         model: TouchModel | None = None,
-    ) -> Sequence[TouchPrediction]:
+    ) -> Predictions:
         """Predict as `TouchModel.predict`, adapted to the readings so far; `model` may be a reduced form of the model."""
         config, model = self._config(), model or self._model
         self.process_touches()
@@ -146,7 +150,7 @@ class OnlineAdapter:
             self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
         return predictions
 
-    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchPredictorConfig) -> History | None:
+    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> History | None:
         """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
         now_ns, others = self._now_ns(), self._others
         tdc = (
@@ -221,7 +225,7 @@ class OnlineAdapter:
             **{name: text for name, text in self._texts.items() if text},
         }
 
-    def _recent_tare(self, config: TouchPredictorConfig) -> Touch | None:
+    def _recent_tare(self, config: TouchSettings) -> Touch | None:
         if not config.use_tare:
             return None
         with self._input_lock:
@@ -232,7 +236,7 @@ class OnlineAdapter:
         """The reading without taxels that the hand's description declares dead, which have the mean of others."""
         return Touch(usable(reading.values, reading.channels, self._valid), reading.channels)
 
-    def _add_touch(self, assembled: AssembledSample, config: TouchPredictorConfig) -> None:
+    def _add_touch(self, assembled: AssembledSample, config: TouchSettings) -> None:
         sample, cut = assembled.record.sample, assembled.cut
         assert cut is not None  # noqa: S101  samples without a touch are not asked for
         touch, tare = self._usable(cut.touch), self._usable(cut.tare) if config.use_tare else None

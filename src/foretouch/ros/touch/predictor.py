@@ -2,7 +2,6 @@
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
 import statistics
-import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -11,20 +10,21 @@ import numpy as np
 from std_msgs.msg import Header
 
 from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
-from foretouch.grasp import GeoGraspConfig, check_closing, surely_closing
+from foretouch.grasp import GeoGraspConfig, closing_faults
 from foretouch.grasp.messages import has_orientation
 from foretouch.models import TouchModel, load_model
-from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.pipeline import Object, Pipeline
 from foretouch.report.equal_pressure import flag_equal_pressures
-from foretouch.ros.messages.answers import Refusal, TouchAnswer
+from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
-from foretouch.ros.messages.requests import GraspArrays, RefusalError
+from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.posing import posed_grasps, refusal_of
-from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, TouchPredictions
-from foretouch.types import TouchPrediction as Prediction
+from foretouch.tactile.description import Sensor
+from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, Grasps, Predictions
+from foretouch.types.channels import NO_CHANNELS, Channels
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
 
@@ -43,7 +43,6 @@ class Predictor:
         self.fault = ""  # why `model` could not be loaded
         self.flags: tuple[str, ...] = ()  # of every prediction
         self.budget: LatencyBudget | None = None  # chooses the level of each request
-        self._switch_s = 0.0  # before `keep_to`
         try:
             self.model = load_model(model)
         except ForetouchError as err:
@@ -58,15 +57,22 @@ class Predictor:
             for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
 
-    def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], object]) -> None:
+    @property
+    def sensor(self) -> Sensor | None:
+        """Sensor of the model, whose readings are predicted."""
+        return None if self.model is None else self.model.sensor
+
+    @property
+    def channels(self) -> Channels:
+        """Channels of the sensor; without a model none."""
+        return NO_CHANNELS if self.sensor is None else self.sensor.channels
+
+    def keep_to(self, budget_ms: float, config: TouchSettings, say: Callable[[str], object]) -> None:
         """Answer within a budget from now on, if there is a model; measures this machine."""
         from foretouch.models.budget import LatencyBudget, load_warm, profile_scene
 
         if self.model is None:
             return
-        self._switch_s = sys.getswitchinterval()
-        # After so long, a thread gives way to another: Python's 5 ms may be the whole budget.
-        sys.setswitchinterval(min(self._switch_s, 5e-4))
         levels, times = load_warm(self.model)
         around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
         self.budget = LatencyBudget(budget_ms / 1e3, levels, times, around)
@@ -75,19 +81,14 @@ class Predictor:
             name = best.name if best else f"none; the fastest is used, {levels[-1].name}"
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
 
-    def close(self) -> None:
-        """Let threads switch as before `keep_to`."""
-        if self._switch_s:
-            sys.setswitchinterval(self._switch_s)
-
     def _around(
-        self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
+        self, model: TouchModel, config: TouchSettings, scene: tuple[Cloud, Sequence[Grasp]]
     ) -> dict[int, float]:
         """By number of grasps, the time of their messages: what `answer` takes beyond the prediction, as processor time [s]."""
         from foretouch.models.budget import PAUSE_S
 
         cloud, grasps = scene
-        target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
+        target, messages, around = Object("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
         for count in _COUNTS:
             beyond = []
             for _ in range(5):
@@ -118,10 +119,10 @@ class Predictor:
 
     def answer(
         self,
-        targets: Sequence[FoundObject],
+        targets: Sequence[Object],
         grasps: Sequence[GraspMsg] | GraspArrays,
         header: Header,
-        config: TouchPredictorConfig,
+        config: TouchSettings,
         posing: GeoGraspConfig | None = None,
         model: TouchModel | None = None,
     ) -> TouchAnswer:
@@ -138,34 +139,31 @@ class Predictor:
         Raises:
             RefusalError: If none of the targets is the object of arrays.
         """
-        model = model or self.model
-        sensor = None if model is None else model.sensor
+        channels, sensor = self.channels, self.sensor
         if isinstance(grasps, GraspArrays):
             try:
                 target = targets[_target_of(grasps.object_id, targets)]
             except GraspError as err:
                 raise RefusalError(Status.BAD_GRASP, str(err)) from err
-            posed = posed_grasps(grasps, target, config, posing)
+            posed = posed_grasps(grasps, target, config, posing, channels)
             rotations = None
             if grasps.rotations is None:
-                rotations = np.array([np.zeros((3, 3)) if isinstance(one, Refusal) else one.rotation for one in posed])
-            found = self._on_target(model, target.cloud, posed, config)
-            return TouchAnswer(header, posed, found, sensor=sensor, arrays=True, rotations=rotations)
-        outcomes: list[Prediction | Refusal] = [Refusal(Status.BAD_GRASP, "")] * len(grasps)
+                rotations = np.where(posed.ok[:, None, None], posed.grasps.rotation, 0.0)
+            rows = self.predict(target.cloud, posed, config, model)
+            return TouchAnswer(header, rows.grasps, rows, sensor=sensor, arrays=True, rotations=rotations)
+        rows = Predictions.refused(Grasps.unknown(len(grasps)), channels, "bad_grasp", "")
         by_target: dict[int, list[int]] = {}
         for i, grasp in enumerate(grasps):
             try:
                 by_target.setdefault(_target_of(grasp.object_id, targets), []).append(i)
             except GraspError as err:
-                outcomes[i] = Refusal(Status.BAD_GRASP, str(err))
+                rows.reason[i] = str(err)
         for k, members in by_target.items():
-            posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing)
-            found = self._on_target(model, targets[k].cloud, posed, config)
-            for i, outcome in zip(members, found, strict=True):
-                outcomes[i] = outcome
+            posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing, channels)
+            rows = rows.put(members, self.predict(targets[k].cloud, posed, config, model))
         if posing is not None:
-            grasps = [_as_predicted(*pair) for pair in zip(grasps, outcomes, strict=True)]
-        return TouchAnswer(header, grasps, outcomes, sensor=sensor)
+            grasps = [_as_predicted(grasp, rows, k) for k, grasp in enumerate(grasps)]
+        return TouchAnswer(header, grasps, rows, sensor=sensor)
 
     def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
         """Add the model, the age of its input [s] and the resulting flags to each prediction.
@@ -178,59 +176,47 @@ class Predictor:
             message.model, message.model_sha256 = self.model.name, self.model.sha256
         return message
 
-    def _on_target(
-        self, model: TouchModel | None, cloud: Cloud, posed: Sequence[Grasp | Refusal], config: TouchPredictorConfig
-    ) -> Sequence[Prediction | Refusal]:
+    def predict(
+        self, cloud: Cloud, posed: Predictions, config: TouchSettings, model: TouchModel | None = None
+    ) -> Predictions:
+        """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
+
+        Readings so far are adapted to; `model` may be a reduced form of the model.
+        """
+        model = model or self.model
         if model is None:
-            return [Refusal(Status.NO_MODEL, self.fault)] * len(posed)
-        usable = [one for one in posed if isinstance(one, Grasp)]
+            return Predictions.refused(posed.grasps, posed.channels, "no_model", self.fault)
+        usable = posed.ok
+        if not usable.any():
+            return posed
         options: dict[str, Any] = {"limits": config.limits, "reach": config}
+        grasps = posed.grasps.take(usable)
         try:
-            if not usable:
-                found: Sequence[Prediction] = []
-            elif self.adapter is not None:
-                found = self.adapter.predict(cloud, usable, **options, model=model)
+            if self.adapter is not None:
+                predictions = self.adapter.predict(cloud, grasps, **options, model=model)
             else:
-                found = model.predict(cloud, usable, **options)
+                predictions = model.predict(cloud, grasps, **options)
         except (CloudError, ModelError) as err:
-            return [one if isinstance(one, Refusal) else refusal_of(err) for one in posed]
-        outcomes = _outcomes(flag_equal_pressures(found, model))
-        if len(usable) == len(posed):
-            return outcomes
-        predicted = iter(outcomes)
-        return [one if isinstance(one, Refusal) else next(predicted) for one in posed]
+            status, reason = refusal_of(err)
+            return posed.put(usable, Predictions.refused(grasps, posed.channels, status_name(status), reason))
+        predictions = flag_equal_pressures(predictions, model)
+        faults = closing_faults(grasps)
+        tilted = np.array([bool(fault) for fault in faults], np.bool_) & predictions.ok
+        if tilted.any():  # the constructor of a message makes w = 1, which is an orientation
+            reasons = [fault for fault, refused in zip(faults, tilted.tolist(), strict=True) if refused]
+            refused = Predictions.refused(grasps.take(tilted), posed.channels, "bad_grasp", reasons)
+            predictions = predictions.put(tilted, refused)
+        return posed.put(usable, predictions)
 
 
-def _as_predicted(message: GraspMsg, outcome: Prediction | Refusal) -> GraspMsg:
+def _as_predicted(message: GraspMsg, predictions: Predictions, k: int) -> GraspMsg:
     """The message of a grasp, with the pose that was computed for it."""
-    if isinstance(outcome, Refusal) or has_orientation(message):
+    if not predictions[k].ok or has_orientation(message):
         return message
-    return grasp_to_msg(outcome.grasp, message.status, message.reason)
+    return grasp_to_msg(predictions[k].grasp, message.status, message.reason)
 
 
-def _outcomes(predictions: Sequence[Prediction]) -> Sequence[Prediction | Refusal]:
-    """The predictions that have a value and whose fingers close along the line of the contacts; else why there is none."""
-    if isinstance(predictions, TouchPredictions):
-        closing = surely_closing(predictions.grasps)
-        if closing.all() and not predictions.refused:
-            return predictions
-    else:
-        closing = surely_closing([one.grasp for one in predictions])
-    return [_outcome(*pair) for pair in zip(predictions, closing.tolist(), strict=True)]
-
-
-def _outcome(prediction: Prediction, closing: bool) -> Prediction | Refusal:
-    if prediction.value is None:
-        return Refusal(Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED, prediction.reason)
-    if not closing:  # the constructor of a message makes w = 1, which is an orientation
-        try:
-            check_closing(prediction.grasp)
-        except GraspError as err:
-            return refusal_of(err)
-    return prediction
-
-
-def _target_of(object_id: str, targets: Sequence[FoundObject]) -> int:
+def _target_of(object_id: str, targets: Sequence[Object]) -> int:
     """Index of a grasp's target; a single target matches if it or the grasp has no object id."""
     ids = [target.id for target in targets]
     if object_id in ids:

@@ -85,7 +85,8 @@ class SensorReader:
                 if (self._marks & ~_within(scalars[number], self._mark_range)).any():
                     invalid["not_read"] += size[1]
                     continue
-                values[number] = np.transpose([_numbers(one, content, size[1]) for one in self._values])
+                series = [_numbers(one, content, self.sensor.series_size) for one in self._values]
+                values[number] = np.transpose(series)[self.sensor.places]
             except TactileError as err:
                 raise TactileError(f"{self.sensor.config.name}: {finger}: {err}") from err
             inside = _within(values[number], self._range).all(axis=1)

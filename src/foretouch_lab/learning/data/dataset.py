@@ -2,8 +2,8 @@
 """A dataset: its samples, their hash, and the parts that a model is trained and tested on."""
 
 import hashlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
@@ -16,7 +16,7 @@ from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
-from foretouch.tactile.description import Sensor
+from foretouch.tactile.description import Sensor, packaged_sensor, sensor_files
 from foretouch.types import Float64, GraspSample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import Fold, Indices
@@ -178,20 +178,52 @@ def load_dataset(path: str | Path) -> Dataset:
         sample = only_finite(read)
         content.update(sample_digest(sample))
         samples.append(sample if store is None else LazySample.of(sample, store, len(samples)))
+    public = opened.kind == "vision2tactile"
+    data = dataset_of(samples, path.name, opened.sensor, path, content.hexdigest())
+    origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
+    return replace(data, aliases=(folder_sha256(path),) if public else (), origin=origin)
+
+
+def dataset_of(
+    samples: Sequence[GraspSample],
+    name: str = "samples",
+    sensor: Sensor | None = None,
+    path: Path | None = None,
+    sha256: str | None = None,
+) -> Dataset:
+    """A dataset of samples in memory.
+
+    Args:
+        samples: In order.
+        name: For messages and cards.
+        sensor: That was read; by default a described one with the channels of the touches.
+        path: Where stored splits may be; without, splits are made with seed 0.
+        sha256: Hash over the samples, if it is known.
+
+    Raises:
+        DatasetError: If there are no samples, two have the same id, or they are of a sensor that no description is known of.
+    """
+    if not samples:
+        raise DatasetError(f"{name}: holds no sample")
     if len({sample.id for sample in samples}) != len(samples):
-        raise DatasetError(f"{path}: two samples have one id")
+        raise DatasetError(f"{path or name}: two samples have one id")
+    labels = [one.touch for one in samples if one.touch is not None]
+    if sensor is None:
+        known = labels[0].channels.sensor if labels else BIOTAC_SP.config.name
+        sensor = packaged_sensor(known) if known in sensor_files() else BIOTAC_SP
+    if sha256 is None:
+        content = hashlib.sha256()
+        for sample in samples:
+            content.update(sample_digest(sample))
+        sha256 = content.hexdigest()
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
-    parts, omitted = read_splits(path) if (path / SPLITS_FILE).is_file() else parse_splits(make_splits(facts).encode())
+    stored = path is not None and (path / SPLITS_FILE).is_file()
+    parts, omitted = read_splits(path) if stored and path else parse_splits(make_splits(facts).encode())
     places = {one.id: k for k, one in enumerate(samples)}
     splits = {kind: [_fold(part, places) for part in parts[kind]] for kind in parts}
-    public = opened.kind == "vision2tactile"
-    origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
-    aliases = (folder_sha256(path),) if public else ()
-    labels = [
-        one.touch.values for one in samples if one.touch is not None and one.touch.channels == opened.sensor.channels
-    ]
-    hashed, sensor = content.hexdigest(), with_dead_taxels(opened.sensor, np.array(labels)) if labels else opened.sensor
-    return Dataset(path.name, tuple(samples), hashed, splits, aliases, omitted, origin, sensor)
+    values = [touch.values for touch in labels if touch.channels == sensor.channels]
+    sensor = with_dead_taxels(sensor, np.array(values)) if values else sensor
+    return Dataset(name, tuple(samples), sha256, splits, omitted=omitted, sensor=sensor)
 
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:

@@ -146,10 +146,10 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     for k, sample in enumerate(samples):
         tare = sample.tare if model.calibration is not None else None
         (one,) = model.predict(sample.cloud, [sample.grasp], tare=tare)
-        if one.value is None:
+        if not one.ok:
             raise ModelError(f"{sample.id}: {one.reason}")
         counts[k] = one.value.values
-        if one.lower is not None and one.upper is not None:
+        if one.calibrated:
             half[k] = (one.upper.values - one.lower.values) / 2.0
         unfamiliar += "unfamiliar" in one.flags
     return counts, half, unfamiliar, model.ranges

@@ -48,7 +48,7 @@ class Learner(ABC):
         epochs: Number of epochs of the last `fit`; 0 for a method without epochs.
 
     Raises:
-        DatasetError: If a sample cannot be used; names the sample.
+        DatasetError: If a sample cannot be used, and names it; or if no label varies.
     """
 
     def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
@@ -57,6 +57,10 @@ class Learner(ABC):
         self.sensor = data.sensor
         self.samples = [data.filled[k] for k in split.train]
         self.labels = labels_of(self.samples)
+        read = self.labels[:, self.sensor.channels.columns(self.outputs)]
+        if len(read) > 1 and not np.ptp(read, axis=0).any():
+            rule = f"{', '.join(self.outputs)} are the same in all {len(read)} samples, so nothing can be learnt"
+            raise DatasetError(f"{data.name}: labels: {rule}; was one reading written to all of them?")
         self.where: Float64 | None = None
         self.epochs = 0
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import ConfigError, DatasetError, FileError, ModelError
 from foretouch.files import write_text
 from foretouch.models.card import card_text, read_card
+from foretouch.models.registry import load_model
 from foretouch.tactile.description import named_taxels, with_sensor
 from foretouch_lab.learning.data import Dataset, make_folds
 from foretouch_lab.learning.data.folds import SPLITS, predict_folds
@@ -85,12 +86,23 @@ def train_run(
             f"Dead in the training data, so that their predictions are not valid: taxels {named_taxels(dead)}.",
         ]
     card = learner.save(out, config.name, facts, calibration)
+    if set(learner.outputs) == set(learner.sensor.channels.modalities):
+        _require_readable(card)
     result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": learner.epochs, "data_sha256": data.sha256}
     result |= {"calibrated": calibration is not None, "limits": facts["limits"], "dead_taxels": dead}
     if len(learner.split.test):
         result |= _add_scores(card, config, data)
     report(result)
     return card
+
+
+def _require_readable(card: Path) -> None:
+    """Remove the card of a model that its reader refuses, such as of labels that hardly vary, and raise a `DatasetError`."""
+    try:
+        load_model(card)
+    except (ModelError, FileError) as err:
+        card.unlink()
+        raise DatasetError(f"the model that was trained cannot be read: {err}; do its labels vary?") from err
 
 
 def compare_splits(

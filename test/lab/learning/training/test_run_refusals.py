@@ -11,7 +11,7 @@ from every_case import every_refusal
 from run_builders import BASE, MODEL, quiet, run_config
 from safetensors.torch import load_file
 
-from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.errors import ConfigError, DatasetError, FileError, ModelError
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, GraspSample
 from foretouch_lab.learning.data import Dataset
@@ -55,6 +55,27 @@ def test_a_bad_label_is_named_and_the_corrected_data_train_in_the_same_folder(da
     with pytest.raises(DatasetError, match=rf"{first.id}: touch: pdc_mf: -22072 is not between 1 and 4095 counts"):
         train_run(run, replace(faulty, sha256="faulty"), tmp_path / "run", quiet)
     assert train_run(run, data, tmp_path / "run", quiet).is_file()
+
+
+@pytest.mark.parametrize("method", ["supervised", "contact"])
+def test_labels_that_do_not_vary_and_a_model_that_cannot_be_read_are_refused(
+    data, tmp_path, monkeypatch, method
+) -> None:
+    touch = data.samples[0].touch
+    same = replace(data, samples=tuple(replace(one, touch=touch) for one in data.samples), sha256="same")
+    run = run_config(**{**CONTACT, "method": method})
+    with pytest.raises(DatasetError, match=r"labels: PDC_TH.* the same in all 60 samples.*one reading"):
+        train_run(run, same, tmp_path / "run", quiet)
+    assert not list(tmp_path.rglob("*.json"))
+
+    def unreadable(card: Path) -> None:
+        raise ModelError(f"{card}: between: is not a covariance")
+
+    monkeypatch.setattr("foretouch_lab.learning.training.run.load_model", unreadable)
+    if method == "contact":  # the network of these tests predicts one modality alone
+        with pytest.raises(DatasetError, match=r"cannot be read: .*is not a covariance; do its labels vary"):
+            train_run(run, data, tmp_path / "run2", quiet)
+        assert not list((tmp_path / "run2").glob("*.json"))
 
 
 def test_a_loss_that_is_not_finite_leaves_the_state_before(data, tmp_path, monkeypatch) -> None:

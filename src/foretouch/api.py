@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The functions of `import foretouch as ft`: each step of the pipeline with its defaults, in one call."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy.typing as npt
+
+from foretouch.dataset.samples import SampleSet, open_samples
+from foretouch.grasp.messages import decode_predictions
+from foretouch.laboratory import laboratory
+from foretouch.models.touch_model import TouchModel
+from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
+from foretouch.types import Cloud, Grasps, GraspSample, Prediction, Predictions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: PipelineConfig | None = None) -> Scene:
+    """Find the table and the objects on it.
+
+    Args:
+        cloud: (H, W, 3), such as of `Cloud.from_depth`, or (N, 3) points [m], optical frame of the camera.
+        mask: (H, W) integers or bool, labels of the objects; 0 and negative numbers are no object. They become the
+            ids; the table is found in the rest of the image.
+        config: Settings of all steps; the defaults if None.
+
+    Returns:
+        The scene: `table`, `objects` (nearest first), `labels` (H, W), `at(u, v)`, `near(point)`, `status` and `reason`.
+        What cannot be used is in its status, such as `no_plane`, and not raised.
+
+    Raises:
+        CloudError: If the mask does not fit the image.
+    """
+    return Pipeline(config).segment(cloud, mask=mask)
+
+
+def plan(target: Object, *, count: int | None = None, config: PipelineConfig | None = None) -> Grasps:
+    """Plan two-finger grasps on an object.
+
+    Args:
+        target: An object of a `Scene`, whose other objects are avoided.
+        count: Most grasps; by default one.
+        config: Settings of all steps; the defaults if None.
+
+    Returns:
+        Columns of K grasps, best first: `g1`, `g2` (K, 3) and `pose` (K, 4, 4) [m] in the frame of the cloud, `score` (K,).
+        Without a grasp K is 0, and `status` and `reason` say why.
+    """
+    pipeline = Pipeline(config)
+    if count is not None:
+        pipeline.config = pipeline.config.updated({"grasp.count": count}, "count")
+    return pipeline.plan(target).grasps
+
+
+def reading(message: Any) -> Prediction | Predictions:
+    """Read the predicted readings in a message, such as `reading(message)["E"].value`.
+
+    Args:
+        message: A `foretouch_msgs/TouchPrediction`, or any object with its fields; ROS need not be installed. Or a
+            `TouchPredictionBatch` or `TouchPredictionArray`, with K grasps.
+
+    Returns:
+        What a touch model returns in Python: `reading(message)[channel]` has `value`, `lower` and `upper`, float64 arrays by
+        finger in the order of `message.fingers`: (F, N) for a channel of the taxels, (F,) for a scalar, with a first
+        dimension K for K grasps. Values are NaN if there is no prediction, bounds without calibration.
+
+    Raises:
+        TactileError: If the number of values is not that of the names.
+    """
+    rows = decode_predictions(message)
+    many = hasattr(message, "predictions") or hasattr(message, "statuses")
+    return rows if many else rows[0]
+
+
+def open(path: str | Path) -> SampleSet:  # noqa: A001
+    """Open a dataset in any format that foretouch reads: a recording, a training store, vision2tactile folders.
+
+    Args:
+        path: The dataset.
+
+    Returns:
+        Its samples, read on demand: iteration gives `GraspSample`, `to_arrays()` columns, `split(…)` parts.
+
+    Raises:
+        FileError: If there is no dataset, or it is damaged, cut off or of another version.
+    """
+    return open_samples(path)
+
+
+def fit(
+    samples: SampleSet | Sequence[GraspSample] | str | Path, recipe: str = "contact-v2", **settings: Any
+) -> TouchModel:
+    """Fit a touch model to samples; requires `foretouch[lab]`.
+
+    Args:
+        samples: Labelled samples, or the path of a dataset.
+        recipe: A recipe or method of `foretouch train`.
+        settings: Of the run, such as `calibrate=False`; groups as a dictionary, such as `contact={"trees": 50}`.
+
+    Returns:
+        The model, as `load_model` gives it. `save(folder)` writes it, and `load_model(folder)` reads it again.
+
+    Raises:
+        DatasetError: If there are too few samples, or one cannot be used.
+        MissingDependencyError: If the laboratory is not installed.
+    """
+    fitted: TouchModel = laboratory("learning.training.fit", "foretouch.fit").fit(samples, recipe, settings)
+    return fitted
+
+
+def draw(
+    scene: Scene | Object, grasps: Grasps | None = None, touch: Predictions | None = None, **options: Any
+) -> "Figure":
+    """Draw a scene, the first of its grasps and their predicted touch.
+
+    Args:
+        scene: What `segment` found, drawn with the outline and id of each object; or one object.
+        grasps: On one object; contacts and closing line of the first are drawn from two sides.
+        touch: Predictions for the grasps; the taxels of both fingers with their intervals, of the first grasp.
+        options: `path` of a file to write the figure to, `number` of the grasp that is drawn, `sensor`.
+
+    Returns:
+        A figure of Matplotlib.
+    """
+    from foretouch.report.scene_figure import draw_scene
+
+    return draw_scene(scene, grasps, touch, **options)

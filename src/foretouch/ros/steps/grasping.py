@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Targets -> `grasps`: where two fingers can grasp each target."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from std_msgs.msg import Header
+
+from foretouch.cloud.geometry.limits import ObjectLimits
+from foretouch.config import Settings, setting
+from foretouch.dataset.topics import GRASPS_TOPIC
+from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, HandConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
+from foretouch.ros.messages.requests import plan_targets
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
+from foretouch_msgs.msg import GraspArray
+
+HOLD_TOLERANCE_M: Final = 0.005
+"""Change of position or size that makes it another object, whose grasp is not kept."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspSettings(Settings):
+    """Settings of the planner of grasps."""
+
+    limits: ObjectLimits = ObjectLimits()
+    grasp: GeoGraspConfig = GeoGraspConfig()
+    hand: HandConfig = HandConfig()
+    grasp_hold: float = setting(
+        0.5,
+        "The last grasp of an object is kept until another is better by this score on three clouds in a row; "
+        "0 disables it, as grasp.method original",
+        bounds=(0.0, 1000.0),
+    )
+
+
+class GraspStep(Step):
+    """Plans grasps on each target (`Pipeline.plan`) in the clouds of one stream, and publishes them.
+
+    Args:
+        node: Publishes; it must be configuring, and its settings are `GraspSettings`.
+    """
+
+    def __init__(self, node: ForetouchNode[Any]) -> None:
+        self._grasps = node.advertise(GraspArray, GRASPS_TOPIC, keep=True)
+        self.configure(node.config)
+        for target in Pipeline().segment(warm_up_cloud()).targets:
+            self._pipeline.plan(target)
+
+    def configure(self, config: GraspSettings) -> None:
+        """Use other settings, and forget the grasps that are kept."""
+        self._margin = config.grasp_hold
+        self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, hand=config.hand, limits=config.limits))
+        holds = config.grasp_hold > 0.0 and config.grasp.method == "completed"
+        self._held = GraspHold(HOLD_TOLERANCE_M) if holds else None
+
+    def plan(self, targets: Sequence[Object], header: Header, note: str) -> tuple[GraspArray, Sequence[GraspPlan]]:
+        """Plan on the targets, at least one (see `plan_targets`); `note` says how they were selected."""
+        return plan_targets(self._pipeline, targets, header, note, self._held, self._margin)
+
+    def publish(self, message: GraspArray) -> None:
+        """Publish the grasps of one cloud."""
+        self._grasps.publish(message)
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """Publish that there is no grasp, and why."""
+        self._grasps.publish(GraspArray(header=header, status=status, reason=reason))

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cloud -> `objects`, `table`, `object_cloud`: the objects on the table, and which of them to grasp."""
+
+import array
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from foretouch.cloud.segmentation.identity import ObjectIdentity
+from foretouch.cloud.segmentation.objects import TargetConfig
+from foretouch.cloud.segmentation.segment import SegmentationConfig
+from foretouch.config import Settings, setting
+from foretouch.dataset.topics import CLOUD_TOPIC
+from foretouch.grasp import HandConfig
+from foretouch.pipeline import Pipeline, PipelineConfig, Scene
+from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
+from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
+from foretouch.ros.messages.markers import object_markers
+from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import Cloud, Float64
+from foretouch_msgs.msg import ObjectArray, Status, TablePlane
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationSettings(Settings):
+    """Settings of the segmentation."""
+
+    segmentation: SegmentationConfig = SegmentationConfig()
+    target: TargetConfig = TargetConfig()
+    hand: HandConfig = HandConfig()  # with which `target.mode` free plans grasps
+    frames: tuple[str, ...] = setting((), "Accepted frames of the clouds; if empty, every frame that has a name")
+
+
+class SegmentationStep(Step):
+    """Finds the table and the objects (`Pipeline.segment`) in the clouds of one stream, and publishes them.
+
+    Args:
+        node: Publishes; it must be configuring, and its settings are `SegmentationSettings`.
+    """
+
+    def __init__(self, node: ForetouchNode[Any]) -> None:
+        self._node = node
+        self._objects = node.advertise(ObjectArray, "objects")
+        self._table = node.advertise(TablePlane, "table")
+        self._object_cloud = node.advertise(PointCloud2, CLOUD_TOPIC)
+        self._markers = node.advertise(MarkerArray, "markers")
+        self.configure(node.config)
+        self._pipeline.segment(warm_up_cloud())
+
+    def configure(self, config: SegmentationSettings) -> None:
+        """Use other settings, and forget the stream so far."""
+        self._config = config
+        self._pipeline = Pipeline(
+            PipelineConfig(segmentation=config.segmentation, target=config.target, hand=config.hand)
+        )
+        self._identity = ObjectIdentity()
+        self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
+
+    def read(self, message: PointCloud2) -> Cloud:
+        """Convert a cloud; a `RefusalError` if it is malformed or its frame is not accepted."""
+        frame, allowed = message.header.frame_id, self._config.frames
+        if not frame:
+            raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
+        if allowed and frame not in allowed:
+            raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is not one of {', '.join(allowed)}")
+        return read_cloud(message)
+
+    def segment(self, cloud: Cloud) -> Scene:
+        """Find the table and the objects; of equal ones, the target of the cloud before stays the target."""
+        scene = self._pipeline.segment(cloud, self._previous, self._identity)
+        ids = [target.id for target in scene.targets]
+        centroids = [one.centroid for one in scene.segmentation.objects if [str(one.id)] == ids]
+        self._previous = centroids[0] if centroids else None
+        return scene
+
+    def publish(self, header: Header, scene: Scene, shape: tuple[int, ...]) -> None:
+        """Publish a scene, found in a cloud of a shape, for those who subscribe."""
+        state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
+        drawn = self._markers.get_subscription_count()
+        if self._table.get_subscription_count() or drawn:
+            outline = array.array("f", scene.segmentation.outline.astype(np.float32).tobytes())
+            plane, obstacles = plane_to_msg(scene.segmentation.plane), obstacles_to_msg(scene.obstacles)
+            table = TablePlane(plane=plane, outline=outline, **obstacles, **state)
+            self._table.publish(table)
+        if self._object_cloud.get_subscription_count():
+            self._object_cloud.publish(objects_to_msg(scene.targets, header.frame_id, stamp_ns(header.stamp)))
+        if not (self._objects.get_subscription_count() or self._markers.get_subscription_count()):
+            return
+        chosen = {target.id for target in scene.targets}
+        height, width = shape[:2] if len(shape) == 3 else (1, shape[0])
+        objects = [object_to_msg(one, target=str(one.id) in chosen) for one in scene.segmentation.objects]
+        background = [one.background for one in scene.segmentation.background]
+        message = ObjectArray(height=height, width=width, objects=objects, background=background, **state)
+        self._objects.publish(message)
+        if drawn:  # an error must not refuse the cloud, which is answered
+            markers = self._markers
+            self._node.internal_errors.guarded("markers", lambda: markers.publish(object_markers(message, table)))()
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """Publish that nothing was found, and why."""
+        self._objects.publish(ObjectArray(header=header, status=status, reason=reason))
+        self._table.publish(TablePlane(header=header, plane=plane_to_msg(None), status=status, reason=reason))
+        self._object_cloud.publish(objects_to_msg((), header.frame_id, stamp_ns(header.stamp)))

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Targets and their grasps -> `touch`, for the sensor of the model, with the services and actions for planners.
+
+If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
+tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the
+object, and `forget_history` after changing a fingertip. Without tactile messages, predictions use vision alone.
+
+A model that cannot be loaded does not stop the node: every answer then gives the reason, and cleaning up and configuring
+again retries.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
+from foretouch.dataset.topics import EXECUTED_TOPIC
+from foretouch.errors import TactileError
+from foretouch.grasp import GeoGraspConfig, GraspPlan
+from foretouch.pipeline import Object
+from foretouch.report.equal_pressure import scale_of
+from foretouch.report.taxel_view import TaxelView
+from foretouch.ros.messages.answers import TouchAnswer
+from foretouch.ros.messages.markers import touch_markers
+from foretouch.ros.messages.requests import GraspArrays, Latest
+from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.ros.runtime.processing_node import Step
+from foretouch.ros.steps.services import TouchServices
+from foretouch.ros.touch.config import TouchSettings
+from foretouch.ros.touch.history_keeper import HistoryKeeper
+from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.ros.touch.predictor import Predictor
+from foretouch.tactile.description import require_same
+from foretouch.tactile.messages.table import make_reader, stamp_ns
+from foretouch.types import Grasp, Predictions
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
+
+if TYPE_CHECKING:  # loaded only for a budget
+    from foretouch.models.budget import Answer
+
+
+class TouchStep(Step):
+    """Predicts touch (`TouchModel.predict`) for planned and requested grasps.
+
+    Args:
+        node: Publishes and serves; it must be configuring, and its settings are `TouchSettings`.
+
+    Attributes:
+        latest: The newest objects, for requests without a cloud.
+        predictor: The model.
+        adapter: Adapts predictions to readings; None for vision alone.
+    """
+
+    def __init__(self, node: ForetouchNode[Any]) -> None:
+        self._node = node
+        config: TouchSettings = node.config
+        self.latest: Latest | None = None
+        self.adapter: OnlineAdapter | None = None
+        self._keeper: HistoryKeeper | None = None
+        self._other_hand = ""  # why readings of the hand are not those of the model's sensor
+        self._used_tare = config.use_tare
+        self._warned = False  # that no level meets the budget
+        self.predictor = Predictor(config.model, config.fallback_model)
+        if self.predictor.fault:
+            node.get_logger().error(self.predictor.fault)
+        if config.latency_budget_ms > 0.0:
+            self.predictor.keep_to(config.latency_budget_ms, config, node.get_logger().info)
+        self._adapt()
+        self._touch = node.advertise(TouchPredictionArray, "touch", keep=True)
+        self._markers = node.advertise(MarkerArray, "markers")
+        self._services = TouchServices(node, self)
+
+    def configure(self, config: TouchSettings) -> None:
+        """Use other settings; touches with and without a tare cannot be combined, so a change of `use_tare` forgets them."""
+        if config.use_tare != self._used_tare:
+            self._used_tare = config.use_tare
+            if self.adapter is not None:
+                self.adapter.forget()
+
+    # The topic.
+
+    def answer_plans(
+        self, targets: Sequence[Object], plans: Sequence[GraspPlan], grasps: GraspArray, arrived: float
+    ) -> "tuple[TouchAnswer, Answer | None]":
+        """Predict for the plans of all targets, whose message is `grasps`; the rest as `answer`."""
+        budget = self._begin(len(grasps.grasps), arrived)
+        model = None if budget is None else budget.level.model
+        parts = []
+        for target, plan in zip(targets, plans, strict=True):
+            posed = Predictions.refused(plan.grasps, self.predictor.channels, "ok", "")  # no value yet
+            parts.append(self.predictor.predict(target.cloud, posed, self._node.config, model))
+        answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
+        return self._end(answer, budget), budget
+
+    def answer(
+        self,
+        targets: Sequence[Object],
+        grasps: Sequence[Any] | GraspArrays,
+        header: Header,
+        posing: GeoGraspConfig | None,
+        arrived: float,
+    ) -> "tuple[TouchAnswer, Answer | None]":
+        """Predict for grasps of messages (see `Predictor.answer`) that arrived at a time [s].
+
+        The answer is to be made a message by `Predictor.end`, with what is returned beside it, right before it is sent.
+        """
+        budget = self._begin(len(grasps), arrived)
+        model = None if budget is None else budget.level.model
+        return self._end(
+            self.predictor.answer(targets, grasps, header, self._node.config, posing, model), budget
+        ), budget
+
+    def publish(
+        self, answer: TouchAnswer, budget: "Answer | None", grasps: GraspArray, cloud: Callable[[], PointCloud2]
+    ) -> None:
+        """Publish the answer to planned grasps; `cloud` makes the message of their objects."""
+        if grasps.reason.startswith(AMBIGUOUS_TARGET):
+            answer.flags += (AMBIGUOUS_TARGET,)
+        self._touch.publish(self.predictor.end(answer, budget))
+        if self.adapter is not None:
+            self.adapter.add_grasps(answer.header, cloud, grasps.grasps)
+        if self._markers.get_subscription_count():  # the answer is out: an error must not refuse the cloud
+            self._node.internal_errors.guarded("markers", self._draw)(answer)
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """Publish that nothing was predicted, and why."""
+        self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
+
+    def add_requested(self, header: Header, cloud: Callable[[], PointCloud2], grasps: Sequence[Grasp]) -> None:
+        """Keep grasps of a request, which may be executed."""
+        if self.adapter is not None:
+            self.adapter.add_grasps(header, cloud, grasps, requested=True)
+
+    # /diagnostics.
+
+    def errors(self) -> tuple[str, ...]:
+        """Why the model could not be loaded."""
+        return (self.predictor.fault,) if self.predictor.fault else ()
+
+    def warnings(self) -> tuple[str, ...]:
+        """Why the model does not adapt to readings, and whether it is made for another hand than they come from."""
+        model, found = self.predictor.model, [*self._services.warnings()]
+        if model is not None and model.calibration is None:
+            reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
+            found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+        if self._other_hand:
+            found.append(self._other_hand)
+        if model is not None and model.simulated:
+            topic = self._node.resolve_topic_name(self._node.config.tactile_topic)
+            ends = self._node.get_publishers_info_by_topic(topic)
+            if senders := ", ".join(sorted({end.node_name for end in ends} - {"hand"})):
+                rule = f"made for the simulated hand only, but {topic} comes from {senders}"
+                found.append(f"model {model.name} is {rule}")
+        return tuple(found)
+
+    def notes(self) -> dict[str, str]:
+        """The model's name and hash, the state of online adaptation, and the requests."""
+        found: dict[str, str] = {}
+        if (model := self.predictor.model) is not None:
+            found |= {"model": model.name, "model_sha256": model.sha256}
+            if self.adapter is None:
+                found["regime"] = self._other_hand or "none: the model's card holds no calibration"
+        for part in (self.predictor.budget, self.adapter, self._keeper, self._services):
+            found |= part.notes() if part is not None else {}
+        return found
+
+    # Details.
+
+    def _begin(self, count: int, arrived: float) -> "Answer | None":
+        """Choose the level of the model for a number of grasps; None without a budget."""
+        if self.predictor.budget is None:
+            return None
+        answer = self.predictor.budget.begin(count, arrived)
+        if not (answer.affordable or self._warned):  # rclpy's own `once` takes 0.5 ms each time
+            self._warned = True
+            limit = f"budget: {self._node.config.latency_budget_ms:g} ms: no level of the model meets it for"
+            self._node.get_logger().warning(f"{limit} {count} grasps: the fastest is used, {answer.level.name}")
+        return answer
+
+    def _end(self, answer: TouchAnswer, budget: "Answer | None") -> TouchAnswer:
+        """Add model, age and flags."""
+        age_s = self._node.age_s(stamp_ns(answer.header.stamp))
+        reduced = budget is not None and budget.reduced
+        return self.predictor.finish(answer, age_s, self._node.config.late_after_s, reduced=reduced)
+
+    def _draw(self, answer: TouchAnswer) -> None:
+        """Publish the markers of the first prediction."""
+        model = self.predictor.model
+        markers = MarkerArray()
+        if model is not None and answer.predictions[0].ok:
+            rest, ranges = scale_of(model)
+            shown, view = answer.predictions[:1], TaxelView(model.sensor)
+            for flag in answer.flags:
+                shown = shown.flagged(flag)
+            first_at_g1 = self._node.config.thumb_takes_g1
+            markers = touch_markers(shown[0], answer.header, view, ranges, rest, thumb_takes_g1=first_at_g1)
+        self._markers.publish(markers)
+
+    def _adapt(self) -> None:
+        """Subscribe to the topics of the hand, if the model has a calibration and is for the sensor of the hand."""
+        node, model = self._node, self.predictor.model
+        config: TouchSettings = node.config
+        reader = make_reader(config.tactile)  # wrong settings are reported in any case
+        message = tactile_class(config.tactile.message_type)
+        if model is None or model.calibration is None:
+            return
+        try:
+            require_same(reader.channels, model.sensor.channels, config.tactile_topic)
+        except TactileError as err:
+            self._other_hand = f"model {model.name} does not adapt to readings: {err}; set tactile.sensor to its sensor"
+            node.get_logger().warning(self._other_hand)
+            return
+        log = node.get_logger()
+        self._keeper = HistoryKeeper(
+            model, config.hand_name, config.history_folder, now_ns=self._now_ns, info=log.info, warn=log.warning
+        )
+        node.closing.callback(self._keeper.close)
+        self.adapter = self.predictor.adapter = OnlineAdapter(
+            model, reader, self._keeper, lambda: node.config, self._now_ns, log.warning
+        )
+        node.subscribe(message, config.tactile_topic, self.adapter.add_tactile, depth=200)  # two seconds of a hand
+        node.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self.adapter.add_executed, depth=10)
+
+    def _now_ns(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Types of arrays, and classes whose fields are columns: arrays with one row for each of K things."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from dataclasses import replace as replace_fields
+from typing import Any, ClassVar, Final, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import ForetouchError
+
+AnyArray = npt.NDArray[Any]
+Bool = npt.NDArray[np.bool_]
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+Floating = npt.NDArray[np.floating]
+Index = npt.NDArray[np.intp]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+Integer = npt.NDArray[np.integer]
+Objects = npt.NDArray[Any]
+UInt8 = npt.NDArray[np.uint8]
+Rows: TypeAlias = slice | Index | Bool | Sequence[int]
+
+_ROW: Final = "row"  # key of the metadata of a column
+
+
+def objects(rows: Sequence[Any] | AnyArray) -> Objects:
+    """(K,) a column of texts, tuples or other values."""
+    return np.fromiter(rows, object, len(rows))
+
+
+def column(*row: int | None, default: Any = None, dtype: Any = np.float64) -> Any:
+    """Declare a column of a `Columns` class.
+
+    Args:
+        row: Shape of one row; None for a length that is not fixed.
+        default: What all rows hold where no column is given; without a default, the column is required.
+        dtype: Of the array; with `object`, rows are texts, tuples or other values. A field may also hold other `Columns`
+            of the same number of rows.
+    """
+    if default is None:
+        return field(metadata={_ROW: (row, dtype)})
+    return field(default=default, metadata={_ROW: (row, dtype)})
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Base of frozen dataclasses with columns; what is given is converted, and one value fills a column.
+
+    Raises:
+        ForetouchError: Names a column whose shape does not fit; of the type `fault`.
+    """
+
+    fault: ClassVar[type[ForetouchError]] = ForetouchError
+
+    def __post_init__(self) -> None:
+        count = -1
+        for info in fields(self):
+            if info.name not in self.column_names():
+                continue
+            value, (row, dtype) = getattr(self, info.name), info.metadata[_ROW]
+            array = value if isinstance(value, Columns) else _array(value, dtype, count, row)
+            count = max(count, len(array) if isinstance(array, Columns) or array.ndim else -1)
+            if len(array) != count or not (isinstance(array, Columns) or _fits(array.shape[1:], row)):
+                shape = getattr(array, "shape", (len(array),))
+                wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
+                raise self.fault(f"{info.name}: shape {shape} is not ({wanted}{',' * (not row)})")
+            object.__setattr__(self, info.name, array)
+
+    def __len__(self) -> int:
+        return len(getattr(self, self.column_names()[0]))
+
+    @classmethod
+    def column_names(cls) -> tuple[str, ...]:
+        """Names of the columns, in order."""
+        return tuple(info.name for info in fields(cls) if _ROW in info.metadata)
+
+    def take(self, rows: Rows) -> Self:
+        """Select rows by a slice, a mask (K,) or indices."""
+        rows = rows if isinstance(rows, slice | np.ndarray) else np.asarray(rows, np.intp)
+        parts = {name: getattr(self, name) for name in self.column_names()}
+        return self.replace(
+            **{name: part.take(rows) if isinstance(part, Columns) else part[rows] for name, part in parts.items()}
+        )
+
+    def put(self, rows: Rows, other: Self) -> Self:
+        """Exchange rows, selected by a slice, a mask (K,) or indices, for all rows of another one."""
+        columns: dict[str, Any] = {}
+        for name in self.column_names():
+            part, new = getattr(self, name), getattr(other, name)
+            if isinstance(part, Columns):
+                columns[name] = part.put(rows, new)
+            else:
+                part = part.copy()
+                part[rows] = new
+                columns[name] = part
+        return self.replace(**columns)
+
+    def replace(self, **changes: Any) -> Self:
+        """Exchange columns or other fields, as `dataclasses.replace`."""
+        return replace_fields(self, **changes)
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Rows of several of these, one after the other; what is not a column is of the first, and there is at least one."""
+        joined = {}
+        for name in cls.column_names():
+            columns = [getattr(part, name) for part in parts]
+            first = columns[0]
+            joined[name] = type(first).join(columns) if isinstance(first, Columns) else np.concatenate(columns)
+        return parts[0].replace(**joined)
+
+
+def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:
+    return len(shape) == len(row) and all(size in (None, own) for size, own in zip(row, shape, strict=True))
+
+
+def _array(value: Any, dtype: Any, count: int, row: tuple[int | None, ...]) -> AnyArray:
+    """Rows as an array; a single value is repeated for each row, where their number is known."""
+    if dtype is object:
+        return objects(value if isinstance(value, np.ndarray | list) else [value] * max(count, 0))
+    array = np.asarray(value, dtype)
+    return array if array.ndim or count < 0 else np.full((count, *(size or 0 for size in row)), array)

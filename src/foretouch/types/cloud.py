@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point clouds and planes."""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import CloudError
+from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8
+from foretouch.types.camera import CameraModel, check_image
+
+SQUARABLE = (1e-145, 1e150)
+"""Numbers between these have squares of full precision.
+
+A vector with a larger or smaller one is scaled before its norm.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A point cloud, organised like an image or not.
+
+    Raises:
+        CloudError: If a shape or a type is wrong.
+    """
+
+    # (N, 3) or organised (H, W, 3) [m]; any numbers are converted to float32. All three are NaN for a pixel without depth
+    xyz: Float32
+    rgb: UInt8 | None = None  # the same shape, uint8, or None
+    frame_id: str = ""  # the frame of `xyz`
+    stamp_ns: int = 0  # time of measurement [ns]
+    camera: CameraModel | None = None  # whose rays the points of the image are on; None if it is not known
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.xyz, np.ndarray) or self.xyz.dtype != np.float32:
+            object.__setattr__(self, "xyz", _as_float32(self.xyz))
+        if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
+            raise CloudError(f"xyz: shape {self.xyz.shape} is neither (N, 3) nor (H, W, 3)")
+        if self.rgb is not None:
+            if self.rgb.shape != self.xyz.shape:
+                raise CloudError(f"rgb: shape {self.rgb.shape} is not that of xyz, {self.xyz.shape}")
+            if self.rgb.dtype != np.uint8:
+                raise CloudError(f"rgb: dtype {self.rgb.dtype} is not uint8")
+        if self.camera is not None and self.camera.shape != self.xyz.shape[:-1]:
+            raise CloudError(f"camera: {self.camera.shape} is not the size of the image, {self.xyz.shape[:-1]}")
+
+    @classmethod
+    def from_depth(
+        cls,
+        depth: AnyArray,
+        K: npt.ArrayLike | CameraModel,  # noqa: N803
+        scale: float | None = None,
+        distortion: npt.ArrayLike | None = None,
+        *,
+        frame_id: str = "",
+        stamp_ns: int = 0,
+        rgb: UInt8 | None = None,
+    ) -> Self:
+        """Make the organised cloud of a depth image.
+
+        Args:
+            depth: (H, W) uint16, float32 or float64, distance along the optical axis. 0, NaN and infinity are no depth.
+            K: (3, 3) intrinsics, or fx, fy, cx, cy [px], of the whole image; or a `CameraModel`, which holds its distortion.
+            scale: Metres per unit of `depth`; by default 0.001 for uint16 (millimetres) and 1 for floats (metres).
+            distortion: Coefficients of OpenCV's models in its order: k1, k2, p1, p2, k3, k4, k5, k6; None for a rectified
+                image. It is undone once for a camera.
+            frame_id: Optical frame of the camera.
+            stamp_ns: Time of measurement [ns].
+            rgb: (H, W, 3) uint8 colours of the same pixels.
+
+        Raises:
+            CloudError: If the image is no depth image, `K` is not of its size, or its unit is not plausible. The message
+                names the argument.
+        """
+        image = np.asarray(depth)
+        if not isinstance(K, CameraModel):
+            height, width = check_image(image)
+            K = CameraModel.of(K, width, height, distortion)  # noqa: N806
+        elif distortion is not None:
+            raise CloudError("distortion: is given twice, here and in the CameraModel")
+        return cls(K.points(image, scale), rgb, frame_id, stamp_ns, K)
+
+    @property
+    def organised(self) -> bool:
+        """Whether the points form an image."""
+        return self.xyz.ndim == 3
+
+    @property
+    def size(self) -> int:
+        """Number of points, including those without depth."""
+        return self.xyz.size // 3
+
+    def take(self, index: Index | Bool) -> "Cloud":
+        """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
+        flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
+        # take() is four times as fast as indexing here.
+        return Cloud(self.xyz.reshape(-1, 3).take(flat, axis=0), rgb, self.frame_id, self.stamp_ns)
+
+
+def _as_float32(xyz: Any) -> Float32:
+    """Any array of numbers as float32; what float32 cannot hold becomes infinite, which is no point."""
+    try:
+        numbers = np.asarray(xyz)
+    except ValueError as err:
+        raise CloudError(f"xyz: {err}") from err
+    if numbers.dtype.kind not in "fiu":
+        raise CloudError(f"xyz: dtype {numbers.dtype} is not of numbers")
+    with np.errstate(over="ignore"):
+        return numbers.astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """The plane n·p + d = 0."""
+
+    normal: Float64  # (3,) float64, unit length, towards the camera if the plane was measured
+    offset: float  # d [m]
+
+    @classmethod
+    def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
+        """A plane from (a, b, c, d) of any scale.
+
+        A `CloudError` if they or the offset are not finite or (a, b, c) is zero.
+        """
+        abcd = np.asarray(coefficients, dtype=np.float64)
+        if abcd.shape != (4,) or not np.isfinite(abcd).all():
+            raise CloudError(f"plane: {coefficients!r} is not four finite numbers")
+        largest = float(np.abs(abcd[:3]).max())
+        if largest == 0.0:
+            raise CloudError("plane: the normal has zero length")
+        with np.errstate(over="ignore"):
+            if not SQUARABLE[0] < largest < SQUARABLE[1]:
+                abcd = abcd / largest
+            abcd = abcd / float(np.linalg.norm(abcd[:3]))
+        if not np.isfinite(abcd[3]):
+            raise CloudError(f"plane: the offset of {coefficients!r} is not finite")
+        return cls(abcd[:3], float(abcd[3]))
+
+    @property
+    def coefficients(self) -> Float64:
+        """(4,) float64: a, b, c, d."""
+        return np.append(self.normal, self.offset)
+
+    def height(self, xyz: Floating) -> Floating:
+        """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
+        return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
+
+
+ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
+"""The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
+
+
+def assumed_table(cloud: Cloud) -> Plane:
+    """The table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
+    depths = cloud.xyz[..., 2]
+    depths = depths[np.isfinite(depths)]
+    return Plane(ASSUMED_TABLE.normal, -float(depths.max())) if depths.size else ASSUMED_TABLE
+
+
+NO_CLOUD = Cloud(np.empty((0, 3), np.float32))
+"""The cloud of a sample that was recorded without a camera: it has no points, and the sample's grasp is not known."""

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grasps: two contacts and the orientation of the hand, one or K of them as columns."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self, overload
+
+import numpy as np
+
+from foretouch.errors import ForetouchError, GraspError
+from foretouch.types.arrays import Columns, Float64, Objects, Rows, column
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """Two contacts and the orientation of the hand (P2: g1, g2, R).
+
+    Raises:
+        GraspError: If a contact or the rotation is not finite or has a wrong shape, or g1 equals g2.
+    """
+
+    g1: Float64  # (3,) float64 [m], cloud frame
+    g2: Float64  # (3,) float64 [m], cloud frame
+    rotation: Float64  # (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis
+    score: float = float("nan")  # score of the planner, higher is better; NaN if it is undefined
+    id: str = ""  # unique within a session
+    object_id: str = ""  # the object for which it was planned
+
+    def __post_init__(self) -> None:
+        for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
+            if (given := getattr(self, name).shape) != shape:
+                raise GraspError(f"{name}: shape {given} is not {shape}")
+        if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
+            raise GraspError(fault)
+
+    @property
+    def midpoint(self) -> Float64:
+        """(3,) float64 [m], the origin of the hand frame."""
+        return (self.g1 + self.g2) / 2.0
+
+    @property
+    def width_m(self) -> float:
+        """Distance of the contacts [m]."""
+        return float(np.linalg.norm(self.g1 - self.g2))
+
+
+def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
+    """Say why (K, 3) contacts and (K, 3, 3) rotations are no grasps: not finite, or both contacts at one place; else ""."""
+    apart = (g1 != g2).any(axis=1)
+    finite = np.stack([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in (g1, g2, rotation)])
+    faults = [""] * len(g1)
+    for k in np.flatnonzero(~(apart & finite.all(axis=0))).tolist():
+        arrays = {"g1": g1[k], "g2": g2[k], "rotation": rotation[k]}
+        wrong = next((name for name, fine in zip(arrays, finite, strict=True) if not fine[k]), "")
+        faults[k] = (
+            f"{wrong}: {arrays[wrong].tolist()} is not finite"
+            if wrong
+            else f"g1, g2: both contacts are at {g1[k].tolist()}"
+        )
+    return faults
+
+
+@dataclass(frozen=True, eq=False)
+class Grasps(Columns, Sequence[Grasp]):
+    """K grasps on one cloud as columns, best first where they were planned.
+
+    A grasp more is a row, a property more a column here and a field of `Grasp`. Rows may hold numbers that are no grasp,
+    such as NaN in a request: `grasps[k]` then raises a `GraspError`, and a touch model refuses them with a reason.
+    """
+
+    fault: ClassVar[type[ForetouchError]] = GraspError
+
+    g1: Float64 = column(3)  # (K, 3) float64 [m], cloud frame
+    g2: Float64 = column(3)  # (K, 3) float64 [m], cloud frame
+    rotation: Float64 = column(3, 3)  # (K, 3, 3) float64, columns X, Y, Z of the hand in the cloud frame
+    score: Float64 = column(default=np.nan)  # (K,) float64, higher is better; NaN if it is undefined
+    id: Objects = column(default="", dtype=object)  # (K,) texts, unique within a session
+    object_id: Objects = column(default="", dtype=object)  # (K,) texts, the objects for which they were planned
+    status: str = "ok"  # of the plan: `ok`, `initial_points` or `no_grasp`
+    reason: str = ""  # explanation of the status
+
+    @classmethod
+    def of(cls, grasps: Sequence[Grasp]) -> "Grasps":
+        """The columns of some grasps."""
+        if isinstance(grasps, Grasps):
+            return grasps
+        if not grasps:
+            return NO_GRASPS
+        columns: dict[str, Any] = {}
+        for name in cls.column_names():
+            rows = [getattr(grasp, name) for grasp in grasps]
+            if isinstance(rows[0], np.ndarray):  # concatenate() takes half the time of array() for many small arrays
+                columns[name] = np.concatenate(rows).reshape(-1, *rows[0].shape)
+            else:
+                columns[name] = rows
+        return cls(**columns)
+
+    @classmethod
+    def unknown(cls, count: int) -> "Grasps":
+        """K rows of NaN."""
+        nothing = np.full((count, 3), np.nan)
+        return cls(nothing, nothing, np.full((count, 3, 3), np.nan))
+
+    @overload
+    def __getitem__(self, rows: int) -> Grasp: ...
+    @overload
+    def __getitem__(self, rows: Rows) -> Self: ...
+    def __getitem__(self, rows: int | Rows) -> Grasp | Self:
+        if isinstance(rows, int | np.integer):
+            return Grasp(**{name: getattr(self, name)[rows] for name in self.column_names()})
+        return self.take(rows)
+
+    def __iter__(self) -> Iterator[Grasp]:
+        return (self[k] for k in range(len(self)))
+
+    @property
+    def midpoint(self) -> Float64:
+        """(K, 3) float64 [m], the origins of the hand frames."""
+        return (self.g1 + self.g2) / 2.0
+
+    @property
+    def pose(self) -> Float64:
+        """(K, 4, 4) float64, poses of the hand in the cloud frame: x_cloud = pose @ x_hand, origin at the midpoint [m]."""
+        poses = np.zeros((len(self), 4, 4))
+        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = self.rotation, self.midpoint, 1.0
+        return poses
+
+
+NO_GRASPS = Grasps(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)))
+"""No grasp."""
+
+NO_GRASP = Grasp(np.array([0.5, 0.0, 0.0]), np.array([-0.5, 0.0, 0.0]), np.eye(3)[:, [1, 2, 0]])
+"""In the place of a grasp that is not known: contacts that no hand reaches."""

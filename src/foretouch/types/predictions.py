@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tactile readings, and predictions of them, one or K of them as columns."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Final, Literal, NamedTuple, Self, overload
+
+import numpy as np
+
+from foretouch.errors import ForetouchError, TactileError
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column, objects
+from foretouch.types.channels import NO_CHANNELS, Channels
+from foretouch.types.grasps import Grasp, Grasps
+
+Reference = Literal["none", "tare", "touches", "history"]
+
+LATE: Final = "late"
+"""Flag of a prediction of an old cloud, or beyond the latency budget."""
+
+UNKNOWN_FRAME: Final = "unknown_frame"
+"""Flag of the answer to a request in a frame that is not that of the graph's clouds, where no transform is known."""
+
+REDUCED: Final = "reduced"
+"""Flag of a prediction by a cheaper form of the model, to meet the latency budget."""
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """A tactile reading of both fingers, in the unit of each channel.
+
+    Raises:
+        TactileError: If the shape is wrong. Values are checked by `foretouch.tactile.touch_faults`.
+    """
+
+    values: Float64  # (D,) float64, in the order of `channels`; for the BioTac SP (50,): PDC_TH, PDC_MF, E_TH, E_MF
+    channels: Channels  # what they are
+
+    def __post_init__(self) -> None:
+        if self.values.shape != (self.channels.size,):
+            name = self.channels.sensor
+            raise TactileError(f"touch: shape {self.values.shape} is not ({self.channels.size},) of {name}")
+        if self.values.dtype != np.float64:
+            object.__setattr__(self, "values", self.values.astype(np.float64))
+
+    @classmethod
+    def unknown(cls, channels: Channels) -> Self:
+        """A reading of which nothing is known: all NaN."""
+        return cls(np.full(channels.size, np.nan), channels)
+
+    def __getitem__(self, name: str) -> Float64:
+        """Values of a channel, such as E: (F, N), or (F,) of a scalar; or of a modality, such as E_TH: (M,).
+
+        A `TactileError` if there is none of that name.
+        """
+        return self.channels.part(self.values, name)
+
+    def parts(self) -> dict[str, float | Float64]:
+        """Values by modality: a number where it has one, else (M,) float64."""
+        parts = {name: self[name] for name in self.channels.modalities}
+        return {name: float(part[0]) if len(part) == 1 else part for name, part in parts.items()}
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How many readings a prediction was adapted to, and how old they are."""
+
+    touches: int = 0  # of the same object
+    touch_age_s: float | None = None  # since the last touch of the object [s]; None without, or if it is not known
+    readings: int = 0  # of the hand in all, touches of any object and tares
+    reading_age_s: float | None = None  # since the last of them [s]; None without, or if it is not known
+
+
+NO_EVIDENCE: Final = Evidence()
+
+
+class Predicted(NamedTuple):
+    """Predicted values of one channel, arrays of the same shape: (F, N) of taxels, (F,) of a scalar; (K, …) of K grasps."""
+
+    value: Float64
+    lower: Float64  # bounds of the prediction intervals; NaN without calibration
+    upper: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions(Columns, Sequence["Prediction"]):
+    """Predicted readings of both fingertips for K grasps, as columns.
+
+    `predictions["E"]` has arrays by finger of one channel, `predictions[k]` is the prediction for one grasp, and a slice
+    or a mask selects several. Numbers are NaN where there is no prediction or no calibration, in the unit of each channel.
+    """
+
+    fault: ClassVar[type[ForetouchError]] = TactileError
+
+    value: Float64 = column(None)  # (K, D) float64, in the order of `channels`
+    grasps: Grasps = column()  # K grasps
+    channels: Channels = NO_CHANNELS  # what the D values are
+    lower: Float64 = column(None, default=np.nan)  # (K, D) float64, lower bounds of the prediction intervals
+    upper: Float64 = column(None, default=np.nan)  # (K, D) float64, upper bounds
+    # (K,) tuples of `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `reduced`, `fallback_model`,
+    # `ambiguous_target`, `unknown_frame`
+    flags: Objects = column(default=(), dtype=object)
+    status: Objects = column(default="ok", dtype=object)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`
+    reason: Objects = column(default="", dtype=object)  # (K,) why it was refused; "" if ok
+    reference: Objects = column(default="none", dtype=object)  # (K,) kind of the readings that it was adapted to
+    evidence: Objects = column(default=NO_EVIDENCE, dtype=object)  # (K,) `Evidence`, the readings behind `reference`
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            if np.ndim(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(np.shape(self.value), np.nan))
+        super().__post_init__()
+        size = self.channels.size
+        for name in ("value", "lower", "upper"):
+            if (shape := getattr(self, name).shape) != (len(self), size):
+                raise TactileError(f"{name}: shape {shape} is not ({len(self)}, {size}) of {self.channels.sensor}")
+
+    @classmethod
+    def refused(
+        cls, grasps: Grasps, channels: Channels, status: str | list[str], reason: str | list[str]
+    ) -> "Predictions":
+        """Rows without a value for some grasps, with one status and reason or one each."""
+        nothing = np.full((len(grasps), channels.size), np.nan)
+        count = len(grasps)
+        statuses = objects([status] * count if isinstance(status, str) else status)
+        reasons = objects([reason] * count if isinstance(reason, str) else reason)
+        return cls(nothing, grasps, channels, status=statuses, reason=reasons)
+
+    @property
+    def ok(self) -> Bool:
+        """(K,) bool, which grasps have a prediction."""
+        return np.asarray(self.status == "ok", np.bool_)
+
+    def flagged(self, flag: str, rows: Bool | bool = True) -> "Predictions":
+        """The same with one flag more on rows by a mask (K,), or on all."""
+        if not np.any(rows):
+            return self
+        marked = np.broadcast_to(rows, len(self)).tolist()
+        flags = [(*own, flag) if mark else own for own, mark in zip(self.flags, marked, strict=True)]
+        return self.replace(flags=objects(flags))
+
+    @overload
+    def __getitem__(self, rows: int) -> "Prediction": ...
+    @overload
+    def __getitem__(self, rows: str) -> Predicted: ...
+    @overload
+    def __getitem__(self, rows: Rows) -> "Predictions": ...
+    def __getitem__(self, rows: int | str | Rows) -> "Prediction | Predicted | Predictions":
+        if isinstance(rows, int | np.integer):
+            return Prediction(self, range(len(self))[rows])
+        if isinstance(rows, str):
+            return Predicted(*(self.channels.part(end, rows) for end in (self.value, self.lower, self.upper)))
+        return self.take(rows)
+
+    def __iter__(self) -> Iterator["Prediction"]:
+        return (Prediction(self, k) for k in range(len(self)))
+
+
+class Prediction:
+    """The predicted reading of both fingertips if one grasp were executed: a row of `Predictions`."""
+
+    __slots__ = ("_k", "_rows")
+
+    def __init__(self, rows: Predictions, k: int = 0) -> None:
+        self._rows, self._k = rows, k
+
+    @classmethod
+    def of(
+        cls,
+        grasp: Grasp,
+        value: Touch,
+        lower: Touch | None = None,
+        upper: Touch | None = None,
+        *,
+        reference: Reference = "none",
+        flags: Sequence[str] = (),
+        status: str = "ok",
+        reason: str = "",
+        evidence: Evidence = NO_EVIDENCE,
+    ) -> Self:
+        """A prediction made of its parts; without bounds they are NaN."""
+        lower, upper = (end or Touch.unknown(value.channels) for end in (lower, upper))
+        rows = Predictions(
+            value.values[None],
+            Grasps.of([grasp]),
+            value.channels,
+            lower.values[None],
+            upper.values[None],
+            flags=objects([tuple(flags)]),
+            status=objects([status]),
+            reason=objects([reason]),
+            reference=objects([reference]),
+            evidence=objects([evidence]),
+        )
+        return cls(rows)
+
+    def __getitem__(self, name: str) -> Predicted:
+        """Values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
+        return Predicted(*(self.channels.part(end.values, name) for end in (self.value, self.lower, self.upper)))
+
+    @property
+    def row(self) -> Predictions:
+        """The prediction as columns of one row."""
+        return self._rows.take(slice(self._k, self._k + 1))
+
+    @property
+    def channels(self) -> Channels:
+        """What the values are."""
+        return self._rows.channels
+
+    @property
+    def grasp(self) -> Grasp:
+        """The grasp; a `GraspError` if its numbers are none."""
+        return self._rows.grasps[self._k]
+
+    @property
+    def value(self) -> Touch:
+        """The predicted reading; NaN unless `status` is "ok"."""
+        return Touch(self._rows.value[self._k], self.channels)
+
+    @property
+    def lower(self) -> Touch:
+        """Lower bounds of the prediction intervals; NaN without calibration."""
+        return Touch(self._rows.lower[self._k], self.channels)
+
+    @property
+    def upper(self) -> Touch:
+        """Upper bounds of the prediction intervals; NaN without calibration."""
+        return Touch(self._rows.upper[self._k], self.channels)
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether there are bounds."""
+        return bool(np.isfinite(self._rows.lower[self._k]).all())
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is a prediction."""
+        return self.status == "ok"
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """See `Predictions.flags`."""
+        return tuple(self._rows.flags[self._k])
+
+    @property
+    def status(self) -> str:
+        """`ok`, `bad_grasp` (no hand can execute it), or `refused`; in a message also what else its sender had to refuse."""
+        return str(self._rows.status[self._k])
+
+    @property
+    def reason(self) -> str:
+        """Why it was refused; "" if ok."""
+        return str(self._rows.reason[self._k])
+
+    @property
+    def reference(self) -> Reference:
+        """Kind of the tactile readings to which it was adapted."""
+        reference: Reference = self._rows.reference[self._k]
+        return reference
+
+    @property
+    def evidence(self) -> Evidence:
+        """The readings behind `reference`."""
+        evidence: Evidence = self._rows.evidence[self._k]
+        return evidence

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training in one call of Python: samples in, a touch model out, as `foretouch train` makes it."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from foretouch.dataset.samples import SampleSet
+from foretouch.models import TouchModel, load_model
+from foretouch.types import GraspSample
+from foretouch_lab.learning.data.dataset import dataset_of, load_dataset
+from foretouch_lab.learning.training.run import train_run
+from foretouch_lab.learning.training.run_config import load_run_config
+
+
+def fit(
+    samples: SampleSet | Sequence[GraspSample] | str | Path, recipe: str, settings: Mapping[str, Any]
+) -> TouchModel:
+    """See `foretouch.fit`; the files of the model are in a temporary folder that lives as long as the model."""
+    if isinstance(samples, str | Path):
+        data = load_dataset(samples)
+    elif isinstance(samples, SampleSet):
+        data = dataset_of(list(samples), samples.path.name, samples.sensor)
+    else:
+        data = dataset_of(list(samples))
+    config = load_run_config(recipe).updated(dict(settings), "fit")
+    folder = tempfile.TemporaryDirectory(prefix="foretouch-fit-")
+    model = load_model(
+        train_run(config.replace(name=config.name or "model"), data, Path(folder.name) / "model", lambda _: None)
+    )
+    model.kept = folder
+    return model

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`import foretouch`: the library as the front door."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from every_case import every_case
+from experiment_samples import make_samples
+from recording_builders import write_grasps
+
+import foretouch as ft
+from foretouch.errors import CloudError, ConfigError, DatasetError, GraspError, ModelError, TactileError
+
+TABLE = Path(__file__).parents[1] / "examples" / "data" / "table.npz"
+
+
+@pytest.fixture(scope="module")
+def scene() -> ft.Scene:
+    return ft.segment(ft.read_cloud(TABLE))
+
+
+@pytest.fixture(scope="module")
+def depth() -> tuple[np.ndarray, np.ndarray]:
+    """A depth image in millimetres of the table, and its intrinsics, fitted to the rays of the cloud."""
+    xyz = ft.read_cloud(TABLE).xyz.astype(np.float64)
+    rays = xyz[..., :2] / xyz[..., 2:]
+    known = np.isfinite(rays).all(axis=2)
+    v, u = np.indices(known.shape)
+    fx, cx = np.polyfit(rays[..., 0][known], u[known], 1)
+    fy, cy = np.polyfit(rays[..., 1][known], v[known], 1)
+    return np.nan_to_num(1e3 * xyz[..., 2]).round().astype(np.uint16), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
+def test_the_front_door_loads_nothing_until_it_is_used_and_every_name_is_there():
+    program = "import sys, foretouch; sys.exit('numpy' in sys.modules or 'torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+    assert set(ft.__all__) == {"__version__", *ft._MODULES}
+    assert all(getattr(ft, name) is not None for name in ft.__all__)
+    assert set(ft.__all__) <= set(dir(ft))
+    with pytest.raises(AttributeError, match="no attribute 'Clouds'"):
+        _ = ft.Clouds
+
+
+def test_from_depth_to_touch_in_five_lines_is_the_pipeline_bit_by_bit(depth):
+    image, K = depth
+    scene = ft.segment(ft.Cloud.from_depth(image, K))
+    grasps = ft.plan(scene.objects[0])
+    touch = ft.load_model().predict(scene.objects[0], grasps)
+    assert (grasps.g1.shape, grasps.pose.shape, grasps.score.shape) == ((1, 3), (1, 4, 4), (1,))
+    assert (touch["E"].value.shape, touch["PDC"].upper.shape) == ((1, 2, 24), (1, 2))
+    (result,) = ft.Pipeline().run(ft.Cloud.from_depth(image, K)).targets
+    for name in grasps.column_names():
+        np.testing.assert_array_equal(getattr(grasps, name), getattr(result.plan.grasps, name))
+    for end in ("value", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(touch, end), getattr(result.predictions, end))
+    np.testing.assert_allclose(grasps.pose[0, :3, 3], (grasps.g1[0] + grasps.g2[0]) / 2)
+    np.testing.assert_array_equal(grasps.pose[0, :3, :3], grasps[0].rotation)
+
+
+def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_is_named(scene):
+    for one in scene.objects:
+        v, u = np.divmod(one.pixels[len(one.pixels) // 2], scene.labels.shape[1])
+        assert scene.at(int(u), int(v)) is one
+        assert scene.near(one.cloud.xyz[0]) is one
+        np.testing.assert_allclose(one.centroid, one.cloud.xyz.astype(float).mean(axis=0))
+    hole = np.array(scene.cloud.xyz)
+    hole[0, 0] = np.nan
+    assert scene.table is not None
+    cases = [
+        (scene.at, (5, 5), r"pixel: \(5, 5\) is the table; the objects are 1, 2, 3, 4"),
+        (scene.at, (0, 999), r"pixel: \(0, 999\) is outside of the image, whose columns end at 479, rows at 359"),
+        (ft.segment(ft.Cloud(hole)).at, (0, 0), r"pixel: \(0, 0\) is a pixel without depth"),
+        (ft.segment(ft.Cloud(hole.reshape(-1, 3))).at, (0, 0), "has no pixels; select the object by a point"),
+        (
+            scene.near,
+            ([0.0, 0.0, 0.5],),
+            r"point: no object within 0\.03 m of \(0, 0, 0\.5\); the nearest is 0\.\d+ m away",
+        ),
+        (scene.near, ([0.0, np.nan, 0.5],), "point: .* is not three finite numbers"),
+    ]
+
+    def check(find, arguments, message):
+        with pytest.raises(CloudError, match=message):
+            find(*arguments)
+
+    every_case(cases, check)
+
+
+def test_a_mask_chooses_the_objects(scene):
+    masked = ft.segment(scene.cloud, mask=np.where(scene.labels == 3, 200, 0))
+    assert [one.id for one in masked.objects] == ["200"]
+    assert ft.plan(masked.objects[0]).object_id.tolist() == ["200"]
+    with pytest.raises(CloudError, match="mask: shape"):
+        ft.segment(scene.cloud, mask=np.ones((3, 3), bool))
+
+
+def test_columns_select_join_and_refuse_what_does_not_fit(scene):
+    grasps = ft.plan(scene.objects[0], count=4)
+    assert len(grasps) > 2
+    assert [grasp.score for grasp in grasps] == grasps.score.tolist()
+    np.testing.assert_array_equal(grasps[1:].g1, grasps.g1[1:])
+    np.testing.assert_array_equal(ft.Grasps.join([grasps[:1], grasps[1:]]).rotation, grasps.rotation)
+    np.testing.assert_array_equal(grasps[grasps.score < grasps.score[0]].g1, grasps.g1[1:])
+    assert [one.g1.tolist() for one in ft.Grasps.of(list(grasps))] == grasps.g1.tolist()
+    with pytest.raises(GraspError, match=r"g2: shape \(1, 3\) is not \(2, 3\)"):
+        ft.Grasps(np.zeros((2, 3)), np.zeros((1, 3)), np.zeros((2, 3, 3)))
+    unsound = grasps.replace(g1=np.vstack([grasps.g2[:1], np.full((1, 3), np.nan), grasps.g1[2:]]))
+    touch = ft.load_model().predict(scene.objects[0], unsound)
+    assert touch.status[:2].tolist() == ["bad_grasp"] * 2
+    assert touch.ok[2:].all()
+    assert np.isnan(touch["E"].value[:2]).all()
+    with pytest.raises(GraspError, match=r"g1: .* is not finite"):
+        _ = touch[1].grasp
+    with pytest.raises(TactileError, match="channel: 'F' is not one of PDC, E"):
+        _ = touch["F"]
+    swapped = touch.put([0], touch[[2]])
+    np.testing.assert_array_equal(swapped.value[0], touch.value[2])
+    assert touch.flagged("late", touch.ok).flags[2][-1] == "late"
+    none = ft.plan(scene.objects[0], config=ft.PipelineConfig.from_mapping({"hand": {"opening_m": 0.02}}))
+    assert (len(none), none.status) == (0, "no_grasp")
+    assert "hand.opening_m" in none.reason
+
+
+def test_predictions_adapt_to_touches_and_go_on_from_a_file(scene, tmp_path):
+    model, target = ft.load_model(), scene.objects[0]
+    grasps = ft.plan(target, count=2)
+    vision = model.predict(target, grasps)
+    hand, second = ft.History(model), 1_000_000_000
+    read = ft.Touch(vision.value[0] - 60.0, vision.channels)
+    hand.touched(target, grasps[0], read, stamp_ns=second)
+    after = hand.predict(target, grasps, stamp_ns=2 * second)
+    assert (after[0].reference, after[0].evidence.touches) == ("touches", 1)
+    moved = after.value[0] - vision.value[0]
+    assert (moved < 0).all()
+    hand.save(tmp_path / "hand.safetensors")
+    again = ft.History.load(tmp_path / "hand.safetensors", model)
+    np.testing.assert_array_equal(again.predict(target, grasps, stamp_ns=2 * second).value, after.value)
+    other = hand.predict(scene.objects[1], ft.plan(scene.objects[1]), stamp_ns=2 * second)
+    assert other[0].reference == "history"
+    with pytest.raises(TactileError):
+        hand.tare(ft.Touch(np.full(50, -5.0), vision.channels), stamp_ns=2 * second)
+
+
+def test_a_dataset_is_columns_and_parts(tmp_path):
+    write_grasps(tmp_path / "session")
+    samples = ft.open(tmp_path / "session")
+    arrays = samples.to_arrays()
+    assert arrays["E"].shape == (len(arrays["id"]), 2, 24)
+    for row, sample in enumerate(one for one in samples if one.touch is not None):
+        np.testing.assert_array_equal(arrays["touch"][row], sample.touch.values)
+        np.testing.assert_array_equal(arrays["E"][row, 1], sample.touch["E_MF"])
+        np.testing.assert_array_equal(arrays["g1"][row], sample.grasp.g1)
+    folds = samples.split("object")
+    assert len(folds) == len(set(arrays["object"]))
+    for train, test in folds:
+        assert not {one.object for one in train} & {one.object for one in test}
+        assert len(train) + len(test) == len(arrays["id"])
+    with pytest.raises(DatasetError, match="split: 'objects' is not one of"):
+        samples.split("objects")
+
+
+def test_a_fitted_model_predicts_and_is_loaded_again(tmp_path):
+    samples = make_samples(3, 12)
+    model = ft.fit(samples, calibrate=False, contact={"trees": 3})
+    one = samples[0]
+    predicted = model.predict(one.cloud, [one.grasp])
+    assert np.abs(predicted.value[0] - one.touch.values).mean() < 300.0
+    model.save(tmp_path / "mine")
+    loaded = ft.load_model(tmp_path / "mine")
+    np.testing.assert_array_equal(loaded.predict(one.cloud, [one.grasp]).value, predicted.value)
+    with pytest.raises(ft.ForetouchError, match="exists already"):
+        model.save(tmp_path / "mine")
+    with pytest.raises(ModelError, match="was not loaded from files"):
+        ft.TouchModel(model.estimator, model.card).save(tmp_path / "other")
+
+
+def test_the_drawing_has_what_is_given(scene, tmp_path):
+    grasps = ft.plan(scene.objects[0], count=2)
+    touch = ft.load_model().predict(scene.objects[0], grasps)
+    whole = ft.draw(scene, grasps, touch, path=tmp_path / "a.png", number=1)
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    image, above, side, taxels = whole.axes
+    assert {text.get_text() for text in image.texts} == {"1", "2", "3", "4"}
+    assert {"g1", "g2"} <= {text.get_text() for text in (*above.texts, *side.texts)}
+    bars = taxels.containers[0]
+    np.testing.assert_allclose(bars.lines[0].get_ydata(), touch["E"].value[1, 0])
+    assert len(ft.draw(scene).axes) == 1
+    assert len(ft.draw(scene.objects[0], grasps).axes) == 2
+    refused = ft.Predictions.refused(grasps, touch.channels, "refused", "too wide")
+    assert "too wide" in ft.draw(scene, grasps, refused).axes[-1].texts[0].get_text()
+    with pytest.raises(ConfigError, match="number: 7 is not one of the 2 grasps"):
+        ft.draw(scene, grasps, number=7)
+    with pytest.raises(ConfigError, match="grasps: are on object 1, not on 2"):
+        ft.draw(scene.objects[1], grasps)
