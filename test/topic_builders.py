@@ -73,10 +73,12 @@ def write_topics(
     faults: Faults | None = None,
     tactile: Callable[[int, int], tuple[str, Any]] | None = None,
     definitions: Mapping[str, str] | None = None,
+    seen: Callable[[int], Mapping[str, tuple[str, Any]]] | None = None,
 ) -> None:
     """Two clouds; grasp "a" on the first is executed two seconds later, with 100 more counts in its hold.
 
-    `tactile` gives type and content of a tactile message by its time and level, `definitions` those of types by name.
+    `tactile` gives type and content of a tactile message by its time and level, `definitions` those of types by name, and
+    `seen`, instead of the clouds, type and content of the camera's messages by their topics.
     """
     faults = faults or Faults()
     tactile = tactile or (lambda at_ns, level: biotac_all(at_ns, level, faults.electrodes))
@@ -92,6 +94,10 @@ def write_topics(
             writer.write(topic, type_name, at_ns + faults.ago_ns, data)
 
         def write_cloud(xyz: np.ndarray, at_ns: int) -> None:
+            if seen is not None:
+                for topic, (kind, message) in seen(at_ns).items():
+                    write(topic, kind, at_ns + 1, message)
+                return
             cloud = Cloud(xyz.astype(np.float32), frame_id="camera", stamp_ns=at_ns)
             writer.write_cloud(cloud, "/foretouch/object_cloud", bag_time_ns=at_ns + 1 + faults.ago_ns)
 

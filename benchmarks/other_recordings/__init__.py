@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Will it hold, from the touch alone: stable or slip, on datasets that `foretouch dataset import --map` wrote.
+"""Will it hold, from the touch alone: stable or slip, on datasets that `examples/import_*.py` wrote.
 
 Everything is fitted without the objects that are predicted, and besides without the objects and a posture of the hand. Where one kind of outcome
 was recorded before the other, whatever drifts looks like the outcome. So the place of a grasp in its session (those on its object in its file)

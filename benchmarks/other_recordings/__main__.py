@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the model `touch-hold` to the public grasps, and write it with its card: `python -m benchmarks.other_recordings DATASET RESULTS -o FOLDER`.
 
-DATASET is what `foretouch dataset import --map examples/maps/biotac_sp_stability.yaml` wrote, RESULTS the `results.csv` of this benchmark on it.
+DATASET is what `examples/import_biotac_sp_stability.py` wrote, RESULTS the `results.csv` of this benchmark on it.
 """
 
 import argparse

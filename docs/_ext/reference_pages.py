@@ -233,13 +233,6 @@ def sensors() -> str:
     return _grouped(SensorConfig)
 
 
-def maps() -> str:
-    """Settings of a map of tables."""
-    from foretouch.dataset.mapping import MapConfig
-
-    return _grouped(MapConfig)
-
-
 def shapes() -> str:
     """The shapes of simulated objects, each with what it looks like."""
     from foretouch_lab.simulation.objects import shapes as module
@@ -482,7 +475,6 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "pipeline": pipeline,
     "scenes": scenes,
     "sensors": sensors,
-    "maps": maps,
     "shapes": shapes,
     "recipes": recipes,
     "experiments": experiments,

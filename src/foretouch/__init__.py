@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from foretouch.api import draw, fit, open, plan, reading, segment  # noqa: A004
     from foretouch.cloud.io.files import read_cloud, write_cloud
+    from foretouch.dataset.writing import write
     from foretouch.errors import ForetouchError
     from foretouch.models.hand_history import HandHistory as History
     from foretouch.models.registry import available_models, load_model
@@ -40,6 +41,7 @@ __version__ = "0.3.0"
 _PLACES = {
     "foretouch.api": ("draw", "fit", "open", "plan", "reading", "segment"),
     "foretouch.cloud.io.files": ("read_cloud", "write_cloud"),
+    "foretouch.dataset.writing": ("write",),
     "foretouch.errors": ("ForetouchError",),
     "foretouch.models.hand_history": ("HandHistory",),
     "foretouch.models.registry": ("available_models", "load_model"),
@@ -81,6 +83,7 @@ __all__ = [
     "read_cloud",
     "reading",
     "segment",
+    "write",
     "write_cloud",
 ]
 

@@ -15,7 +15,7 @@ from sensor_builders import XELA_TYPES, sens_stream, xela_counts, xela_stream
 from topic_builders import Faults, write_topics
 
 from foretouch.dataset.bag import Recording
-from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
+from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import SampleRecord, readings
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
@@ -32,7 +32,7 @@ NAME = "xela_uskin_4x4"
 AT = 1_700_000_003_000_000_000  # when contact began [ns]
 
 
-def imported(folder: Path, message: Any = None, sensor: str = NAME, **config: str) -> tuple[ImportResult, SampleSet]:
+def imported(folder: Path, message: Any = None, sensor: str = NAME, **config: str) -> tuple[WriteResult, SampleSet]:
     folder.mkdir(exist_ok=True)
     write_topics(folder / "bag", Faults(), message or xela_stream(), XELA_TYPES)
     topics = BagTopics(object="sponge", tactile_config=TactileConfig(sensor=sensor, **config))

@@ -4,21 +4,25 @@
 from pathlib import Path
 from typing import Any
 
+import depth_builders
 import numpy as np
 import pytest
 from every_case import every_case
 from recording_builders import IDENTITY
 from topic_builders import NS, TURNED, Faults, write_topics
 
-from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
+from foretouch.cloud.segmentation.segment import segment
+from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.tactile.messages.table import TactileConfig
+from foretouch.types import Cloud
+from foretouch_lab.simulation.depth_scene import random_scene
 
 
-def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResult, list[SampleRecord]]:
+def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[WriteResult, list[SampleRecord]]:
     write_topics(tmp_path / "bag", faults)
     result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(**topics))
     return result, list(open_samples(tmp_path / "ds").records(discarded=True))
@@ -80,3 +84,30 @@ def test_topics_are_checked_and_fingers_chosen_by_their_names(tmp_path: Path) ->
     ):
         with pytest.raises(FileError, match=rule):
             import_samples(tmp_path / "bag", tmp_path / "other", topics=topics)
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_depth_images_are_segmented_and_the_object_of_a_grasp_is_the_nearest(tmp_path: Path, named: bool) -> None:
+    rng = np.random.default_rng(6)
+    image = random_scene(rng, 424, 240, n_objects=3).render(rng, 0.001)
+    k = image.K.ravel()
+    info = depth_builders.info(height=240, width=424, k=k, p=np.insert(k, [3, 6, 9], 0.0))
+    topic = "/camera/depth/image_raw"
+
+    def seen(at_ns: int) -> dict[str, tuple[str, Any]]:
+        info.header = head = depth_builders.header("camera", at_ns)
+        message = depth_builders.image(image.depth_mm, "16UC1", header=head)
+        message.data = np.frombuffer(message.data, np.uint8)
+        kinds = {topic: ("Image", message), "/camera/depth/camera_info": ("CameraInfo", info)}  # after its first image
+        return {name: (f"sensor_msgs/msg/{kind}", content) for name, (kind, content) in kinds.items()}
+
+    write_topics(tmp_path / "bag", seen=seen)
+    topics = BagTopics(**({"clouds": topic} if named else {}))
+    result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=topics)
+    assert (result.samples, result.labelled, sum(result.left_out.values())) == (2, 1, 0)
+    objects = segment(Cloud.from_depth(image.depth_mm, image.K)).objects
+    assert len(objects) == 3
+    middle = np.array([0.0, 0.0, 1.0])  # of the contacts
+    nearest = min(objects, key=lambda one: float(np.linalg.norm(one.cloud.xyz - middle, axis=1).min()))
+    for record in open_samples(tmp_path / "ds").records(discarded=True):
+        np.testing.assert_array_equal(record.sample.cloud.xyz, nearest.cloud.xyz)

@@ -60,7 +60,7 @@ def test_places_without_a_taxel_are_no_taxels_and_never_count_as_failed(tmp_path
     assert sensor.sha256 != load_sensor(write_sensor(tmp_path, values)).sha256
     lines = "".join(f"{k},0.00{k},0,0,0,0,1\n" for k in (1, 2, 3, 5))
     csv = write_sensor(
-        tmp_path, {"absent": [0, 4], "array": None, "taxels": "taxels.csv"}, "index,x,y,z,nx,ny,nz\n" + lines
+        tmp_path, {**values, "absent": [0, 4], "array": None, "taxels": "taxels.csv"}, "index,x,y,z,nx,ny,nz\n" + lines
     )
     assert_array_equal(read(csv, Message(pads=[Message(pressures=row) for row in sent])).counts, reading.counts)
     with pytest.raises(TactileError, match="pressures: 4 numbers, not 6"):

@@ -91,11 +91,8 @@ def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> Non
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}), ROS bag, or tables")
+    parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}) or ROS bag")
     _add_out(parser, "DS", "recorded dataset to create or to extend")
-    parser.add_argument(
-        "--map", type=Path, metavar="MAP.yaml", help="which columns of tables are what; for CSV, Parquet, NPZ, HDF5"
-    )
     group = parser.add_argument_group("ROS bags without foretouch samples")
     group.add_argument(
         "--topic",
@@ -267,9 +264,7 @@ def _import(arguments: argparse.Namespace) -> int:
     config = TactileConfig(sensor=sensor, thumb=thumb, middle=middle)
     topics = BagTopics(object=arguments.object, tactile_config=config, **dict(arguments.topic))
     with progress_bar("importing", hidden=arguments.json) as advance:
-        result = import_samples(
-            arguments.source, arguments.out, topics=topics, map_file=arguments.map, progress=advance
-        )
+        result = import_samples(arguments.source, arguments.out, topics=topics, progress=advance)
     for note in result.notes:
         warn(note)
     record = {"out": str(arguments.out), **vars(result), "left_out": +result.left_out}

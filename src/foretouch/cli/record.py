@@ -185,13 +185,13 @@ def run(arguments: argparse.Namespace) -> int:
 def _parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     from foretouch.ros.nodes.recorder import RecorderConfig
 
+    changes = parse_overrides(arguments.set)
     given: dict[str, Any] = {
         "tactile.sensor": arguments.sensor,
-        "points": arguments.check or None,
+        "points": (arguments.check and not changes.get("depth")) or None,
         "objects": arguments.objects,
         "assume_grasps": arguments.assume_grasps or None,
     }
-    changes = parse_overrides(arguments.set)
     checked = flattened(RecorderConfig().updated(changes, "--set").to_mapping())
     given |= {name: checked[name] for name in flattened(changes)}
     return {"autostart": True} | {name: value for name, value in given.items() if value is not None}

@@ -151,7 +151,11 @@ class Recording:
         """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
         types = {one.name: one.type for one in self.topics if one.count}
         beside = info_topic(topic)
-        return beside if types[topic] != POINT_CLOUD_TYPE and types.get(beside) == CAMERA_INFO_TYPE else ""
+        return (
+            beside
+            if types.get(topic) in {IMAGE_TYPE, COMPRESSED_TYPE} and types.get(beside) == CAMERA_INFO_TYPE
+            else ""
+        )
 
     def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
         """Read the messages of a topic of clouds or depth images, each with what decodes it.

@@ -5,7 +5,6 @@ To add a format, add its line here and write one module with these functions, as
 
 - `recognise(path) -> bool`: whether a path that exists is of this format.
 - `open_set(path, unfinished) -> SampleSet`: opens it, also with recordings that were cut off if `unfinished` is true.
-- `convert(path) -> SampleSet`: as `open_set`, also of versions that are only read to convert them.
 - `export(samples, folder, result, progress, **options)`: writes samples to a folder that does not exist yet, adds to the
   counts of an `ExportResult`, and reports progress once a sample.
 

@@ -1,36 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports samples into recorded datasets: from vision2tactile folders, training stores, bags with named topics, and tables by a map.
+"""Import samples into recorded datasets: from vision2tactile folders, training stores, and bags with named topics.
 
-Samples that foretouch 0.2 recorded are converted to the present version. Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
+Tables of others are written by `foretouch.write` (see `examples/import_*.py`). Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
 is extended. From a bag without samples of foretouch, samples are assembled as the recorder does it (see
 `foretouch.dataset.pairing`); clouds without a grasp that could be paired become samples without a touch.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from contextlib import ExitStack, suppress
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Final
 
-from foretouch.dataset.bag import Recording, is_recording
-from foretouch.dataset.files import new_folder
-from foretouch.dataset.mapping import MappedSource
+import numpy as np
+
+from foretouch.cloud.io.depth_messages import CameraInfos
+from foretouch.cloud.io.pointcloud2 import encode
+from foretouch.cloud.messages import header_fields
+from foretouch.cloud.segmentation.segment import segment
+from foretouch.dataset.bag import Message, Recording, is_recording
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
-from foretouch.dataset.record import Identity, SampleRecord, readings
+from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+from foretouch.dataset.writing import WriteResult, write_records
 from foretouch.errors import DatasetError, FileError, TactileError
-from foretouch.files import require_existing, system_errors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
+from foretouch.types import Cloud
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
@@ -40,7 +46,9 @@ _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
 class BagTopics:
     """The topics of a bag that samples are assembled from, and how they are read."""
 
-    clouds: str = full_name(CLOUD_TOPIC)  # `sensor_msgs/PointCloud2` of the objects alone (see `dataset.messages`)
+    # `sensor_msgs/PointCloud2` of the objects alone (see `dataset.messages`); or depth images, which are segmented. Where the
+    # default is absent, the only topic of depth images
+    clouds: str = full_name(CLOUD_TOPIC)
     grasps: str = full_name(GRASPS_TOPIC)  # `foretouch_msgs/GraspArray`, each with the stamp of its cloud
     executed: str = full_name(EXECUTED_TOPIC)  # `foretouch_msgs/ExecutedGrasp`
     tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
@@ -52,66 +60,57 @@ class BagTopics:
         return {self.clouds: "cloud", self.grasps: "grasps", self.executed: "executed", self.tactile: "tactile"}
 
 
-@dataclass(kw_only=True)
-class ImportResult:
-    """Counts of an import."""
-
-    samples: int = 0  # samples that were imported
-    labelled: int = 0  # those with a touch
-    readings: int = 0  # those in their series, or a touch without one
-    left_out: Counter[str] = field(default_factory=Counter)  # what was not imported, by reason
-    notes: tuple[str, ...] = ()  # where the `metadata.yaml` of a bag states something else than is in its files
-
-
 def import_samples(
     source: str | Path,
     out: str | Path,
     *,
     identity: Identity | None = None,
     topics: BagTopics | None = None,
-    map_file: Path | None = None,
     progress: Callable[[], None] = lambda: None,
-) -> ImportResult:
+) -> WriteResult:
     """Import the samples at a path: vision2tactile folders, a store, a recorded dataset, or a bag.
 
     The dataset `out` is created, or extended where it is of the same hand and camera, which `identity` may give instead of
-    the source; `topics` are for a bag without samples of foretouch, `map_file` for tables (see `foretouch.dataset.mapping`).
+    the source; `topics` are for a bag without samples of foretouch.
 
     Raises:
         FileError: If the source is damaged or holds nothing of the kind, or the dataset is of another kind.
         DatasetError: If an id is taken.
     """
     source, out = Path(source), Path(out)
-    result = ImportResult()
+    result = WriteResult()
     with ExitStack() as stack:
-        if map_file is not None:
-            mapped = MappedSource(require_existing(source), map_file)
-            found, records, sensor = mapped.identity, mapped.records(result.left_out), mapped.sensor
-        elif is_sample_set(source):
-            samples = open_samples(source, convert=True)
+        if is_sample_set(source):
+            samples = open_samples(source)
             found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
-            result.notes = bag.notes
+            result.notes = tuple(bag.notes)
             holding = [topic.name for topic in bag.topics if topic.type in SAMPLE_TYPES]
             if holding:
                 found, records, sensor = _own_samples(bag, holding)
             else:
-                topics = topics or BagTopics()
+                topics = _with_clouds(bag, topics or BagTopics())
                 reader = _tactile_reader(bag, topics)
                 found, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
         else:
-            raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
-        folder = out if out.exists() else stack.enter_context(new_folder(out))
-        config = RecordingConfig(fsync_samples=0)  # synchronised once, at the end
-        with system_errors(out), RecordingWriter(folder, identity or found, config, sensor=sensor) as writer:
-            for record in records:
-                writer.append(record)
-                result.samples += 1
-                result.labelled += record.sample.touch is not None
-                result.readings += 0 if (series := readings(record)) is None else len(series.stamps_ns)
-                progress()
+            raise FileError(source, _not_imported(source))
+        write_records(out, records, identity or found, sensor, result, progress)
     return result
+
+
+def _not_imported(source: Path) -> str:
+    """Why a source is none, and what reads it instead."""
+    if not source.exists():
+        return "does not exist"
+    if (source / "meta" / "info.json").is_file():
+        return (
+            "is a LeRobot dataset of other features: write it with foretouch.write, as examples/import_lerobot.py does"
+        )
+    tables = (".csv", ".parquet", ".npz", ".h5", ".hdf5")
+    if any(one.suffix.lower() in tables for one in ([source] if source.is_file() else source.rglob("*"))):
+        return "holds tables: read them with pandas or h5py and write them with foretouch.write, as examples/import_*.py do"
+    return "holds no samples and is not a recording"
 
 
 def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
@@ -120,7 +119,7 @@ def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Itera
     def _stored() -> Iterator[StoredSample]:
         for message in bag.messages(topics):
             try:
-                yield decode_sample(message.data, convert=True)
+                yield decode_sample(message.data)
             except DatasetError as err:
                 raise FileError(bag.path, str(err), field=f"{message.topic}[{message.index}]") from err
 
@@ -129,18 +128,26 @@ def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Itera
     return identity, (one.record for one in _stored()), sensor
 
 
-def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: ImportResult) -> Iterator[SampleRecord]:
+def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: WriteResult) -> Iterator[SampleRecord]:
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
     roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(
         AssemblerConfig(pairing=_PAIRING, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
     )
     now_s = 0.0
-    for message in bag.messages(roles):
+    infos, beside = CameraInfos(topics.clouds), bag.info_topic(topics.clouds)
+    for first in islice(bag.messages([beside]), 1):
+        infos.add(bag.content(first), first.bag_time_ns * 1e-9)
+    for message in bag.messages({*roles, beside}):
+        if message.topic == beside:
+            infos = deepcopy(infos)  # images before it are decoded later
+            infos.add(bag.content(message), message.bag_time_ns * 1e-9)
+            continue
         role = roles[message.topic]
         now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # otherwise grasps wait until the end
         cloud = role == "cloud"
-        content = SerializedCloud(message.data, partial(bag.content, message)) if cloud else bag.content(message)
+        decode = partial(_segmented, bag, message, infos) if beside else partial(bag.content, message)
+        content = SerializedCloud(message.data, decode, by_place=bool(beside)) if cloud else bag.content(message)
         try:
             assembler.add(role, content, received_ns=message.bag_time_ns, now_s=now_s)
         except (TactileError, DatasetError):
@@ -153,7 +160,30 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
     result.left_out["grasps without their cloud"] += len(assembler.matcher.plans)
 
 
-def _samples(assembled: list[AssembledSample | RejectedGrasp], result: ImportResult) -> Iterator[SampleRecord]:
+def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
+    """The topics, with that of the depth images of a bag without object clouds."""
+    if topics.clouds != BagTopics().clouds or any(one.name == topics.clouds for one in bag.topics):
+        return topics
+    with suppress(FileError):
+        found = bag.cloud_topic()
+        return replace(topics, clouds=found) if bag.info_topic(found) else topics
+    return topics
+
+
+def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNamespace:
+    """The objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
+    cloud = bag.decode_cloud(message, infos)
+    objects = segment(cloud).objects
+    points = np.concatenate([one.cloud.xyz for one in objects] or [np.empty((0, 3), np.float32)])
+    pixels = np.concatenate([one.pixels for one in objects] or [np.empty(0, np.int64)])
+    rows, columns = np.divmod(pixels, cloud.xyz.shape[1])
+    labels = np.repeat([one.id for one in objects] or [0], [one.n_points for one in objects] or [0])
+    places = {name: numbers.astype(np.uint16) for name, numbers in (("row", rows), ("column", columns))}
+    header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
+    return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
+
+
+def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResult) -> Iterator[SampleRecord]:
     for one in assembled:
         if isinstance(one, RejectedGrasp):
             result.left_out[one.reason] += 1

@@ -372,7 +372,8 @@ def recognise(path: Path) -> bool:
 def open_set(path: Path, unfinished: bool) -> SampleSet:
     """The samples of an export from the recorded dataset in it (raises a `FileError` for other LeRobot datasets)."""
     if not (path / _SAMPLES).is_dir():
-        raise FileError(path, f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has")
+        rule = f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has"
+        raise FileError(path, f"{rule}: write its taxels with foretouch.write, as examples/import_lerobot.py does")
     return replace(open_samples(path / _SAMPLES, unfinished=unfinished), path=path, kind="lerobot")
 
 

@@ -138,10 +138,8 @@ def is_sample_set(path: str | Path) -> bool:
     return _format_of(Path(path)) is not None
 
 
-def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = False) -> SampleSet:
+def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
     """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
-
-    With `convert`, those of versions are read, too, that everything else refuses.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
@@ -150,9 +148,7 @@ def open_samples(path: str | Path, *, unfinished: bool = False, convert: bool = 
     found = _format_of(path)
     if found is None:
         raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
-    opened: SampleSet = (
-        found.convert(path) if convert and hasattr(found, "convert") else found.open_set(path, unfinished)
-    )
+    opened: SampleSet = found.open_set(path, unfinished)
     return opened
 
 

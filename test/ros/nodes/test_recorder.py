@@ -3,17 +3,23 @@
 
 import time
 
+import depth_builders
 import numpy as np
 import pytest
 from pair_builders import REST, level
 from robot_builders import MS, QUICK, accounts, outcomes, start
+from sensor_msgs.msg import CameraInfo, Image
 
 from foretouch.dataset.record import HOLD
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError
+from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.nodes.recorder import RecorderConfig
+from foretouch.types import Cloud
+from foretouch.types.camera import CameraModel
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
@@ -156,3 +162,24 @@ def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(grap
 def test_an_empty_name_of_hand_or_camera_is_refused(name):
     with pytest.raises(ConfigError, match=rf"identity\.{name}: is empty; a dataset names the model of its {name}"):
         RecorderConfig.from_mapping({f"identity.{name}": " "})
+
+
+def test_depth_images_are_recorded_with_their_infos_and_read_again(graph, tmp_path):
+    pixels = np.full((48, 84), 700, np.uint16)
+    plain = depth_builders.image(pixels, "16UC1")
+    topic = "/camera/camera/depth/image_rect_raw"
+    images = graph.probe.create_publisher(Image, topic, 10)
+    infos = graph.probe.create_publisher(CameraInfo, "/camera/camera/depth/camera_info", 10)
+    (node,) = graph.add("recorder", record=str(tmp_path / "set"), depth=topic, **QUICK)
+    graph.until(lambda: node.recording and images.get_subscription_count() and infos.get_subscription_count())
+    for k in range(5):
+        header = header_to_msg("lens", 1_700_000_000_000_000_000 + k)
+        infos.publish(CameraInfo(header=header, height=48, width=84, k=[61.0, 0, 41.5, 0, 61.0, 23.5, 0, 0, 1.0]))
+        images.publish(Image(header=header, height=48, width=84, encoding="16UC1", step=plain.step, data=plain.data))
+    graph.until(lambda: accounts(node.status())[topic].written == 5)
+    node.end()
+    clouds = [item.cloud for item in open_source(tmp_path / "set", topic)]
+    assert [cloud.stamp_ns % 10 for cloud in clouds] == list(range(5))
+    expected = Cloud.from_depth(pixels, CameraModel(84, 48, 61.0, 61.0, 41.5, 23.5)).xyz
+    for cloud in clouds:
+        np.testing.assert_array_equal(cloud.xyz, expected)

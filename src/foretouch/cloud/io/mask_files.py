@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read the labels of a mask from a file: a label image, or an array of NumPy."""
+"""Read the labels of a mask: from a label image, an array of NumPy, or a `sensor_msgs/Image`."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import FileError, none_of
+from foretouch.errors import CloudError, FileError, none_of
 from foretouch.files import require_existing, system_errors
 from foretouch.types import AnyArray
 
 MASK_SUFFIXES: Final = (".png", ".npy", ".npz", ".tif", ".tiff", ".bmp")
+_ENCODINGS: Final = {"mono8": np.uint8, "8UC1": np.uint8, "mono16": np.uint16, "16UC1": np.uint16}
 _NAMES: Final = ("mask", "label", "labels", "segmap")  # of the array in an .npz file
 _MODES: Final = ("1", "L", "P", "I", "I;16", "I;16B", "I;16L", "I;16N")  # of Pillow: one number a pixel
 
@@ -47,6 +48,31 @@ def read_mask(path: str | Path) -> AnyArray:
             return array
     except (ValueError, EOFError, OSError) as err:
         raise FileError(path, f"mask: cannot be read: {' '.join(str(err).split())}") from err
+
+
+def decode_mask(message: Any) -> AnyArray:
+    """Read a mask from a `sensor_msgs/Image`, of rclpy or of rosbags.
+
+    Args:
+        message: Encoding mono8, 8UC1, mono16 or 16UC1.
+
+    Returns:
+        (H, W) uint8 or uint16 labels.
+
+    Raises:
+        CloudError: If the encoding is another one, or the sizes do not add up.
+    """
+    if message.encoding not in _ENCODINGS:
+        raise CloudError(f"mask: encoding: {none_of(message.encoding, _ENCODINGS)}")
+    dtype = np.dtype(_ENCODINGS[message.encoding]).newbyteorder(">" if message.is_bigendian else "<")
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    data = np.frombuffer(memoryview(message.data), np.uint8)
+    if step < width * dtype.itemsize or data.size != height * step:
+        raise CloudError(
+            f"mask: {data.size} bytes with step {step} are not {height} rows of {width} pixels of {dtype.itemsize} bytes"
+        )
+    rows = np.ascontiguousarray(data.reshape(height, step)[:, : width * dtype.itemsize]).view(dtype)
+    return rows.astype(dtype.newbyteorder("="))
 
 
 def _image(path: Path) -> AnyArray:

@@ -210,7 +210,7 @@ class SampleAssembler:
         sample = GraspSample(
             id="",
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
-            cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp.object_id),
+            cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp),
             grasp=grasp,
             touch=cut.touch,
             tare=cut.tare,
@@ -250,7 +250,7 @@ class SampleAssembler:
         sample = GraspSample(
             id="",
             object=self._object_at(cloud.stamp_ns),
-            cloud=_object_cloud(cloud, plan.frame_id, grasp.object_id),
+            cloud=_object_cloud(cloud, plan.frame_id, grasp),
             grasp=grasp,
             stamp_ns=cloud.stamp_ns,
         )
@@ -275,7 +275,7 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
     return grasp, others, "; ".join(f"candidate {name} left out: {fault}" for name, fault in faults.items())
 
 
-def _object_cloud(cloud: BufferedCloud, frame_id: str, object_id: str) -> Cloud:
+def _object_cloud(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Cloud:
     try:
         message = cloud.message.decode()
         objects = decode_objects(message)
@@ -283,11 +283,20 @@ def _object_cloud(cloud: BufferedCloud, frame_id: str, object_id: str) -> Cloud:
         raise PairingError("bad_cloud", str(err)) from err
     if message.header.frame_id != frame_id:
         raise PairingError("frame_differs", f"cloud in {message.header.frame_id!r}, grasps in {frame_id!r}")
+    if cloud.message.by_place and objects:
+        return min((one.cloud for one in objects), key=lambda one: _gap(one, grasp))
+    object_id = grasp.object_id
     alone = len(objects) == 1  # then it is the object of a grasp without an id too, as for the prediction
     match = [one.cloud for one in objects if one.id == object_id or (alone and "" in (one.id, object_id))]
     if len(match) != 1:
         raise PairingError("object_unknown", f"object {object_id!r} is not in the cloud of {cloud.stamp_ns}")
     return match[0]
+
+
+def _gap(cloud: Cloud, grasp: Grasp) -> float:
+    """Distance of the nearest point of an object from the middle of the contacts [m]."""
+    apart = cloud.xyz.astype(np.float64) - grasp.midpoint
+    return float(np.sqrt((apart * apart).sum(axis=1).min()))
 
 
 def _outcome(match: MatchedGrasp) -> Outcome:

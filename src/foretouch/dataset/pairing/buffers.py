@@ -135,10 +135,13 @@ class TouchBuffer:
 
 @dataclass(frozen=True, eq=False)
 class SerializedCloud:
-    """A `PointCloud2` that is decoded only where a sample needs it."""
+    """An `object_cloud`, or a message that becomes one, which is decoded only where a sample needs it."""
 
     data: bytes  # the message as CDR
     decode: Callable[[], Any]  # gives the message
+    by_place: bool = (
+        False  # whether its labels are not those of the grasps, so that the object of a grasp is the nearest
+    )
 
     def is_same(self, other: "SerializedCloud") -> bool:
         """Whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""

@@ -46,11 +46,11 @@ def is_dataset(path: str | Path) -> bool:
         return False
 
 
-def recorded_files(path: Path, *, convert: bool = False, complete: bool = True) -> list[Path]:
+def recorded_files(path: Path, *, complete: bool = True) -> list[Path]:
     """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
 
-    A dataset of version 1 is refused, except to `convert` it, and one of which a session is absent, unless it need not be `complete`:
-    then the files of a bag are given, too.
+    A dataset of version 1 is refused, and one of which a session is absent, unless it need not be `complete`: then the files of a
+    bag are given, too.
     """
     if path.is_file():
         return [path]
@@ -60,7 +60,7 @@ def recorded_files(path: Path, *, convert: bool = False, complete: bool = True) 
             raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
         return files
     _read_identity(path)
-    if _manifest(path)["schema_version"] != SCHEMA_VERSION and not convert:
+    if _manifest(path)["schema_version"] != SCHEMA_VERSION:
         raise FileError(path, OLD_VERSION)
     for name in stated(path, SESSIONS):
         if complete and not (path / name).exists():

@@ -30,14 +30,12 @@ from foretouch.tactile.channels import BIOTAC_SP
 class RecordedDataset:
     """The samples of a recorded dataset, or of one of its `.mcap` files.
 
-    One of version 1 is only read to `convert` it. A `FileError` names file and position if the path is not a recorded dataset, or a
-    manifest or recording is damaged.
+    A `FileError` names file and position if the path is not a recorded dataset, or a manifest or recording is damaged.
     """
 
-    def __init__(self, path: str | Path, *, convert: bool = False) -> None:
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._convert = convert
-        files = [RecordingFile(file) for file in recorded_files(self.path, convert=convert)]
+        files = [RecordingFile(file) for file in recorded_files(self.path)]
         self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
         self.unfinished = [one.path for one in files if not one.finished]  # read as far as they are intact
@@ -60,7 +58,7 @@ class RecordedDataset:
         """One sample before any edit (raises as indexing)."""
         file, message = self._samples[index]
         try:
-            return decode_sample(file.content(message), self.stated_sensor, convert=self._convert)
+            return decode_sample(file.content(message), self.stated_sensor)
         except DatasetError as err:
             raise FileError(file.path, str(err), field=f"sample at byte {message.offset}") from err
 
@@ -89,14 +87,9 @@ def recognise(path: Path) -> bool:
     return start.startswith(MAGIC) and b"foretouch " in start  # the name of the library in the header
 
 
-def convert(path: Path) -> SampleSet:
-    """The samples of a recorded dataset, also of version 1."""
-    return open_set(path, unfinished=False, old=True)
-
-
-def open_set(path: Path, unfinished: bool, *, old: bool = False) -> SampleSet:
-    """The samples of a recorded dataset, also of version 1 if `old` is true (raises as `RecordedDataset`)."""
-    dataset = RecordedDataset(path, convert=old)
+def open_set(path: Path, unfinished: bool) -> SampleSet:
+    """The samples of a recorded dataset (raises as `RecordedDataset`)."""
+    dataset = RecordedDataset(path)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")

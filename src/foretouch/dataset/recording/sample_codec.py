@@ -21,7 +21,6 @@ import re
 import struct
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -52,12 +51,13 @@ SAMPLE_TOPIC: Final = "/foretouch/samples"
 ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
 COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
 SCHEMA_VERSION: Final = 2
-OLD_VERSION: Final = "schema_version: 1 is of foretouch 0.2: convert it with `foretouch dataset import OLD -o NEW`"
+OLD_VERSION: Final = (
+    "schema_version: 1 is of foretouch 0.2: convert it with `foretouch dataset import OLD -o NEW` of version 0.3"
+)
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
 OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
-_OLD_TYPE: Final = f"{SAMPLE_TYPE}1"  # version 1
 _READINGS: Final = ("touch", "tare", "series")
 _FINITE: Final = (*_READINGS, "others", "extra_values")
 
@@ -148,13 +148,12 @@ def serialize_cloud(cloud: Cloud) -> bytes:
     return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
-def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None, *, convert: bool = False) -> StoredSample:
+def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None) -> StoredSample:
     """Decode a sample; its cloud and series are views of `data`.
 
     Args:
         data: The message.
         sensor: That it must be of, if any.
-        convert: Whether samples of version 1 are read, too.
 
     Raises:
         DatasetError: If the bytes are damaged, of another schema version or sensor, or break a rule.
@@ -164,11 +163,10 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None, *, con
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
         version = _version_in(data)
-        if version == 1 and not convert:
+        if version == 1:
             raise VersionError(OLD_VERSION)
-        if version != 1:
-            require_version(version, SCHEMA_VERSION)
-        message: Any = _old_message(data) if version == 1 else sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
+        require_version(version, SCHEMA_VERSION)
+        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
         check_id(message.id, message.object)
         stored = stored_sample(message)
     except VersionError:
@@ -190,18 +188,9 @@ def _version_in(data: bytes | memoryview) -> int:
     return int(struct.unpack_from("<H", data, 4 + offset + offset % 2)[0])
 
 
-def _old_message(data: bytes | memoryview) -> Any:
-    """A sample of version 1: where that of a described sensor holds the description, that of a BioTac SP has a flag."""
-    with suppress(Exception):  # as other bytes the parser may fail anywhere
-        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
-        if len(message.sensor) > 1:
-            return message
-    return sample_types().store.deserialize_cdr(data, _OLD_TYPE)
-
-
 def stored_sample(message: Any) -> StoredSample:
     """The inverse of `sample_fields`; raises any error for values that break a rule."""
-    sensor = parse_sensor(message.sensor) if hasattr(message, "sensor") else BIOTAC_SP  # of version 1
+    sensor = parse_sensor(message.sensor)
     sample = GraspSample(
         id=message.id,
         object=message.object,
@@ -240,9 +229,6 @@ def sample_types() -> Definitions:
     """The definitions of samples, of all types in them, and of those that were looked up since."""
     definitions = Definitions()
     definitions.text(SAMPLE_TYPE)
-    # In the bytes of version 1, the numbers of a touch follow each other as in an array of 50; no sensor is before them.
-    text = _find(SAMPLE_TYPE).replace("string sensor ", "# ")
-    definitions.register(_OLD_TYPE, re.sub(r"float64\[\] (touch|tare)\b", r"float64[50] \1", text))
     return definitions
 
 

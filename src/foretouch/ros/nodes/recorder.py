@@ -26,7 +26,7 @@ from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
-from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, robot_topics, sample_topics
+from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold
@@ -63,6 +63,12 @@ class RecorderConfig(NodeConfig, TactileInput):
         read_only=True,
     )  # fmt: skip
     points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
+    depth: str = setting(
+        "",
+        "Topic of depth images to record with the camera infos beside it, such as depth/image_rect_raw, or one that ends with"
+        " /compressedDepth; empty for none",
+        read_only=True,
+    )
     unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
     unlabelled_s: float = setting(1.0, "Minimum time between two samples without a touch", bounds=(0.0, 3600.0))
     assume_grasps: bool = setting(
@@ -118,6 +124,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._hold = self.advertise(TouchHold, "touch_hold")
         # The middleware keeps so many messages while this process does not get to run.
         topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
+        topics += depth_topics(self.config.depth, depth=100) if self.config.depth else []
         others, missing = robot_topics(depth=1000)
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")

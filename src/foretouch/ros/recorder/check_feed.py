@@ -4,9 +4,11 @@
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from typing import Any
 
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
+from foretouch.cloud.io.depth_messages import CameraInfos
 from foretouch.cloud.messages import decode_cloud, decode_objects, read_header
 from foretouch.dataset.session_check import SessionCheck
 from foretouch.dataset.topics import CLOUD_TOPIC
@@ -15,8 +17,10 @@ from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage
 from foretouch.tactile.messages.table import TactileReader
+from foretouch.types import Cloud
 from foretouch_msgs.msg import TablePlane
 
+_IMAGES = (Image, CompressedImage)
 _QUEUE_BYTES = 500_000_000
 _CLOUDS = 5  # of the camera that are kept until the object's cloud of the same stamp comes
 
@@ -26,7 +30,9 @@ class CheckFeed:
 
     def __init__(self, check: SessionCheck, inputs: RecorderSubscriptions, reader: TactileReader) -> None:
         self._check, self._inputs, self._reader = check, inputs, reader
-        self._clouds: OrderedDict[int, bytes] = OrderedDict()
+        self._clouds: OrderedDict[int, SerializedMessage] = OrderedDict()  # or depth images
+        images = (name for name, one in inputs.inputs.items() if one.topic.message in _IMAGES)
+        self._infos = CameraInfos(next(images, ""))
         self._queue = MessageQueue(_QUEUE_BYTES)
         inputs.open(self._queue)
 
@@ -46,10 +52,12 @@ class CheckFeed:
 
     def _add(self, message: SerializedMessage) -> None:
         topic, check = self._inputs.inputs[message.topic].topic, self._check
-        if topic.name == "points":
+        if topic.message is CameraInfo:
+            self._infos.add(read_serialized(message.data, CameraInfo), time.monotonic())
+        elif topic.name == "points" or topic.message in _IMAGES:
             stamp, _ = read_header(message.data)
             check.add_message("camera", message.received_ns, stamp)
-            self._clouds[stamp] = message.data
+            self._clouds[stamp] = message
             if len(self._clouds) > _CLOUDS:
                 self._clouds.popitem(last=False)
         elif topic.name == "table":
@@ -58,7 +66,12 @@ class CheckFeed:
             scene = self._clouds.get(read_header(message.data)[0])
             objects = decode_objects(read_serialized(message.data, PointCloud2))
             if scene is not None and objects:
-                check.scene = decode_cloud(read_serialized(scene, PointCloud2)).xyz
+                check.scene = self._scene(scene).xyz
                 check.targets = [one.cloud.xyz for one in objects]
         elif topic.name == next(iter(self._inputs.inputs.values())).topic.name:  # the hand's is the first
             check.add_reading(self._reader.read(read_serialized(message.data, topic.message)), message.received_ns)
+
+    def _scene(self, message: SerializedMessage) -> Cloud:
+        kind = self._inputs.inputs[message.topic].topic.message
+        content: Any = read_serialized(message.data, kind)
+        return self._infos.cloud(content, time.monotonic()) if kind in _IMAGES else decode_cloud(content)

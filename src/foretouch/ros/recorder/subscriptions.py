@@ -12,9 +12,10 @@ from typing import Any, Final
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.camera.bounded_queue import BoundedQueue
+from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.subscription import FollowingSubscription
@@ -93,6 +94,12 @@ def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_
         InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
         *[InputTopic("points", PointCloud2, points_depth)] * bool(points_depth),
     ]
+
+
+def depth_topics(images: str, depth: int) -> list[InputTopic]:
+    """The topic of depth images, raw or `compressedDepth`, and of the camera infos beside it."""
+    kind = CompressedImage if images.endswith("/compressedDepth") else Image
+    return [InputTopic(images, kind, depth), InputTopic(info_topic(images), CameraInfo, 10 * depth)]
 
 
 def robot_topics(depth: int) -> tuple[list[InputTopic], list[str]]:

@@ -13,8 +13,9 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
-from foretouch.config import Settings, setting
+from foretouch.config import setting
 from foretouch.dataset.topics import CLOUD_TOPIC
+from foretouch.errors import CloudError
 from foretouch.grasp import HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig, Scene
 from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
@@ -23,13 +24,14 @@ from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
+from foretouch.ros.steps.selection import Selection, SelectionSettings
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Float64
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 
 @dataclass(frozen=True, kw_only=True)
-class SegmentationSettings(Settings):
+class SegmentationSettings(SelectionSettings):
     """Settings of the segmentation."""
 
     segmentation: SegmentationConfig = SegmentationConfig()
@@ -51,6 +53,7 @@ class SegmentationStep(Step):
         self._table = node.advertise(TablePlane, "table")
         self._object_cloud = node.advertise(PointCloud2, CLOUD_TOPIC)
         self._markers = node.advertise(MarkerArray, "markers")
+        self._selection = Selection(node)
         self.configure(node.config)
         self._pipeline.segment(warm_up_cloud())
 
@@ -61,6 +64,7 @@ class SegmentationStep(Step):
             PipelineConfig(segmentation=config.segmentation, target=config.target, hand=config.hand)
         )
         self._identity = ObjectIdentity()
+        self._selection.forget()
         self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
 
     def read(self, message: PointCloud2) -> Cloud:
@@ -73,8 +77,17 @@ class SegmentationStep(Step):
         return read_cloud(message)
 
     def segment(self, cloud: Cloud) -> Scene:
-        """Find the table and the objects; of equal ones, the target of the cloud before stays the target."""
-        scene = self._pipeline.segment(cloud, self._previous, self._identity)
+        """Find the table and the objects; of equal ones, the target of the cloud before stays the target.
+
+        Raises:
+            RefusalError: If a mask is wanted, and there is none that fits the cloud.
+        """
+        mask = self._selection.mask(cloud)
+        try:
+            scene = self._pipeline.segment(cloud, self._previous, self._identity, mask=mask)
+        except CloudError as err:
+            raise RefusalError(Status.BAD_REQUEST, str(err)) from err
+        scene = self._selection.choose(scene)
         ids = [target.id for target in scene.targets]
         centroids = [one.centroid for one in scene.segmentation.objects if [str(one.id)] == ids]
         self._previous = centroids[0] if centroids else None
@@ -102,6 +115,10 @@ class SegmentationStep(Step):
         if drawn:  # an error must not refuse the cloud, which is answered
             markers = self._markers
             self._node.internal_errors.guarded("markers", lambda: markers.publish(object_markers(message, table)))()
+
+    def notes(self) -> dict[str, str]:
+        """What the last click selected."""
+        return self._selection.notes()
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish that nothing was found, and why."""

@@ -29,6 +29,7 @@ from foretouch.ros.messages.requests import GraspArrays, Latest
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
+from foretouch.ros.steps.selection import SELECTED
 from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.history_keeper import HistoryKeeper
@@ -118,8 +119,7 @@ class TouchStep(Step):
         self, answer: TouchAnswer, budget: "Answer | None", grasps: GraspArray, cloud: Callable[[], PointCloud2]
     ) -> None:
         """Publish the answer to planned grasps; `cloud` makes the message of their objects."""
-        if grasps.reason.startswith(AMBIGUOUS_TARGET):
-            answer.flags += (AMBIGUOUS_TARGET,)
+        answer.flags += tuple(flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
         self._touch.publish(self.predictor.end(answer, budget))
         if self.adapter is not None:
             self.adapter.add_grasps(answer.header, cloud, grasps.grasps)

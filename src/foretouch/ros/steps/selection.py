@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a person or another node says about the objects: the topics `mask` and `clicked_point`.
+
+A mask holds the labels of the objects of one image. A point that is clicked in RViz (*Publish Point*) selects an object, which
+stays the target by its id until it is gone or another one is clicked. Callbacks only store messages.
+"""
+
+import threading
+import time
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import Image
+
+from foretouch.cloud.io.mask_files import decode_mask
+from foretouch.config import Settings, setting
+from foretouch.errors import CloudError
+from foretouch.pipeline import Scene
+from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import AnyArray, Cloud
+from foretouch_msgs.msg import Status
+
+MASK_TOPIC: Final = "mask"
+CLICK_TOPIC: Final = "clicked_point"
+SELECTED: Final = "selected"
+"""Flag of predictions on an object that was clicked, and start of the reason."""
+
+_MASKS: Final = 16  # that wait for the image of their stamp
+_GONE: Final = 30  # clouds in a row without the selected object, after which it is forgotten: 1 s at 30 Hz
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionSettings(Settings):
+    """Settings of masks and clicks."""
+
+    mask: str = setting(
+        "none",
+        "Labels of the objects on the topic mask: none, objects are found here; same_stamp, each cloud waits for the mask of "
+        "its stamp; latest, the last mask is used for every cloud",
+        choices=("none", "same_stamp", "latest"),
+        read_only=True,
+    )
+    mask_wait_s: float = setting(1.0, "Longest wait of a cloud for the mask of its stamp", bounds=(0.0, 60.0))
+    click_age_s: float = setting(10.0, "Clicked points that are older are refused", bounds=(0.1, 3600.0))
+
+
+class Selection:
+    """Masks and clicks of one stream of clouds.
+
+    Args:
+        node: Subscribes; it must be configuring, and its settings are `SelectionSettings`.
+    """
+
+    def __init__(self, node: ForetouchNode[Any]) -> None:
+        self._node = node
+        self._changed = threading.Condition()  # guards what callbacks store
+        self._masks: dict[int, Image] = {}  # by stamp
+        self._click: PointStamped | None = None  # that no cloud has seen yet
+        self._id = ""  # of the selected object
+        self._missing = 0  # clouds in a row without it
+        self._note = ""  # on the last click
+        if node.config.mask != "none":
+            node.subscribe(Image, MASK_TOPIC, self._receive_mask, latched=None)
+        node.subscribe(PointStamped, CLICK_TOPIC, self._receive_click)
+
+    def notes(self) -> dict[str, str]:
+        """What the last click selected, or why it was refused."""
+        return {CLICK_TOPIC: self._note} if self._note else {}
+
+    def forget(self) -> None:
+        """Select nothing."""
+        self._id, self._missing = "", 0
+
+    def mask(self, cloud: Cloud) -> AnyArray | None:
+        """The labels for a cloud; None where objects are found without.
+
+        Raises:
+            RefusalError: If there is no mask for it, or it cannot be read.
+        """
+        config = self._node.config
+        if config.mask == "none":
+            return None
+        with self._changed:
+            if config.mask == "latest":
+                message = next(reversed(self._masks.values()), None)
+            else:
+                end = time.monotonic() + config.mask_wait_s
+                while cloud.stamp_ns not in self._masks and (left := end - time.monotonic()) > 0.0:
+                    self._changed.wait(left)
+                message = self._masks.get(cloud.stamp_ns)
+        if message is None:
+            which = (
+                "mask came yet"
+                if config.mask == "latest"
+                else f"mask of this stamp came within {config.mask_wait_s:g} s"
+            )
+            raise RefusalError(Status.BAD_REQUEST, f"mask: no {which} on {self._node.resolve_topic_name(MASK_TOPIC)}")
+        try:
+            return decode_mask(message)
+        except CloudError as err:
+            raise RefusalError(Status.BAD_REQUEST, str(err)) from err
+
+    def choose(self, scene: Scene) -> Scene:
+        """The scene with the selected object as its only target, as long as there is one."""
+        with self._changed:
+            click, self._click = self._click, None
+        if click is not None:
+            self._take(click, scene)
+        if not self._id:
+            return scene
+        chosen = next((one for one in scene.objects if one.id == self._id), None)
+        if chosen is not None:
+            self._missing = 0
+            flagged = replace(chosen, flags=(SELECTED,))
+            return replace(scene, status="ok", reason=f"{SELECTED}: object {chosen.id} was clicked", targets=(flagged,))
+        self._missing += 1
+        if self._missing > _GONE:
+            self._note = f"object {self._id} is gone; the rule of `target` selects again"
+            self.forget()
+            return scene
+        if scene.status not in ("ok", "no_target"):  # what is wrong with the cloud comes first
+            return scene
+        return replace(scene, status="no_target", reason=f"{SELECTED}: object {self._id} is not seen", targets=())
+
+    def _take(self, click: PointStamped, scene: Scene) -> None:
+        """Select the object at a clicked point, or report why there is none."""
+        try:
+            frame = click.header.frame_id
+            if frame != scene.cloud.frame_id:
+                raise CloudError(
+                    f"frame {frame!r} is not that of the clouds, {scene.cloud.frame_id!r}; set RViz's fixed frame to it"
+                )
+            age_s = self._node.age_s(stamp_ns(click.header.stamp))
+            if stamp_ns(click.header.stamp) and age_s > self._node.config.click_age_s:
+                raise CloudError(f"is {age_s:.0f} s old, more than click_age_s {self._node.config.click_age_s:g}")
+            point = [click.point.x, click.point.y, click.point.z]
+            tolerance_m = self._node.config.target.tolerance_m
+            chosen = scene.near(point, tolerance_m)
+        except CloudError as err:
+            self._note = f"refused: {err}"
+            self._node.get_logger().warning(f"{CLICK_TOPIC}: {err}")
+            return
+        self._id, self._missing, self._note = chosen.id, 0, f"object {chosen.id}"
+        self._node.get_logger().info(f"{CLICK_TOPIC}: object {chosen.id} is the target")
+
+    def _receive_mask(self, message: Image) -> None:
+        with self._changed:
+            self._masks.pop(stamp_ns(message.header.stamp), None)
+            self._masks[stamp_ns(message.header.stamp)] = message
+            while len(self._masks) > _MASKS:
+                del self._masks[next(iter(self._masks))]
+            self._changed.notify_all()
+
+    def _receive_click(self, message: PointStamped) -> None:
+        with self._changed:
+            self._click = message

@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch.write`: arrays of any source become samples with equal numbers; stamps and missing numbers are named, and what does not fit is refused."""
+
+import os
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+import foretouch as ft
+from foretouch.dataset.importing import import_samples
+from foretouch.dataset.record import HOLD, REST, SampleRecord, readings
+from foretouch.dataset.samples import open_samples
+from foretouch.dataset.writing import stamp_faults
+from foretouch.errors import DatasetError, FileError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SENSOR: dict[str, Any] = {
+    "name": "pads",
+    "update_rate": 100,
+    "fingers": [{"name": "A"}, {"name": "B"}],
+    "array": {"rows": 1, "cols": 3, "size": [0.01, 0.01]},
+    "values": [{"name": "P", "field": "p", "dtype": "uint16", "range": [0, 4000], "contact": "rise", "noise": 2.0}],
+    "source": {"type": "table/Rows"},
+}
+START_S = 1_795_600_800.0  # 2026-11-25 10:00:00 UTC
+
+
+@pytest.fixture
+def pads(tmp_path: Path) -> Path:
+    path = tmp_path / "pads.yaml"
+    path.write_text(yaml.safe_dump(SENSOR))
+    return path
+
+
+def pressed(count: int = 100, contact: int = 40, seed: int = 0) -> Any:
+    """(count, 6) readings, of which those from `contact` on are pressed."""
+    rng = np.random.default_rng(seed)
+    return 1000.0 + rng.integers(-3, 4, (count, 6)) + 400.0 * (np.arange(count) >= contact)[:, None]
+
+
+def grasp(rows: Any = None, **changes: Any) -> dict[str, Any]:
+    rows = pressed() if rows is None else rows
+    given = {"object": "mug", "id": "7", "values": {"P_A": rows[:, :3], "P_B": rows[:, 3:]}, "rest": 20}
+    stamps = {} if {"stamps_ns", "rate_hz"} & changes.keys() else {"stamps_s": START_S + 0.01 * np.arange(len(rows))}
+    return given | stamps | changes
+
+
+def written(path: Path, sensor: Path, *samples: Any, **options: Any) -> list[SampleRecord]:
+    ft.write(path, samples, sensor, **options)
+    return list(open_samples(path).records())
+
+
+def test_arrays_become_a_sample_whose_values_equal_them(tmp_path: Path, pads: Path) -> None:
+    rows = pressed()
+    (record,) = written(
+        tmp_path / "ds", pads, grasp(rows, outcome=True, others={"angle": np.arange(100) / 8}, note="file")
+    )
+    assert (record.sample.id, record.outcome, record.note, record.flags) == ("mug/7", "success", "file", ())
+    assert record.series is not None
+    assert_array_equal(record.series.counts, rows)
+    assert_array_equal(record.series.others["angle"], np.arange(100) / 8)
+    expected = round(START_S) * 10**9 + 10_000_000 * np.arange(100)
+    assert np.abs(record.series.stamps_ns - expected).max() <= 128  # the digits of float64
+    assert record.contact_ns == record.series.stamps_ns[40]  # the first reading with contact
+    assert set(np.flatnonzero(record.series.phases == HOLD)) == set(range(70, 100))  # 0.3 s later
+    assert_array_equal(np.flatnonzero(record.series.phases == REST), np.arange(20))
+    assert record.sample.touch is not None
+    assert record.sample.tare is not None
+    assert_array_equal(record.sample.touch.values, np.median(rows[70:], axis=0))
+    assert_array_equal(record.sample.tare.values, np.median(rows[:20], axis=0))
+
+
+def test_a_dataset_is_written_as_it_is_and_one_reading_is_the_touch(tmp_path: Path, pads: Path) -> None:
+    row = pressed(1, 0)[0]
+    single = {
+        "object": "mug",
+        "values": {"P_A": row[:3], "P_B": row[3:]},
+        "others": {"angle": 0.5},
+        "outcome": "failure",
+    }
+    first = written(tmp_path / "a", pads, grasp(), single)
+    result = ft.write(tmp_path / "b", open_samples(tmp_path / "a"))
+    again = list(open_samples(tmp_path / "b").records())
+    assert (result.samples, result.labelled, result.readings) == (2, 2, 101)
+    assert [one.sample.id for one in again] == [one.sample.id for one in first] == ["mug/7", "mug/000001"]
+    for one, other in zip(first, again, strict=True):
+        assert_array_equal(one.sample.touch.values, other.sample.touch.values)
+        assert (one.outcome, one.contact_ns, one.sample.extra) == (other.outcome, other.contact_ns, other.sample.extra)
+    assert_array_equal(first[1].sample.touch.values, row)
+    assert (first[1].sample.extra, first[1].series) == ({"angle": 0.5}, None)
+
+
+STAMPS: dict[str, tuple[Any, str]] = {  # a hundred readings at 100 Hz as others store them
+    "six digits": ([float(f"{START_S + 0.01 * k:g}") for k in range(100)], "100 readings have the same stamp"),
+    "whole seconds": (np.floor(START_S + 0.01 * np.arange(100)), "100 readings have the same stamp"),
+    "float32": (
+        (START_S + 0.01 * np.arange(100)).astype(np.float32),
+        r"float32 holds 1\.7956e\+09 in steps of 128 s: read",
+    ),
+    "tenths": (np.floor(START_S * 10 + 0.1 * np.arange(100)) / 10, "10 readings have the same stamp, and 100 only 10"),
+    "going back": (START_S + 0.01 * np.r_[:50, 48:-2:-1], "go back by 0.01.* s at reading 50"),
+    "milliseconds": (START_S * 1e3 + 10.0 * np.arange(100), "is no time in s"),
+    "text": (["a"] * 100, "are not finite numbers"),
+    "too few": (START_S + 0.01 * np.arange(99), r"shape \(99,\) is not \(100,\)"),
+}
+
+
+@pytest.mark.parametrize("name", STAMPS)
+def test_stamps_that_do_not_tell_the_readings_apart_are_refused(tmp_path: Path, pads: Path, name: str) -> None:
+    stamps, rule = STAMPS[name]
+    with pytest.raises(DatasetError, match=rf"^sample 0 \(mug/7\): stamps_s: .*{rule}"):
+        ft.write(tmp_path / "ds", [grasp(stamps_s=stamps)], pads)
+    assert not (tmp_path / "ds").exists()
+
+
+def test_float32_that_holds_the_time_since_the_start_and_dates_of_pandas_are_stamps(tmp_path: Path, pads: Path) -> None:
+    short = (0.01 * np.arange(100)).astype(np.float32)
+    dates = np.datetime64("2026-11-25T10:00:00") + np.timedelta64(10, "ms") * np.arange(100)
+    first, second = written(
+        tmp_path / "ds", pads, grasp(stamps_s=short, start_s=START_S), grasp(id="8", stamps_ns=dates)
+    )
+    assert np.abs(first.series.stamps_ns - second.series.stamps_ns).max() < 100
+    assert second.series.stamps_ns[1] == round(START_S) * 10**9 + 10_000_000
+
+
+def test_equal_stamps_gaps_and_another_rate_are_flagged_and_named(tmp_path: Path, pads: Path) -> None:
+    even = 0.01 * np.arange(100)
+    repeated = np.sort(np.r_[even[:90], even[:10]])
+    gap = even + 0.5 * (np.arange(100) > 60)
+    for name, stamps, flag, rule in (
+        ("repeated", repeated, "equal_stamps", "2 readings have the same stamp, and 100 only 90 different"),
+        ("gap", gap, "stamp_gaps", "1 gaps, the longest of 0.51 s"),
+        ("slow", even * 4, "other_rate", "stamps of 25 Hz, and the sensor is described with 100 Hz"),
+        ("unit", even * 1000, "other_rate", "0.1 Hz, and the sensor is described with 100 Hz: another unit?"),
+    ):
+        with pytest.warns(UserWarning, match=rf"^{flag}: 1 samples, first mug/7: .*{rule}") as caught:
+            (record,) = written(tmp_path / name, pads, grasp(stamps_s=START_S + stamps))
+        assert (record.flags, len(caught)) == ((flag,), 1)
+    rows = np.repeat(pressed()[::2], 2, axis=0)  # a reader that stores the same reading twice
+    with pytest.warns(UserWarning, match="equal_stamps"):
+        written(tmp_path / "twice", pads, grasp(rows, stamps_s=START_S + np.repeat(even[::2], 2)))
+    assert stamp_faults(np.arange(100) * 10_000_000, 100.0) == stamp_faults(np.arange(1), 100.0) == {}
+
+
+def test_no_contact_is_named(tmp_path: Path, pads: Path) -> None:
+    with pytest.warns(UserWarning, match="no_contact: 1 samples, first mug/7: none found after 20 readings"):
+        (record,) = written(tmp_path / "ds", pads, grasp(pressed(contact=100)))
+    assert record.sample.touch is None
+
+
+def test_missing_numbers_are_refused_held_or_masked_by_setting(tmp_path: Path, pads: Path) -> None:
+    rows = pressed()
+    holes = rows.copy()
+    holes[[0, 30, 80], [2, 1, 5]] = np.nan, np.inf, np.nan
+    with pytest.raises(DatasetError, match=r"values: P_A\[2\] of reading 0 is nan; 3 of 100 readings .*'hold'.*'mask'"):
+        ft.write(tmp_path / "a", [grasp(holes)], pads)
+    with pytest.warns(UserWarning, match=r"missing_numbers \(hold\): 1 samples, first mug/7: 3"):
+        (held,) = written(tmp_path / "b", pads, grasp(holes), missing="hold")
+    expected = rows.copy()
+    expected[[0, 30, 80], [2, 1, 5]] = rows[[1, 29, 79], [2, 1, 5]]
+    assert_array_equal(held.series.counts, expected)
+    with pytest.warns(UserWarning, match=r"missing_numbers \(mask\)"):
+        (masked,) = written(tmp_path / "c", pads, grasp(holes), missing="mask")
+    expected[[0, 30, 80], [2, 1, 5]] = np.nan
+    assert_array_equal(masked.series.counts, expected)
+    assert held.flags == masked.flags == ("missing_numbers",)
+    for one in (held, masked):
+        assert_array_equal(one.sample.touch.values, np.nanmedian(one.series.counts[70:].astype(float), axis=0))
+    gone = rows.copy()
+    gone[:, 4] = np.nan
+    with pytest.raises(DatasetError, match=r"P_B\[1\] .* in all readings: leave it out, or declare the taxel dead"):
+        ft.write(tmp_path / "d", [grasp(gone)], pads, missing="hold")
+    with pytest.warns(UserWarning, match=r"missing_numbers \(mask\): 1 samples, first mug/7: 100"):
+        (masked,) = written(tmp_path / "d", pads, grasp(gone), missing="mask")
+    assert np.isnan(masked.sample.touch.values).tolist() == [False] * 4 + [True, False]
+    with pytest.raises(DatasetError, match=r"others: angle of reading 3 .*only taxels can be masked"):
+        ft.write(
+            tmp_path / "e", [grasp(others={"angle": np.where(np.arange(100) == 3, np.nan, 1.0)})], pads, missing="mask"
+        )
+
+
+REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "a finger is missing": (lambda one: one["values"].pop("P_B"), "values: P_B of pads are missing"),
+    "an unknown finger": (lambda one: one["values"].update(P_C=1), "values: 'P_C' is not one of P_A, P_B"),
+    "fewer taxels": (lambda one: one["values"].update(P_A=one["values"]["P_A"][:, :2]), r"P_A: shape \(100, 2\) is not"),
+    "fewer readings": (lambda one: one["values"].update(P_B=one["values"]["P_B"][:99]), r"P_B: shape \(99, 3\) is not"),
+    "another unit": (lambda one: one["values"].update(P_A=one["values"]["P_A"] * 1e3), "not between 0 and 4000 counts, as most of P_A"),
+    "text": (lambda one: one["values"].update(P_A=[["x"] * 3] * 100), "values: P_A: could not convert"),
+    "a list": (lambda one: one.update(values=np.zeros((100, 6))), "values: give a mapping of P_A, P_B"),
+    "others of another length": (lambda one: one.update(others={"a": [1, 2]}), "others: a: 2 numbers are not 100 readings"),
+    "an outcome": (lambda one: one.update(outcome="held"), "outcome: 'held' is not one of success, failure, unknown"),
+    "a key": (lambda one: one.update(stamp=3), "got an unexpected keyword argument 'stamp'"),
+    "no object": (lambda one: one.pop("object"), "missing 1 required keyword-only argument: 'object'"),
+    "a slash": (lambda one: one.update(object="a/b"), "id: 'a/b/7' is not 'a/b'"),
+    "no stamps": (lambda one: one.pop("stamps_s"), "stamps_ns, stamps_s, rate_hz: give one of them, not none"),
+    "two stamps": (lambda one: one.update(rate_hz=50.0), "give one of them, not stamps_s and rate_hz"),
+    "a rate of 0": (lambda one: one.update(rate_hz=one.pop("stamps_s")[0] * 0), "rate_hz: 0.0 is not above 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_does_not_fit_is_named_and_leaves_nothing_behind(tmp_path: Path, pads: Path, name: str) -> None:
+    change, rule = REFUSED[name]
+    one = grasp()
+    change(one)
+    with pytest.raises(DatasetError, match=rf"^sample 1 .*{rule}"):
+        ft.write(tmp_path / "ds", [grasp(id="first"), one], pads)
+    assert not (tmp_path / "ds").exists()
+
+
+def _csv(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
+    import pandas as pd
+
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return dict(pd.read_csv(path))
+
+
+def _parquet(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
+    import pandas as pd
+
+    pd.DataFrame(columns).to_parquet(path)
+    return dict(pd.read_parquet(path))
+
+
+def _npz(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
+    np.savez(path, **columns)
+    return dict(np.load(f"{path}.npz"))
+
+
+def _hdf5(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
+    """In groups, as robomimic and ALOHA store them."""
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed")
+    with h5py.File(path, "w") as file:
+        for name, column in columns.items():
+            file[f"data/demo_0/obs/{name}"] = column
+    with h5py.File(path) as file:
+        return {name: file[f"data/demo_0/obs/{name}"][:] for name in columns}
+
+
+@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_any_table_gives_the_numbers_in_it(tmp_path_factory: Any, data: Any) -> None:
+    """Formats, types of numbers, units of stamps, and taxels as columns or as arrays of two or three dimensions, in all combinations."""
+    folder = tmp_path_factory.mktemp("table")
+    (folder / "pads.yaml").write_text(yaml.safe_dump(SENSOR))
+    store = data.draw(st.sampled_from([_csv, _parquet, _npz, _hdf5]))
+    kind = data.draw(st.sampled_from([np.uint16, np.int32, np.float32, np.float64]))
+    rows = pressed(40, 30, seed=data.draw(st.integers(0, 9))).astype(kind)
+    form = data.draw(
+        st.sampled_from(["columns"] if store in (_csv, _parquet) else ["columns", "array", "three dimensions"])
+    )
+    unit = data.draw(st.sampled_from(["ns", "s"]))
+    stamps = {"ns": 1_795_600_800_000_000_000 + 10_000_000 * np.arange(40), "s": START_S + 0.01 * np.arange(40)}[unit]
+    columns = {f"c{k}": rows[:, k] for k in range(6)} if form == "columns" else {"array": rows}
+    if form == "three dimensions":
+        columns = {"array": rows.reshape(40, 2, 3)}
+    read = store(folder / "table", {"stamp": stamps, **columns})
+    taxels = np.stack([read[f"c{k}"] for k in range(6)], axis=-1) if form == "columns" else read["array"].reshape(40, 6)
+    (record,) = written(
+        folder / "ds",
+        folder / "pads.yaml",
+        grasp(taxels, **{f"stamps_{unit}": read["stamp"]} | ({} if unit == "s" else {"stamps_s": None})),
+    )
+    assert_array_equal(record.series.counts, rows)
+    assert np.abs(record.series.stamps_ns - (1_795_600_800_000_000_000 + 10_000_000 * np.arange(40))).max() < 500
+
+
+@pytest.mark.parametrize(
+    ("file", "rule"),
+    [("meta/info.json", "is a LeRobot dataset .*import_lerobot"), ("a/b.csv", "holds tables: read them with pandas")],
+)
+def test_a_source_that_is_not_imported_names_what_reads_it(tmp_path: Path, file: str, rule: str) -> None:
+    (tmp_path / "source" / file).parent.mkdir(parents=True)
+    (tmp_path / "source" / file).write_text("{}")
+    with pytest.raises(FileError, match=rule):
+        import_samples(tmp_path / "source", tmp_path / "ds")
+
+
+def run_example(name: str, source: Path, out: Path, monkeypatch: Any) -> list[SampleRecord]:
+    monkeypatch.setattr(sys, "argv", [name, str(source), str(out)])
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    return list(open_samples(out).records())
+
+
+def test_examples_are_short() -> None:
+    for path in EXAMPLES.glob("import_*.py"):
+        assert len(path.read_text().splitlines()) <= 35, path
+
+
+def test_the_example_of_a_gripper_reads_a_folder_of_it(
+    tmp_path: Path, monkeypatch: Any, rng: np.random.Generator
+) -> None:
+    """Made up in the form of OSU-RAD-Lab/Tactile_Grasp_Dataset."""
+    folder = tmp_path / "Data/cube/large/soft/flat/left/10/1600000000.5"
+    folder.mkdir(parents=True)
+    rows = rng.integers(200, 210, (200, 14)) + 300 * (np.arange(200) >= 100)[:, None]
+    names = ["time_s", *(f"{finger}{k}" for finger in "LR" for k in range(7))]
+    lines = [",".join(names), *(f"{0.05 * k:.2f}," + ",".join(map(str, row)) for k, row in enumerate(rows))]
+    (folder / "gripper_tactor_tactor_data.csv").write_text("\n".join(lines))
+    (folder / "grasp_outcome.txt").write_text("SUCCESS\n")
+    (record,) = run_example("import_osu_grasps", tmp_path, tmp_path / "ds", monkeypatch)
+    assert (record.sample.id, record.outcome) == ("cube large soft/1600000000.5", "success")
+    assert_array_equal(record.series.counts, rows)
+    assert record.series.stamps_ns[[0, 1]].tolist() == [1_600_000_000_500_000_000, 1_600_000_000_550_000_000]
+    assert record.contact_ns == 1_600_000_005_500_000_000
+
+
+def test_the_example_of_lerobot_reads_what_the_export_writes(tmp_path: Path, monkeypatch: Any) -> None:
+    from recording_builders import write_grasps
+
+    from foretouch.dataset.samples import export_samples
+
+    write_grasps(tmp_path / "recording")
+    export_samples(tmp_path / "recording", tmp_path / "exported", "lerobot")
+    wanted = [readings(one) for one in open_samples(tmp_path / "exported").records() if one.sample.touch is not None]
+    found = run_example("import_lerobot", tmp_path / "exported", tmp_path / "ds", monkeypatch)
+    assert wanted
+    for one, other in zip(wanted, found, strict=True):
+        assert_array_equal(other.series.counts, one.counts)
+
+
+PUBLIC = {  # folder below FORETOUCH_DATA: example, samples, readings
+    "biotacsp-stability-set-v2": ("import_biotac_sp_stability", 5831, 5831),
+    "tactile_prediction_flat_dataset": ("import_xela_uskin", 75, 52645),
+    "icub_grasp_dataset": ("import_icub_fingertips", 230, 2883),
+}
+
+
+@pytest.mark.filterwarnings("ignore:no_contact")
+@pytest.mark.parametrize("folder", PUBLIC)
+def test_the_public_recordings_are_written_whole(tmp_path: Path, folder: str, monkeypatch: Any) -> None:
+    root = Path(os.environ.get("FORETOUCH_DATA", "/nowhere")) / folder
+    if not root.is_dir():
+        pytest.skip(f"FORETOUCH_DATA holds no {folder}")
+    name, samples, count = PUBLIC[folder]
+    records = run_example(name, root, tmp_path / "ds", monkeypatch)
+    assert (len(records), sum(1 if one.series is None else len(one.series.counts) for one in records)) == (
+        samples,
+        count,
+    )
+    total = np.zeros(2)
+    for record in records:
+        values = record.series.counts if record.series is not None else record.sample.touch.values[None]  # noqa: PD011
+        total += values.astype(np.float64).sum(), np.square(values.astype(np.float64)).sum()
+    assert_array_equal(total, raw_sums(root, folder))
+
+
+def raw_sums(root: Path, folder: str) -> Any:
+    """Sum and sum of squares of all taxels, by another reader of the files; whole numbers, so in any order."""
+    if folder.startswith("icub"):
+        texts = [path.read_text().split("\n", 1)[1].split() for path in root.glob("iCubGraspDataset/*.txt")]
+        parts = [np.array(text, float).reshape(-1, 74)[:, 14:] for text in texts]
+    elif folder.startswith("biotac"):
+        parts = [np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(2, 74)) for path in root.glob("*.csv")]
+    else:
+        parts = []
+        for robot in root.glob("*/*/robot_state.csv"):
+            count = sum(1 for line in robot.open() if line.strip()) - 1
+            parts += [
+                np.loadtxt(robot.parent / f"xela_sensor{k}.csv", delimiter=",", skiprows=1)[:count] for k in (1, 2)
+            ]
+    return np.array([sum(one.sum() for one in parts), sum(np.square(one).sum() for one in parts)])
