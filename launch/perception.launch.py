@@ -2,7 +2,7 @@
 """The whole graph: camera (unless the robot has its own), perception, and RViz on request.
 
 ros2 launch foretouch perception.launch.py
-ros2 launch foretouch perception.launch.py camera:=false points:=/camera/camera/depth/color/points rviz:=true
+ros2 launch foretouch perception.launch.py camera:=false depth:=/camera/camera/depth/image_rect_raw rviz:=true
 """
 
 import sys
@@ -25,15 +25,17 @@ from foretouch_launch_helpers import (
     shared_arguments,
 )
 
+CAMERA_USERS = ("perception", "segmentation")
 MODEL_USERS = ("perception", "touch_predictor")
 ARGUMENTS = [
     DeclareLaunchArgument("camera", default_value="true", description="false where realsense2_camera publishes"),
-    DeclareLaunchArgument("points", default_value="points", description="Topic of the depth clouds"),
+    DeclareLaunchArgument("depth", default_value="depth/image_rect_raw", description="Topic of the depth images"),
+    DeclareLaunchArgument("points", default_value="", description="Topic of its clouds, to use them instead"),
     DeclareLaunchArgument(
         "one_process", default_value="true", description="false: a process for each step, to replace one of them"
     ),
     DeclareLaunchArgument(
-        "input", default_value="points", description="objects: object_cloud and table come from who segments"
+        "input", default_value="", description="objects: object_cloud and table come from who segments"
     ),
     *shared_arguments(),
 ]
@@ -51,16 +53,20 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def perception(context: LaunchContext) -> list[Node]:
-    given = argument_values(context, "points", "model", "input")
+    given = argument_values(context, "depth", "points", "model", "input")
+    kind = given["input"] or ("points" if given["points"] else "depth")
+    remapped = [
+        (name, given[topic]) for name, topic in (("depth/image", "depth"), ("points", "points")) if given[topic]
+    ]
     together = IfCondition(LaunchConfiguration("one_process")).evaluate(context)
     return [
         foretouch_node(
             context,
             name,
-            remappings=[("points", given["points"])],
+            remappings=remapped,
             ros_arguments=[
                 *(["-p", f"model:={given['model']}"] if name in MODEL_USERS else []),
-                *(["-p", f"input:={given['input']}"] if name == "perception" else []),
+                *(["-p", f"input:={kind}"] if name in CAMERA_USERS else []),
             ],
         )
         for name in (["perception"] if together else ["segmentation", "grasp", "touch_predictor"])

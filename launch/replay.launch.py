@@ -34,8 +34,10 @@ def perception(context: LaunchContext) -> list[Any]:
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
 
-    is_object = cloud_is_object(open_source(LaunchConfiguration("path").perform(context)))
-    return [include_perception(input="objects" if is_object else "points")]
+    source = open_source(LaunchConfiguration("path").perform(context))
+    if source.info_topic:
+        return [include_perception(input="depth", depth=source.topic)]
+    return [include_perception(input="objects" if cloud_is_object(source) else "points")]
 
 
 def replay(context: LaunchContext) -> list[Node]:

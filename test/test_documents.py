@@ -180,7 +180,8 @@ def test_topics_are_those_of_the_design(reference) -> None:
     assert done.returncode == 0, done.stderr
     rows = {row.split("`")[1]: row for row in done.stdout.splitlines() if row.startswith("| `")}
     for name, ends in {
-        "points": ("`camera`, `replay`", "`perception`, `segmentation`"),
+        "depth/image": ("–", "`perception`, `segmentation`"),
+        "points": ("`camera`, `replay`",),
         "object_cloud": ("`perception`, `segmentation`", "`grasp`, `touch_predictor`, `recorder`"),
         "touch": ("`perception`, `touch_predictor`", ""),
         "/rh/tactile": ("`hand`", "`perception`, `touch_predictor`, `recorder`"),

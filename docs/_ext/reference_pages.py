@@ -301,7 +301,9 @@ def parameters() -> str:
 _INTERNAL = re.compile(r"/(rosout|parameter_events)$|/_action/|/(change_state|get_[a-z_]*|transition_event)$"
                        r"|_parameters?(_types|_atomically)?$|type_description$")  # fmt: skip
 _PURPOSES = {  # of topics and services whose types have no comment of their own, or are not ours
-    "points": "the point cloud of the camera",
+    "points": "the point cloud of the camera, while somebody subscribes; `perception` and `segmentation` receive it with `input: points`",
+    "depth/image": "depth images of the camera; remap it, or give `depth:=TOPIC` to the launch files",
+    "depth/camera_info": "the camera of the depth images, beside them",
     "object_cloud": "the points of the target",
     "markers": "all results, for RViz",
     "/diagnostics": "rates, latencies and dropped messages of each node",

@@ -300,3 +300,27 @@ def test_compressed_files_without_metadata_are_read_and_an_open_journal_is_named
     (tmp_path / "open" / "open.db3-wal").write_bytes(b"pages")
     with pytest.raises(FileError, match=r"open.db3: was not closed, and holds messages in open.db3-wal: `sqlite3 "):
         list(read_bag(tmp_path / "open"))
+
+
+def test_a_type_is_decoded_by_the_definition_of_its_own_file_and_one_without_is_named(tmp_path):
+    def write(name: str, text: bytes, data: bytes, time_ns: int) -> None:
+        with (tmp_path / name).open("wb") as stream:
+            writer = McapWriter(stream)
+            writer.start("ros2", "others")
+            schema = writer.register_schema("my_msgs/msg/Pair", "ros2msg", text)
+            writer.add_message(writer.register_channel("/pairs", "cdr", schema), time_ns, b"\0\1\0\0" + data, time_ns)
+            writer.finish()
+
+    write("x_0.mcap", b"int32 a\nint32 b\n", bytes([1, 0, 0, 0, 2, 0, 0, 0]), 5)
+    write("x_1.mcap", b"int32 b\nint32 a\n", bytes([1, 0, 0, 0, 2, 0, 0, 0]), 6)
+    with Recording(tmp_path) as recording:
+        found = [recording.content(message) for message in recording.messages()]
+    assert [(one.a, one.b) for one in found] == [(1, 2), (2, 1)]
+    write("x_2.mcap", b"my_msgs/Other c\n", bytes(8), 7)
+    with (
+        Recording(tmp_path) as recording,
+        pytest.raises(
+            FileError, match=r"/pairs\[2\]: cannot be decoded: the recording does not define my_msgs/msg/Other"
+        ),
+    ):
+        recording.content(list(recording.messages())[2])

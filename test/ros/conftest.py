@@ -92,11 +92,19 @@ class Graph:
 
     def add(self, *names: str, **parameters: Any) -> list[Any]:
         """Make and start nodes; parameter names may hold dots written as two underscores."""
-        made = [node_class(name)(parameter_overrides=_parameters(parameters)) for name in names]
+        made = []
+        for name in names:
+            looks = {"input": "points"} if name in {"perception", "segmentation"} else {}  # most tests send clouds
+            made.append(node_class(name)(parameter_overrides=_parameters(looks | parameters)))
         for node in made:
             self.serve(node)
             node.autostart()
         return made
+
+    @staticmethod
+    def parameters(**values: Any) -> list[Parameter]:
+        """Parameters by name, in which dots are written as two underscores."""
+        return _parameters(values)
 
     def serve(self, *nodes: Any) -> None:
         """Serve nodes that the test has made, and destroy them at the end."""

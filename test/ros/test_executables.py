@@ -45,7 +45,11 @@ def test_each_executable_answers_help_and_refuses_what_is_not_for_ros(capsys):
 @pytest.mark.slow
 def test_three_processes_make_one_chain_and_end_cleanly_on_ctrl_c(lone_graph, scene_cloud, model_card):
     graph = lone_graph
-    arguments = {"segmentation": (), "grasp": (), "touch_predictor": ("-p", f"model:={model_card}")}
+    arguments = {
+        "segmentation": ("-p", "input:=points"),
+        "grasp": (),
+        "touch_predictor": ("-p", f"model:={model_card}"),
+    }
     processes = {name: graph.start(name, *words) for name, words in arguments.items()}
     heard, publisher = graph.listen(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "points")
     graph.matched("points", "grasps", "touch")
@@ -66,7 +70,7 @@ def test_three_processes_make_one_chain_and_end_cleanly_on_ctrl_c(lone_graph, sc
 @pytest.mark.slow
 def test_namespace_and_topics_can_be_remapped(lone_graph, scene_cloud):
     graph = lone_graph
-    remapped = ("-r", "__ns:=/left", "-r", "points:=/camera/points")
+    remapped = ("-r", "__ns:=/left", "-r", "points:=/camera/points", "-p", "input:=points")
     process = graph.start("segmentation", *remapped)
     heard, publisher = graph.listen(PointCloud2, "/left/object_cloud"), graph.talk(PointCloud2, "/camera/points")
     graph.matched("/camera/points", "/left/object_cloud")

@@ -21,10 +21,10 @@ MODEL = ["-p", "model:=m.json"]
 NODES = {  # values of the arguments, then executables with what is peculiar to each
     "camera": ({}, {"camera": {}}),
     "perception": (
-        {"points": "/camera/points", "model": "m.json", "one_process": "true", "input": "points"},
+        {"points": "/camera/points", "depth": "d", "model": "m.json", "one_process": "true", "input": ""},
         {
             "perception": {
-                "remappings": [("points", "/camera/points")],
+                "remappings": [("depth/image", "d"), ("points", "/camera/points")],
                 "ros_arguments": [*MODEL, "-p", "input:=points"],
             }
         },
@@ -82,9 +82,17 @@ def test_each_node_gets_namespace_parameter_file_and_arguments(library):
             wanted = {"package": "foretouch", "executable": node.node_executable, "output": "screen", **own}
             wanted["parameters"] = ["d415.yaml", *own.get("parameters", [])]
             assert {key: value for key, value in options.items() if value != []} == wanted
-    module, _, context = describe("perception", points="points", model="m.json", one_process="false", input="points")
+    module, _, context = describe(
+        "perception", points="", depth="/depth/image_raw", model="m.json", one_process="false", input=""
+    )
     nodes = {node.node_executable: node for node in module.perception(context)}
     assert list(nodes) == ["foretouch_segmentation", "foretouch_grasp", "foretouch_touch_predictor"]
+    if library == "stubs":
+        options = nodes["foretouch_segmentation"].options
+        assert (options["remappings"], options["ros_arguments"]) == (
+            [("depth/image", "/depth/image_raw")],
+            ["-p", "input:=depth"],
+        )
     module, *_ = describe("recorder")
     known = {*RecorderConfig().to_mapping(), *(f"tactile.{name}" for name in RecorderConfig().tactile.to_mapping())}
     assert set(module.PARAMETERS.values()) <= known

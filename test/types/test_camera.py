@@ -53,6 +53,10 @@ def test_every_type_of_depth_gives_the_same_points() -> None:
     millimetres = np.random.default_rng(1).integers(0, 3000, (480, 848)).astype(np.uint16)
     millimetres[:40] = 0
     expected = Cloud.from_depth(millimetres, K).xyz
+    z = np.where(millimetres > 0, millimetres.astype(np.float32) * np.float32(1e-3), np.float32(np.nan))
+    x, y = ((np.arange(848) - K[0, 2]) / K[0, 0]), ((np.arange(480) - K[1, 2]) / K[1, 1])[:, None]
+    plain = np.stack([x.astype(np.float32) * z, y.astype(np.float32) * z, z], axis=-1)
+    np.testing.assert_array_equal(expected, plain)
     metres = millimetres.astype(np.float32) * np.float32(1e-3)
     metres[:10], metres[10:20], metres[20:30], metres[30:40] = np.nan, np.inf, -np.inf, -0.5
     for depth, scale in (
@@ -112,6 +116,16 @@ def test_the_inverse_is_exact_to_float32() -> None:
             np.testing.assert_allclose([x[row, column], y[row, column]], [float(one) for one in exact], rtol=6e-8)
 
 
+def test_points_of_a_distorted_image_are_on_its_rays() -> None:
+    depth = np.random.default_rng(1).integers(0, 3000, (1, 40)).astype(np.uint16)
+    for size in ((1, 40), (40, 1), (8, 5)):
+        camera = CameraModel(size[1], size[0], 30.0, 31.0, size[1] / 2, size[0] / 2, (0.1, 0.0, 0.01))
+        (x, y), z = camera.rays, depth.reshape(size).astype(np.float32) * np.float32(1e-3)
+        assert x.shape == size
+        z[z == 0.0] = np.nan
+        np.testing.assert_array_equal(camera.points(depth.reshape(size)), np.stack([x * z, y * z, z], axis=-1))
+
+
 def test_pixels_beyond_the_fold_of_a_lens_have_no_ray_and_a_lens_of_few_rays_is_refused() -> None:
     folded = CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5, (-0.35,))  # r (1 - .35 r²) is largest at r = .976
     x, _ = folded.rays
@@ -155,6 +169,9 @@ def test_what_is_no_depth_image_is_refused_in_one_line_that_names_it() -> None:
         ("depth: dtype int64 is not uint16", depth.astype(np.int64), K),
         ("depth: dtype bool", depth > 0, K),
         ("scale: 0.0 is not", depth, K, 0),
+        ("scale: 'mm' is not a number", depth, K, "mm"),
+        ("depth: setting an array element with a sequence", [[1], [2, 3]], K),
+        ("height: 0 px is not a whole number", depth[:0], K),
         ("scale: nan is not", depth, K, nan),
         ("scale: -0.001 is not", depth, K, -0.001),
         ("beyond 900 m .float64 with scale 1.: for millimetres pass scale=0.001", depth.astype(float), K),
@@ -170,6 +187,20 @@ def test_what_is_no_depth_image_is_refused_in_one_line_that_names_it() -> None:
         Cloud.from_depth(depth, K, rgb=np.zeros((4, 4, 3), np.uint8))
     with pytest.raises(CloudError, match=r"camera: \(480, 848\) is not the size of the image, \(4,\)"):
         Cloud(np.zeros((4, 3)), camera=CameraModel(848, 480, 616, 616, 423, 239))
+
+
+def test_masked_pixels_are_no_depth() -> None:
+    depth = np.ma.masked_less(np.arange(480 * 848, dtype=np.uint16).reshape(480, 848), 500)
+    xyz = Cloud.from_depth(depth, K).xyz
+    assert np.array_equal(np.isnan(xyz[..., 2]), np.ma.getmaskarray(depth) | (np.ma.getdata(depth) == 0))
+
+
+def test_a_camera_is_made_of_whole_sizes_and_numbers() -> None:
+    for size in ("a", 848.5, None, 0, 20_000):
+        with pytest.raises(CloudError, match=r"width: .* px is not a whole number between 1 and 16384"):
+            CameraModel(size, 480, *([600.0] * 4))
+    with pytest.raises(CloudError, match="K: None is not a number"):
+        CameraModel(848, 480, None, 600.0, 424.0, 240.0)
 
 
 def test_an_image_without_depth_and_a_part_of_an_image_are_no_error() -> None:

@@ -213,7 +213,7 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _repair(arguments: argparse.Namespace) -> int:
-    rows = []
+    failed, rows = False, []
     for path in arguments.paths:
         for report in repair_dataset(path):
             lost = [str(damage.error(report.path)) for damage in report.lost]
@@ -221,15 +221,18 @@ def _repair(arguments: argparse.Namespace) -> int:
                 original = None if report.original is None else str(report.original)
                 counts = {"samples": report.samples, "messages": report.messages}
                 record = {"file": str(report.path), "changed": report.changed, **counts, "original": original}
-                print_json({"input": path, **record, "lost": lost})
+                print_json({"input": path, **record, "lost": lost, "refusal": report.refusal})
+            if report.refusal:
+                warn(report.refusal)
             for line in lost:
                 warn(f"{line}: not kept")
             kept = report.original.name if report.original else ""
-            state = "repaired" if report.changed else "not damaged"
+            failed |= bool(report.refusal)
+            state = "refused" if report.refusal else "repaired" if report.changed else "not damaged"
             rows.append([str(report.path), state, str(report.samples), str(report.messages), kept])
     if not arguments.json:
         print_table("repaired", ["file", "state", "samples", "messages", "original"], rows)
-    return 0
+    return int(failed)
 
 
 def _edit(arguments: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -20,7 +21,7 @@ from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.laboratory import laboratory
-from foretouch.ros.graph import Graph
+from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPredictionArray
 
 
+_TOPIC_S = 5.0  # until somebody must publish a topic
 _PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
 
@@ -44,9 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--source",
         required=True,
-        metavar="DIR|FILE|SCENE|camera",
+        metavar="DIR|FILE|SCENE|TOPIC|camera",
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
-        " or `camera`, the RealSense",
+        " a topic of depth images (with camera_info beside it) or clouds, or `camera`, the RealSense",
     )
     parser.add_argument(
         "--dwell",
@@ -124,7 +126,13 @@ def run(arguments: argparse.Namespace) -> int:
     }
     if arguments.json:
         monitor["on_touch"] = partial(_print, sensor, arguments.failures)
-    graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
+    graph = Graph(
+        nodes,
+        namespace=arguments.namespace,
+        params_file=arguments.params,
+        monitor=monitor,
+        arguments=["--ros-args", *arguments.remapped, "--"],
+    )
     announce("starting the nodes")
     with graph:
         graph.require_active()
@@ -139,9 +147,12 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from foretouch.dataset.source import open_source
     from foretouch.models.card import read_card
     from foretouch.models.registry import SIMULATED_HAND_MODEL, find_card
+    from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
     given = [one for _, one in nodes_of_file(arguments.params)] if arguments.params else []
-    nodes: dict[str, dict[str, Any]] = {"perception": {}}
+    perception: dict[str, Any] = {}
+    nodes: dict[str, dict[str, Any]] = {"perception": perception}
+    arguments.remapped = []  # what perception receives
     if arguments.model:
         read_card(find_card(arguments.model))  # so that an absent one is reported before anything starts
         nodes["perception"]["model"] = str(arguments.model)
@@ -151,20 +162,34 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
-    if not (scene or arguments.source == "camera"):
+    live = scene or arguments.source == "camera" or _is_topic(arguments.source)
+    if not live:
         source = open_source(arguments.source, arguments.topic)
         if not any("late_after_s" in parameters for parameters in given):
-            nodes["perception"]["late_after_s"] = 0.0  # the stamps are those of the recording
-        if cloud_is_object(source):
-            nodes["perception"]["input"] = "objects"
+            perception["late_after_s"] = 0.0  # the stamps are those of the recording
+        perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
+        if source.info_topic:
+            arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
         return nodes | {"replay": _replay_parameters(arguments, source)}
     if arguments.wait_for or arguments.wait_limit is not None:
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
+    if _is_topic(arguments.source):
+        perception["input"] = input_of(arguments.source, _TOPIC_S)
+        own = "points" if perception["input"] == "points" else "depth/image"
+        arguments.remapped = ["-r", f"perception:{own}:={arguments.source}"]
+        return nodes
+    perception["input"] = "depth"
+    arguments.remapped = ["-r", f"perception:depth/image:={DEPTH_TOPIC}"]
     if scene and not arguments.model and not any("model" in parameters for parameters in given):
         nodes["perception"]["model"] = SIMULATED_HAND_MODEL
     for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
         nodes.setdefault(name, {}).update(parameters)
     return nodes
+
+
+def _is_topic(source: str) -> bool:
+    """Whether a source is the full name of a topic, and no file."""
+    return re.fullmatch(r"(/[A-Za-z_]\w*)+", source, re.ASCII) is not None and not Path(source).exists()
 
 
 def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]]) -> Sensor:
@@ -290,7 +315,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 
 def _source_state(graph: Graph) -> str:
     """What the source does, or what keeps it from sending."""
-    source = graph.nodes["replay" if graph.replay else "camera"]
+    source = graph.nodes[next(name for name in ("replay", "camera", "perception") if name in graph.nodes)]
     return "; ".join(source.errors()) or f"{source.get_name()} is {source.state_name}"
 
 
@@ -313,7 +338,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
-        source = "scene" if "hand" in graph.nodes else "camera"
+        source = "scene" if "hand" in graph.nodes else "camera" if "camera" in graph.nodes else arguments.source
         warn(f"no cloud came from the {source}: {getattr(arguments, 'state', _source_state(graph))}")
         return 3
     if untouched := at_rest(view.executed and view.executed[1]):

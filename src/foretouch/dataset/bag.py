@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, lru_cache, partial
 from heapq import merge
 from itertools import islice
 from operator import itemgetter
@@ -31,7 +31,7 @@ from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
+    from rosbags.interfaces import Connection, MessageDefinition
     from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
 
@@ -70,6 +70,7 @@ class Message:
     index: int  # its index among the messages of its topic, from 0
     bag_time_ns: int  # when the recorder received it [ns]; independent of the stamp in its header
     data: bytes  # CDR with its encapsulation header, as `rclpy` publishes it
+    definition: tuple[Any, str, bool]  # of its type
 
 
 class Recording:
@@ -93,8 +94,9 @@ class Recording:
             self._readers = [_opened(file, stack) for file in files]
             with _known_failures(self.path):
                 self._connections = [one for reader in self._readers for one in reader.connections]
-                self._store = _typestore(self._connections)
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
+            if not self.topics:
+                next(self.messages(), None)  # of a file that is cut off before its first message
             self.notes = tuple(_contradictions(self.path, files, self.topics))
             self._stack = stack.pop_all()
 
@@ -186,9 +188,10 @@ class Recording:
             runs += [reader.messages(wanted)] if wanted or isinstance(reader, _McapFile) else []
         with _known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
-                kind, topic = _type_of(connection), connection.topic
-                data = bytes(self._store.ros1_to_cdr(raw, kind)) if _is_ros1(connection) else _plain(raw)
-                yield Message(topic, kind, counts[topic], time_ns, data)
+                topic, definition = connection.topic, _definition(connection)
+                _, kind, ros1 = definition
+                data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else _plain(raw)
+                yield Message(topic, kind, counts[topic], time_ns, data, definition)
                 counts[topic] += 1
         faults = [one.fault for one in self._readers if isinstance(one, _McapFile) and one.fault]
         if faults:
@@ -204,7 +207,11 @@ class Recording:
     def content(self, message: Message) -> Any:
         """The fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
         with _known_failures(self.path, _position(message)):
-            return self._store.deserialize_cdr(message.data, message.type)
+            try:
+                return _typestore(*message.definition).deserialize_cdr(message.data, message.type)
+            except KeyError as err:
+                rule = f"cannot be decoded: the recording does not define {err.args[0]}, which is no standard type"
+                raise FileError(self.path, rule, field=_position(message)) from err
 
     def decode_cloud(self, message: Message, infos: CameraInfos | None = None) -> Cloud:
         """Decode a cloud or a depth image, with the frame and stamp of its header; a `FileError` if that fails."""
@@ -217,12 +224,11 @@ class Recording:
             raise FileError(self.path, str(err), field=_position(message)) from err
 
     def _topics(self) -> Iterator[Topic]:
-        definitions = self._store.fielddefs
         for name in sorted({one.topic for one in self._connections}):
             connections = [one for one in self._connections if one.topic == name]
             types = {_type_of(one) for one in connections}
             kind = types.pop() if len(types) == 1 else ""
-            fields = definitions[kind][1] if kind in definitions else []
+            fields = _typestore(*_definition(connections[0])).fielddefs.get(kind, ([], []))[1]
             stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
             count, latched = sum(one.msgcount for one in connections), any(map(_is_latched, connections))
             yield Topic(name, kind, count, tuple(f[0] for f in fields), stamped, latched)
@@ -268,6 +274,7 @@ class _McapFile:
         if faults:
             first = faults[0].error(self._shown)
             cure = f"what is intact was read; `foretouch dataset repair {self._shown}` makes a complete file of it"
+            cure = cure if any(one.msgcount for one in self.connections) else "no message can be read"
             self.fault = FileError(self._shown, f"{first.rule}: {cure}", field=first.field)
 
 
@@ -310,31 +317,40 @@ def _plain(data: bytes) -> bytes:
     return bytes(zstandard.ZstdDecompressor().decompressobj().decompress(data))
 
 
-def _typestore(connections: Collection[Connection]) -> Typestore:
-    """The recorded definitions of messages; for types without one, as before ROS 2 Iron, those of a current release."""
+@cache
+def _standard() -> Typesdict:
+    from rosbags.typesys import Stores, get_typestore
+
+    return dict(get_typestore(Stores.ROS2_KILTED).fielddefs)
+
+
+@lru_cache(maxsize=1024)
+def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestore:
+    """A recorded type and all types in it; those without a definition, as before ROS 2 Iron, as in a current release."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-    standard = get_typestore(Stores.ROS2_KILTED).fielddefs
     types: Typesdict = {}
-    for definition, name in {(one.msgdef, _type_of(one)) for one in connections}:
-        with suppress(TypesysError):  # costs this type alone
-            if not definition.data.strip() and name in standard:
-                continue  # it is missing
-            if definition.format == MessageDefinitionFormat.MSG:
-                types.update(get_types_from_msg(definition.data, name))
-            elif definition.format == MessageDefinitionFormat.IDL:
-                for part in re.split(r"^=+\nIDL: .*\n", definition.data, flags=re.MULTILINE):
-                    types.update(get_types_from_idl(part) if part.strip() else {})
-    if any(map(_is_ros1, connections)):
-        types[HEADER_TYPE] = standard[HEADER_TYPE]  # of ROS 2, without `seq`
-    needed = [_type_of(one) for one in connections]
-    for name in needed:  # which grows meanwhile
-        if name in types or name in standard:
-            needed += set(types_in(types.setdefault(name, standard.get(name, ([], [])))[1])) - {*needed}
+    with suppress(TypesysError):  # costs this type alone
+        if definition.format == MessageDefinitionFormat.IDL:
+            for part in re.split(r"^=+\nIDL: .*\n", definition.data, flags=re.MULTILINE):
+                types.update(get_types_from_idl(part) if part.strip() else {})
+        elif definition.format == MessageDefinitionFormat.MSG and (definition.data.strip() or name not in _standard()):
+            types.update(get_types_from_msg(definition.data, name))
+    if ros1:
+        types[HEADER_TYPE] = _standard()[HEADER_TYPE]  # of ROS 2, without `seq`
+    needed = [name]
+    for one in needed:  # which grows meanwhile
+        if one in types or one in _standard():
+            needed += set(types_in(types.setdefault(one, _standard().get(one, ([], [])))[1])) - {*needed}
     store = get_typestore(Stores.EMPTY)
-    store.register(types)
+    store.register({one: types[one] for one in needed if one in types})
     return store
+
+
+def _definition(connection: Connection) -> tuple[MessageDefinition, str, bool]:
+    """What the messages of a connection are decoded by; two of a recording may define a type otherwise."""
+    return connection.msgdef, _type_of(connection), _is_ros1(connection)
 
 
 def types_in(fields: Any) -> Iterator[str]:

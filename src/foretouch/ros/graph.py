@@ -40,6 +40,12 @@ NODES = {
 }
 """Module and class of each node by name; that of the simulated hand is in the laboratory."""
 
+_INPUTS = {
+    "sensor_msgs/msg/Image": "depth",
+    "sensor_msgs/msg/CompressedImage": "depth",
+    "sensor_msgs/msg/PointCloud2": "points",
+}  # of perception, by type of message
+
 _SOURCES = ("replay", "camera")
 
 
@@ -134,8 +140,9 @@ class Graph:
         return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
 
     def played(self) -> int:
-        """Clouds published by the replay or the camera; 0 without one."""
-        return sum(self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes)
+        """Clouds published by the replay or the camera; received from a topic of others."""
+        counts = [self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes]
+        return sum(counts) if counts else self.nodes["perception"].statistics.summary().received
 
     def stop_source(self) -> None:
         """Publish no more clouds."""
@@ -211,6 +218,33 @@ def node_class(name: str) -> "type[ForetouchNode[Any]]":
     module, _, class_name = NODES[name].partition(":")
     with needs_laboratory(f"node {name}"):
         return cast("type[ForetouchNode[Any]]", getattr(import_module(module), class_name))
+
+
+def input_of(topic: str, wait_s: float) -> str:
+    """Find out what a topic of a camera is for `perception`: `depth` or `points`; a `ConfigError` if it is nothing of both.
+
+    Args:
+        topic: Full name.
+        wait_s: Longest wait until somebody publishes it [s].
+    """
+    start_rclpy([])
+    import rclpy
+
+    node, end, kinds = rclpy.create_node("foretouch_look"), time.monotonic() + wait_s, dict[str, list[str]]()
+    try:
+        while topic not in kinds and time.monotonic() < end:
+            time.sleep(0.1)
+            kinds = {name: types for name, types in node.get_topic_names_and_types() if node.count_publishers(name)}
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    for kind in kinds.get(topic, ()):
+        if kind in _INPUTS:
+            return _INPUTS[kind]
+    there = [name for name, types in kinds.items() if any(kind in _INPUTS for kind in types)]
+    rule = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"nobody publishes it within {wait_s:g} s"
+    seen = f"; there are {', '.join(sorted(there))}" if there else "; there is no topic of images or clouds"
+    raise ConfigError(f"{topic}: {rule}, not an image of depth or a cloud{seen}")
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:

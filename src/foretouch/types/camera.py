@@ -13,9 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted
+from foretouch.kernels import Kernel
 
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
+
+_deproject_whole = Kernel("deproject_whole", np.uint16, int, int, float, np.float32, np.float32, int, np.float32)
+_deproject_single = Kernel("deproject_single", np.float32, int, int, float, np.float32, np.float32, int, np.float32)
 
 MODELS: Final = ("plumb_bob", "rational_polynomial")
 """Distortion models of `sensor_msgs/CameraInfo` that are undone."""
@@ -60,9 +64,10 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         for name, side in (("width", self.width), ("height", self.height)):
-            if not 1 <= side <= _LARGEST_SIDE:
-                raise CloudError(f"{name}: {side} px is not between 1 and {_LARGEST_SIDE}")
-        numbers = [float(one) for one in (self.fx, self.fy, self.cx, self.cy)]
+            if not isinstance(side, int | np.integer) or not 1 <= side <= _LARGEST_SIDE:
+                raise CloudError(f"{name}: {quoted(side)} px is not a whole number between 1 and {_LARGEST_SIDE}")
+            object.__setattr__(self, name, int(side))
+        numbers = [as_number("K", one) for one in (self.fx, self.fy, self.cx, self.cy)]
         names = ("fx", "fy", "cx", "cy")
         if not numbers[0] and not numbers[1]:
             raise CloudError("K: fx and fy are 0: the camera is not calibrated")
@@ -153,33 +158,39 @@ class CameraModel:
         Raises:
             CloudError: If the image has another size or type, or the unit is not plausible. The message names it.
         """
-        z = self._depths(depth, scale)
-        x, y = self.rays
-        xyz = np.empty((*z.shape, 3), np.float32)
-        with np.errstate(over="ignore", invalid="ignore"):
-            np.multiply(x, z, out=xyz[..., 0])
-            np.multiply(y, z, out=xyz[..., 1])
-        if self.distortion:
-            z[np.isnan(xyz[..., 0])] = np.nan
-        xyz[..., 2] = z
-        return xyz
-
-    def _depths(self, depth: npt.NDArray[Any], scale: float | None) -> _Float32:
-        """(H, W) float32 [m], NaN where there is none."""
         height, width = check_image(depth)
         if (height, width) != self.shape:
             raise CloudError(f"depth: {width}x{height} is not the size of the camera, {self.width}x{self.height}")
         kind = depth.dtype.newbyteorder("=")
-        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else float(scale)
+        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else as_number("scale", scale)
         if not 0.0 < scale < np.inf:
             raise CloudError(f"scale: {scale} is not a number of metres above 0")
-        with np.errstate(over="ignore", invalid="ignore"):
-            z: _Float32 = depth.astype(np.float32)  # a copy, of the machine's byte order
-            if scale != 1.0:
-                z *= np.float32(scale)
-            z[~((z > 0.0) & (z < np.inf))] = np.nan
-        _check_unit(z, kind, scale)
-        return z
+        _check_unit(depth, kind, scale)
+        whole = kind == np.uint16
+        with np.errstate(over="ignore"):  # what float32 cannot hold is no depth
+            numbers = np.ascontiguousarray(depth, np.uint16 if whole else np.float32)
+        x, y = self.rays
+        xyz = np.empty((height, width, 3), np.float32)
+        (_deproject_whole if whole else _deproject_single)(
+            numbers, height, width, scale, x, y, bool(self.distortion), xyz
+        )
+        return xyz
+
+
+def as_number(name: str, value: Any) -> float:
+    """A number as float; a `CloudError` names the argument if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError) as err:
+        raise CloudError(f"{name}: {quoted(value)} is not a number") from err
+
+
+def as_image(depth: Any) -> npt.NDArray[Any]:
+    """A depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
+    try:
+        return np.asarray(np.ma.filled(depth, 0))
+    except ValueError as err:
+        raise CloudError(f"depth: {err}") from err
 
 
 def check_image(depth: npt.NDArray[Any]) -> tuple[int, int]:
@@ -193,23 +204,22 @@ def check_image(depth: npt.NDArray[Any]) -> tuple[int, int]:
     return depth.shape[0], depth.shape[1]
 
 
-def _check_unit(z: _Float32, kind: np.dtype[Any], scale: float) -> None:
-    """Refuse depths (H, W) [m] that no depth camera measures, as millimetres that are given as metres."""
-    step = max(1, int(np.sqrt(z.size / _SAMPLED)))
-    for some in (z[::step, ::step], z):
-        found = some[np.isfinite(some)]
+def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> None:
+    """Refuse depths (H, W) that no depth camera measures, as millimetres that are given as metres."""
+    step = max(1, int(np.sqrt(depth.size / _SAMPLED)))
+    for some in (depth[::step, ::step], depth):
+        found = some[(some > 0) & (some < np.inf)]
         if found.size:
             break
     else:
         return
-    middle = float(np.partition(found, found.size // 2)[found.size // 2])
+    middle = float(np.partition(found, found.size // 2)[found.size // 2]) * scale
     if _NEAREST_M <= middle <= _FARTHEST_M:
         return
-    unit = f"{kind} with scale {scale:g}"
-    cure = "for millimetres pass scale=0.001" if middle > _FARTHEST_M else "for metres pass scale=1"
-    raise CloudError(
-        f"depth: half of the image is {'beyond' if middle > _FARTHEST_M else 'within'} {middle:.3g} m ({unit}): {cure}"
-    )
+    far = middle > _FARTHEST_M
+    cure = "for millimetres pass scale=0.001" if far else "for metres pass scale=1"
+    side, unit = "beyond" if far else "within", f"{kind} with scale {scale:g}"
+    raise CloudError(f"depth: half of the image is {side} {middle:.3g} m ({unit}): {cure}")
 
 
 def _coefficients(given: Any) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8
-from foretouch.types.camera import CameraModel, check_image
+from foretouch.types.camera import CameraModel, as_image, check_image
 
 SQUARABLE = (1e-145, 1e150)
 """Numbers between these have squares of full precision.
@@ -39,6 +39,8 @@ class Cloud:
         if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
             raise CloudError(f"xyz: shape {self.xyz.shape} is neither (N, 3) nor (H, W, 3)")
         if self.rgb is not None:
+            if not isinstance(self.rgb, np.ndarray):
+                object.__setattr__(self, "rgb", np.asarray(self.rgb))
             if self.rgb.shape != self.xyz.shape:
                 raise CloudError(f"rgb: shape {self.rgb.shape} is not that of xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
@@ -74,7 +76,7 @@ class Cloud:
             CloudError: If the image is no depth image, `K` is not of its size, or its unit is not plausible. The message
                 names the argument.
         """
-        image = np.asarray(depth)
+        image = as_image(depth)
         if not isinstance(K, CameraModel):
             height, width = check_image(image)
             K = CameraModel.of(K, width, height, distortion)  # noqa: N806

@@ -172,7 +172,7 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
     check_repaired(file, {0, 2, 3})
     name = b"foretouch_msgs/msg/GraspSample"
     file.write_bytes(good.replace(name, b"x" + name[1:], 1))
-    with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, and counts {COUNT}"):
+    with pytest.raises(FileError, match=r"byte \d+: damaged: a chunk that does not match its checksum"):
         RecordedDataset(file)
     check_repaired(file, range(COUNT))
     changed = bytearray(good)  # in the declaring chunk; a finished file repeats its topics in the summary

@@ -114,18 +114,19 @@ def samples_in(file: RecordingFile) -> list[RecordedMessage]:
     Raises a `FileError` at the first invalid record, unless the file merely ends within it, and if a finished file holds
     another number of samples than it counts.
     """
-    found = []
-    for item in file.messages(only=SAMPLE_TYPES):
-        if isinstance(item, RecordedMessage):
-            found += [item] if item.type in SAMPLE_TYPES else []
-        elif not file.finished and (item.rule.startswith("cut off") or len(file.data) < len(MAGIC)):
-            break
-        else:
-            raise item.error(file.path)
-    counted = (file.counts or MessageCounts()).topics.get(SAMPLE_TOPIC, TopicCounts()).written
-    if file.finished and counted != len(found):
-        raise FileError(file.path, f"damaged: holds {len(found)} samples, and counts {counted}", field="samples")
-    return found
+    for only in (SAMPLE_TYPES, ()):  # other tools may have put samples into chunks behind other messages
+        found = []
+        for item in file.messages(only):
+            if isinstance(item, RecordedMessage):
+                found += [item] if item.type in SAMPLE_TYPES else []
+            elif not file.finished and (item.rule.startswith("cut off") or len(file.data) < len(MAGIC)):
+                break
+            else:
+                raise item.error(file.path)
+        counted = (file.counts or MessageCounts()).topics.get(SAMPLE_TOPIC, TopicCounts()).written
+        if not file.finished or counted == len(found):
+            return found
+    raise FileError(file.path, f"damaged: holds {len(found)} samples, and counts {counted}", field="samples")
 
 
 def readable(file: RecordingFile, message: RecordedMessage) -> StoredSample | None:

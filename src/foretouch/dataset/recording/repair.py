@@ -53,21 +53,24 @@ class RepairReport:
     messages: int = 0  # messages in it now, including samples
     original: Path | None = None  # the file that keeps the original, or None
     lost: list[Damage] = field(default_factory=list)  # the parts that were not kept, with their offsets in the original
+    refusal: str = ""  # why a file of several stays as it is although it is damaged
 
 
 def repair_dataset(path: str | Path) -> list[RepairReport]:
     """Repair every recording of a dataset that needs it, or a single file; a log of edits that is damaged is renamed.
 
     Raises:
-        FileError: If another process records into it, it is not a recording or of another version, the disk is full, or
-            a file holds nothing that could be kept.
+        FileError: If another process records into it, it is not a recording; for a single file also if it is of another version, holds
+            nothing that could be kept, or the disk is full.
     """
     path = Path(path)
     files = recorded_files(path, complete=False)  # refuses other folders, before a lock file is created there
+    if path.is_file():
+        return [_repair_file(path)]
     if not is_dataset(path):
-        return [_repair_file(file) for file in files]
+        return [_repaired_or_refused(file) for file in files]
     with lock(path):
-        reports = [_repair_file(file) for file in files]
+        reports = [_repaired_or_refused(file) for file in files]
         found = {file.name: session_id(file) for file in files}
         for name, session in stated(path, SESSIONS).items():
             if found.get(name) != session:
@@ -91,6 +94,13 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
         return reports
 
 
+def _repaired_or_refused(path: Path) -> RepairReport:
+    try:
+        return _repair_file(path)
+    except FileError as err:
+        return RepairReport(path, refusal=str(err))
+
+
 def _repair_file(path: Path) -> RepairReport:
     """Repair one recording; a clean one is not changed."""
     file = RecordingFile(path)
@@ -108,7 +118,7 @@ def _repair_file(path: Path) -> RepairReport:
         compression = CompressionType.__members__.get(name, CompressionType.NONE)
         _copy_intact(file, McapFile(part, None if file.is_own else file.header, compression), report)
         only_cut = len(file.data) <= len(MAGIC) or all(one.rule.startswith("cut off") for one in report.lost)
-        if not report.messages and not (file.is_own and only_cut):
+        if not report.messages and not (file.is_own and only_cut and not file.compression):
             rule = report.lost[0].rule if report.lost else "it has no end"
             raise FileError(path, f"holds no message that could be kept, and stays as it is: {rule}")
         report.original = _replace(path, part)

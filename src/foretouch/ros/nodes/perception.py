@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole road in one node: a cloud in, `objects`, `table`, `object_cloud`, `grasps` and `touch` out.
+"""The whole road in one node: a depth image or a cloud in, `objects`, `table`, `object_cloud`, `grasps` and `touch` out.
 
 The answer to a cloud is four steps: message to arrays, the pipeline, arrays to messages, publish.
 """
@@ -19,6 +19,7 @@ from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.requests import Latest, RefusalError, read_objects, status_code
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
+from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
 from foretouch.ros.steps.grasping import GraspSettings, GraspStep
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
 from foretouch.ros.steps.touch import TouchStep
@@ -28,13 +29,14 @@ from foretouch_msgs.msg import GraspArray, TablePlane
 
 
 @dataclass(frozen=True, kw_only=True)
-class PerceptionConfig(MatchingConfig, SegmentationSettings, GraspSettings, TouchSettings):
+class PerceptionConfig(MatchingConfig, CameraInputSettings, SegmentationSettings, GraspSettings, TouchSettings):
     """Settings of all steps."""
 
     input: str = setting(
-        "points",
-        "What is looked at: points, the topic of clouds; objects, the topics object_cloud and table of who segments",
-        choices=("points", "objects"),
+        "depth",
+        "What is received: depth, the topics depth/image and depth/camera_info; points, the topic of clouds; objects, "
+        "the topics object_cloud and table of who segments",
+        choices=("depth", "points", "objects"),
         read_only=True,
     )
 
@@ -54,8 +56,8 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
             super()._setup()
         else:
             self._segmentation = SegmentationStep(self)
-            self.steps = (self._segmentation, *self.steps)
-            self.subscribe(PointCloud2, "points", self._receive, latched=None)
+            self._camera = CameraInput(self, self._receive)
+            self.steps = (self._segmentation, *self.steps, self._camera)
 
     def _answer(self, item: Input) -> tuple[int, str]:
         header = item.header
@@ -63,7 +65,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
             objects, table = item.content[CLOUD_TOPIC], item.content["table"]
             targets = read_objects(objects, table, self.config.limits)
             return self._answer_targets(item, targets, lambda: objects, table.status, table.reason)
-        cloud = self._segmentation.read(item.content)
+        cloud = self._camera.cloud(item.content)
         scene = self._segmentation.segment(cloud)
         message = partial(objects_to_msg, scene.targets, header.frame_id, stamp_ns(header.stamp))
         outcome = self._answer_targets(item, scene.targets, message, status_code(scene.status), scene.reason)

@@ -13,7 +13,6 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
-from foretouch.config import setting
 from foretouch.dataset.topics import CLOUD_TOPIC
 from foretouch.errors import CloudError
 from foretouch.grasp import HandConfig
@@ -21,7 +20,7 @@ from foretouch.pipeline import Pipeline, PipelineConfig, Scene
 from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
-from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
+from foretouch.ros.messages.requests import RefusalError, status_code
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.ros.steps.selection import Selection, SelectionSettings
@@ -37,7 +36,6 @@ class SegmentationSettings(SelectionSettings):
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
     hand: HandConfig = HandConfig()  # with which `target.mode` free plans grasps
-    frames: tuple[str, ...] = setting((), "Accepted frames of the clouds; if empty, every frame that has a name")
 
 
 class SegmentationStep(Step):
@@ -59,22 +57,12 @@ class SegmentationStep(Step):
 
     def configure(self, config: SegmentationSettings) -> None:
         """Use other settings, and forget the stream so far."""
-        self._config = config
         self._pipeline = Pipeline(
             PipelineConfig(segmentation=config.segmentation, target=config.target, hand=config.hand)
         )
         self._identity = ObjectIdentity()
         self._selection.forget()
         self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
-
-    def read(self, message: PointCloud2) -> Cloud:
-        """Convert a cloud; a `RefusalError` if it is malformed or its frame is not accepted."""
-        frame, allowed = message.header.frame_id, self._config.frames
-        if not frame:
-            raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
-        if allowed and frame not in allowed:
-            raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is not one of {', '.join(allowed)}")
-        return read_cloud(message)
 
     def segment(self, cloud: Cloud) -> Scene:
         """Find the table and the objects; of equal ones, the target of the cloud before stays the target.
