@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """MCAP files as others write them, with any of the optional parts of the format; `mcap` itself tells what is in front of a cut."""
 
+import shutil
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +15,10 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from mcap.data_stream import ReadDataStream
 from mcap.records import Chunk
 from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import Stores, get_typestore
 
 STRING = "std_msgs/msg/String"
 FIRST_NS = 1_700_000_000_000_000_000
@@ -29,7 +34,7 @@ def string_cdr(text: str) -> bytes:
 class Parts:
     """The optional parts of an MCAP file."""
 
-    writer: str = "mcap"  # or foxglove
+    writer: str = "mcap"  # or foxglove, or rosbags, which has none of the choices but zstd or none
     compression: str = "zstd"  # or lz4, or ""
     chunked: bool = True
     chunk_size: int = 400
@@ -51,6 +56,19 @@ def write_strings(path: Path, texts: list[str], parts: Parts, first_ns: int = FI
     times = [first_ns + k * 1_000_000 for k in range(len(texts))]
     order = sorted(range(len(texts)), key=lambda k: (k * 7) % 5) if parts.shuffled else range(len(texts))
     text = b"string data\n" if parts.definitions else b""
+    if parts.writer == "rosbags":
+        folder = path.with_suffix("")
+        bag = BagWriter(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+        if parts.compression:
+            bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with bag:
+            store = get_typestore(Stores.ROS2_KILTED)
+            connections = [bag.add_connection(topic, STRING, typestore=store) for topic in ("/a", "/b")]
+            for k in order:
+                bag.write(connections[k % 2], times[k], string_cdr(texts[k]))
+        (folder / f"{folder.name}.mcap").rename(path)
+        shutil.rmtree(folder)
+        return
     if parts.writer == "foxglove":
         options = MCAPWriteOptions(
             compression={"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "": None}[parts.compression],

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 from command_answer import run_python
 from every_case import every_case
@@ -203,31 +202,6 @@ def test_the_page_of_scenes_has_the_example_every_shape_and_every_field(referenc
     assert all(
         f"| `{field}` |" in page for field in ("seed", "families[].count", "objects[].pose.rest", "fingers.dead.thumb")
     )
-
-
-def test_the_examples_of_the_python_pages_run(tmp_path, monkeypatch, capsys) -> None:
-    from recording_builders import write_dataset
-
-    from foretouch.pipeline import Pipeline
-    from foretouch_lab.simulation import random_scene
-
-    scene = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render().cloud()
-    write_dataset(tmp_path / "session", 4, points=100)
-    for name in ("config", "examples"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    monkeypatch.chdir(tmp_path)
-    target = Pipeline().run(scene).targets[0]
-    given = {"cloud": target.target.cloud, "plane": target.target.plane, "grasps": target.plan.grasps, "tare": None}
-    block = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-    examples = {page.stem: block.findall(page.read_text()) for page in sorted((DOCS / "api").glob("*.md"))}
-    assert sum(map(len, examples.values())) == 6
-    for name, codes in examples.items():
-        for code in codes:
-            names = dict(given)
-            exec(compile(code, name, "exec"), names)  # the documents are ours
-            printed = capsys.readouterr().out
-            assert printed or name == "models", name
-            assert name != "models" or names["predictions"][0].status == "ok"
 
 
 @pytest.mark.slow

@@ -46,7 +46,11 @@ def test_what_is_nothing_known(tmp_path):
     (tmp_path / "empty").mkdir()
     write_cloud(tmp_path / "1.npz", cloud_of(1))
     for name, topic, rule in (
-        ("notes.txt", None, "notes.txt: suffix .txt is not one of .pcd, .ply, .npz, .npy, .mcap, .db3, .bag"),
+        (
+            "notes.txt",
+            None,
+            "notes.txt: suffix .txt is not one of .pcd, .ply, .npz, .npy, .png, .tif, .tiff, .mcap, .db3, .bag",
+        ),
         ("empty", None, "holds no clouds"),
         ("absent", None, "absent: does not exist"),
         ("1.npz", "/points", "is not a recording, so it has no topic /points"),

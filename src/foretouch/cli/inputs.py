@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import chain
+from pathlib import Path
 from typing import Any, Final
 
 from foretouch.cli.output import print_json, warn
+from foretouch.cloud.io.depth_files import PAIRING, DepthCamera
 from foretouch.cloud.io.mask_files import read_mask
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
@@ -68,7 +70,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "inputs": {
         "metavar": "IN",
         "nargs": "+",
-        "help": "cloud file (.pcd, .ply, .npz or .npy), folder of cloud files, dataset or recording",
+        "help": f"cloud file (.pcd, .ply, .npz or .npy), depth image (.png, .tif, .npz or .npy), folder of these, dataset or recording; {PAIRING}",
     },
     "--topic": {"help": "topic of point clouds or depth images of a recording (default: its only one)"},
     "--config": {"metavar": "YAML", "help": "file with settings of the pipeline"},
@@ -82,6 +84,21 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--target": {
         "choices": ["nearest", "largest", "free", "all"],
         "help": "objects of a cloud to use; free is the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
+    },
+    "--intrinsics": {
+        "type": numbers,
+        "metavar": "fx,fy,cx,cy",
+        "help": "intrinsics of the depth images [pixels] (default: K in the file, or the camera of the folder)",
+    },
+    "--camera-info": {
+        "type": Path,
+        "metavar": "FILE",
+        "help": "camera of the depth images: YAML of ROS, JSON of RealSense or Open3D, meta.mat of GraspNet, or a matrix as text",
+    },
+    "--depth-scale": {
+        "type": positive_value,
+        "metavar": "M",
+        "help": "metres per unit of the depth images (default: 0.001 for 16 bits, 1 for floats)",
     },
     "--mask": {
         "metavar": "FILE",
@@ -138,7 +155,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments that several commands share, by name."""
 
-READ: Final = ("inputs", "--topic", "--config", "--set", "--mask", "--picture")
+READ: Final = (
+    *("inputs", "--topic", "--config", "--set", "--intrinsics", "--camera-info", "--depth-scale"),
+    *("--mask", "--picture"),
+)
 PLANNED: Final = ("--plane", "--scene", "--target")
 CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
@@ -180,13 +200,14 @@ def check_single(arguments: argparse.Namespace) -> None:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
 
 
-def scene_of(cloud: Cloud, arguments: argparse.Namespace, pipeline: Pipeline) -> Scene:
-    """The scene of a cloud, by the labels of --mask if it is given."""
-    mask = read_mask(arguments.mask) if arguments.mask else None
+def scene_of(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Scene:
+    """The scene of a cloud, by the labels of --mask, or of the mask beside a depth image of a folder."""
+    file = arguments.mask or item.mask
+    mask = read_mask(file) if file else None
     try:
-        return pipeline.segment(cloud, mask=mask)
+        return pipeline.segment(item.cloud, mask=mask)
     except CloudError as err:
-        raise CloudError(f"{arguments.mask}: {err}" if arguments.mask else str(err)) from err
+        raise CloudError(f"{file}: {err}" if file else str(err)) from err
 
 
 def target_objects(
@@ -207,7 +228,7 @@ def target_objects(
     if holds_one_object(item.cloud, arguments):
         target = only_object(item.cloud, arguments)
         return [target], target, ""
-    scene = scene_of(item.cloud, arguments, pipeline)
+    scene = scene_of(item, arguments, pipeline)
     if not scene.objects:
         raise CloudError(f"{scene.status}: {scene.reason}")
     if arguments.pixel:
@@ -260,7 +281,7 @@ def process_inputs(
     `process` yields the records of one cloud, of which those with `failed` set are failures; `show` is used without --json.
     """
     failed = False
-    for name, result in chain.from_iterable(_results(path, arguments.topic, process) for path in arguments.inputs):
+    for name, result in chain.from_iterable(_results(path, arguments, process) for path in arguments.inputs):
         if isinstance(result, ForetouchError):
             failed = True
             if arguments.json:
@@ -273,11 +294,16 @@ def process_inputs(
 
 
 def _results(
-    path: str, topic: str | None, process: Callable[[SourceItem], Iterator[Record]]
+    path: str, arguments: argparse.Namespace, process: Callable[[SourceItem], Iterator[Record]]
 ) -> Iterator[tuple[str, Record | ForetouchError]]:
     """The records of each cloud, or why it was refused."""
     try:
-        source = open_source(path, topic=topic)
+        if arguments.intrinsics and arguments.camera_info:
+            raise ConfigError("--intrinsics, --camera-info: state the camera twice; give one of them")
+        camera = DepthCamera(
+            intrinsics=tuple(arguments.intrinsics or ()), info=arguments.camera_info, scale=arguments.depth_scale
+        )
+        source = open_source(path, topic=arguments.topic, camera=camera)
         for note in source.notes:
             warn(note)
         for item in source:

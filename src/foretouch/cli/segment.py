@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Iterator[dict[str, Any]]:
-    scene = scene_of(item.cloud, arguments, pipeline)
+    scene = scene_of(item, arguments, pipeline)
     found = scene.segmentation
     if arguments.labels_out:
         np.save(arguments.labels_out, found.labels, allow_pickle=False)

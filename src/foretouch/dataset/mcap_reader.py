@@ -225,7 +225,7 @@ class McapReader:
         head = self._head(record)
         self.compression = head.compression
         packed, is_cut = record if head.compression or unpacked else None, head.end > record.end
-        fault = "" if is_cut or (only and not packed) else self._fault(record, head, unpacked=packed is not None)
+        fault = "" if only and not packed else self._fault(record, head, unpacked=packed is not None)
         if fault:
             yield Damage(record.offset, fault)
             return
@@ -272,11 +272,13 @@ class McapReader:
         )
 
     def _fault(self, record: Record, head: _Chunk, *, unpacked: bool) -> str:
-        """What is wrong with the content of a chunk; "" if nothing."""
+        """What is wrong with the content of a chunk; "" if nothing, or if it is cut off."""
         if head.compression not in _UNPACKERS:
             return f"a chunk is compressed by {head.compression!r}, which is not supported"
         if head.size > _MOST_UNPACKED and head.compression:
             return f"a chunk unpacks to {head.size} bytes, more than {_MOST_UNPACKED}"
+        if head.end > record.end:
+            return ""
         content = self._unpack(record) if unpacked else None
         size = head.end - head.start if content is None else len(content)
         crc = 0 if not head.crc else self.data.crc32(head.start, record.end) if content is None else zlib.crc32(content)
@@ -308,7 +310,7 @@ class McapReader:
             fault = ""
             if left >= 0 and opcode not in allowed:
                 fault = f"damaged: a record of number {opcode} is not allowed here"
-            elif length <= left or (opcode == Opcode.CHUNK and left > _CHUNK.size):
+            elif length <= left or (opcode == Opcode.CHUNK and left >= _CHUNK.size + 16):
                 fault = self._declare(source, record, length)
                 if not fault:
                     yield record

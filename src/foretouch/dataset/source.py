@@ -6,12 +6,13 @@ its cloud is requested, so that one bad file costs one item.
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
+from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.dataset.formats import readable_formats
@@ -30,6 +31,7 @@ class SourceItem:
 
     name: str  # its file or folder, or recording and number of the message
     load: Callable[[], Cloud | GraspSample]
+    mask: Path | None = None  # of a depth image in a folder
 
     @cached_property
     def _value(self) -> Cloud | GraspSample:
@@ -58,6 +60,7 @@ class Source:
     topic: str = ""  # of the clouds or depth images of a recording
     info_topic: str = ""  # of the camera infos of depth images; "" for clouds
     others: tuple[Topic, ...] = ()  # further topics of a recording
+    masks: Mapping[str, Path] = field(default_factory=dict)  # of depth images of a folder, by name of the entry
     notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files
 
     def __len__(self) -> int:
@@ -66,7 +69,7 @@ class Source:
     def __iter__(self) -> Iterator[SourceItem]:
         for number, (name, load) in enumerate(self.entries(), 1):
             stamp_ns = None if self.kind == "recording" else number * STAMP_STEP_NS
-            yield SourceItem(name, partial(self._load, load, stamp_ns))
+            yield SourceItem(name, partial(self._load, load, stamp_ns), self.masks.get(name))
 
     def _load(self, load: Callable[[], Cloud | GraspSample], stamp_ns: int | None) -> Cloud | GraspSample:
         found = load()
@@ -79,7 +82,9 @@ class Source:
         return replace(cloud, stamp_ns=stamp_ns, frame_id=cloud.frame_id or self.frame_id)
 
 
-def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "") -> Source:
+def open_source(
+    path: str | Path, topic: str | None = None, *, frame_id: str = "", camera: DepthCamera | None = None
+) -> Source:
     """Find out what is at a path.
 
     Args:
@@ -88,6 +93,7 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
         topic: The topic of a recording that holds several topics of clouds; for a recorded dataset, the topic to read
             instead of its samples.
         frame_id: For clouds without a frame.
+        camera: Of depth images; goes before that in their folder.
 
     Returns:
         A `Source`. Files are in natural order (`2.pcd` before `10.pcd`) and stamped by their index; the clouds of a
@@ -108,18 +114,31 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
             topics = {one.name: one for one in recording.topics}
             count, info, notes = topics.pop(name).count, recording.info_topic(name), recording.notes
         others = tuple(topics.values())
-        return Source(path, "recording", count, partial(_recorded, path, name), frame_id, name, info, others, notes)
+        entries = partial(_recorded, path, name)
+        return Source(path, "recording", count, entries, frame_id, name, info, others, notes=notes)
     if topic is not None:
         raise FileError(path, f"is not a recording, so it has no topic {topic}")
     files = sorted(path.iterdir(), key=_natural) if path.is_dir() else [path]
-    clouds = [(str(file), partial(read_cloud, file)) for file in files if file.suffix.lower() in CLOUD_SUFFIXES]
+    pairs, known = (
+        Pairs.of(files if path.is_dir() else []),
+        CLOUD_SUFFIXES if path.is_dir() else CLOUD_SUFFIXES + IMAGE_SUFFIXES,
+    )
+    given = camera or DepthCamera()
+    clouds = []
+    for file in files:
+        if file in pairs.depths or (file.suffix.lower() in known and file not in pairs.others):
+            beside = None if given.info or given.intrinsics else pairs.infos.get(file)
+            own = replace(given, info=given.info or beside)
+            clouds.append((str(file), partial(read_cloud, file, own)))
     if not clouds and path.is_dir():
-        known = ", ".join(CLOUD_SUFFIXES)
-        raise FileError(path, f"holds no clouds ({known}), no recording and no dataset ({readable_formats()})")
+        formats = ", ".join(CLOUD_SUFFIXES)
+        rule = f"holds no clouds ({formats}), no depth images, no recording and no dataset ({readable_formats()}); {PAIRING}"
+        raise FileError(path, rule)
     if not clouds:
-        known = ", ".join(CLOUD_SUFFIXES + RECORDING_SUFFIXES)
-        raise FileError(path, f"suffix {path.suffix or 'absent'} is not one of {known}")
-    return Source(path, "clouds", len(clouds), lambda: clouds, frame_id)
+        formats = ", ".join(known + RECORDING_SUFFIXES)
+        raise FileError(path, f"suffix {path.suffix or 'absent'} is not one of {formats}")
+    masks = {str(file): mask for file, mask in pairs.masks.items()}
+    return Source(path, "clouds", len(clouds), lambda: clouds, frame_id, masks=masks)
 
 
 def _sample(samples: SampleSet, number: int) -> GraspSample:

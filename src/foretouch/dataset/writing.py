@@ -72,7 +72,7 @@ class WriteResult:
 
 def write(
     path: str | Path,
-    samples: "SampleSet | Iterable[SampleRecord | Mapping[str, Any]]",
+    samples: "SampleSet | Iterable[SampleRecord | GraspSample | Mapping[str, Any]]",
     sensor: str | Path | Sensor = "biotac_sp",
     *,
     missing: Missing = "refuse",
@@ -83,7 +83,7 @@ def write(
 
     Args:
         path: Folder of the dataset. A new one appears as a whole or not at all.
-        samples: A dataset, or samples of any source: `SampleRecord`, or mappings with the arguments of `sample_of`, such as
+        samples: A dataset, or samples of any source: `GraspSample`, `SampleRecord`, or mappings with the arguments of `sample_of`, such as
             `{"object": "mug", "values": {"P_left": (T, M), "P_right": (T, M)}, "stamps_s": (T,), "rest": 40}`.
         sensor: Name or file of the description of the sensor. A dataset brings its own.
         missing: What becomes of numbers that are not finite in mappings. "refuse" refuses them by name; "hold" takes the
@@ -98,7 +98,7 @@ def write(
         DatasetError: If a sample breaks a rule. The message names the sample, the field, the rule, and what to do.
         FileError: If the dataset is of another hand, camera or sensor, or cannot be written.
     """
-    records: Iterable[SampleRecord | Mapping[str, Any]]
+    records: Iterable[SampleRecord | GraspSample | Mapping[str, Any]]
     if isinstance(samples, SampleSet):
         own, facts, records = samples.sensor, samples.identity, samples.records()
     else:
@@ -110,8 +110,8 @@ def write(
 
     def made() -> Iterable[SampleRecord]:
         for number, one in enumerate(records):
-            if isinstance(one, SampleRecord):
-                yield one
+            if isinstance(one, SampleRecord | GraspSample):
+                yield one if isinstance(one, SampleRecord) else SampleRecord(sample=one)
                 continue
             try:
                 yield sample_of(own, missing=missing, remarks=remarks, **one)

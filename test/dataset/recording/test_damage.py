@@ -160,7 +160,9 @@ def test_a_cut_anywhere_keeps_all_samples_before_it(file: Path, rng: np.random.G
         assert not verify(file).finished
         check_repaired(file, {n for n, (_, end) in enumerate(ends) if end <= cut})
 
-    every_case(sorted({0, 3, 8, 9, 20, 40, len(good) - 1, magic, *map(int, rng.integers(0, magic, 40))}), check)
+    head = chunks(file)[2][0]  # of a chunk
+    cuts = {0, 3, 8, 9, 20, 40, len(good) - 1, magic, *range(head, head + 60, 3), *map(int, rng.integers(0, magic, 30))}
+    every_case(sorted(cuts), check)
 
 
 def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None:

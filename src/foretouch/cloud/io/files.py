@@ -18,26 +18,44 @@ from typing import Final
 
 import numpy as np
 
+from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, DepthCamera, read_image
 from foretouch.cloud.io.point_files import SIZE_LIMIT, check_unpacked, read_pcd, read_ply, write_pcd, write_ply
 from foretouch.errors import CloudError, FileError, described, shown
 from foretouch.files import read_bytes, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
 
 _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
+_DEPTH_NAMES: Final = (
+    "depth",
+    "K",
+    "intrinsics",
+    "intrinsic_matrix",
+    "camera_matrix",
+    "D",
+    "depth_scale",
+    "factor_depth",
+)
+_POINT_WIDTH: Final = 8  # numbers of a point in a table
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 _NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
+_PICKLED: Final = (
+    "holds a pickled object of Python, which is not read, since it could run code; if you trust it, convert it once: "
+    "python -c \"import numpy as np; np.savez('{1}.npz', **np.load('{0}', allow_pickle=True).item())\""
+)
 _DAMAGE: Final = (
     *(ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError, OverflowError, RuntimeError, OSError),
     *(MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )  # the parsers below NumPy raise any of these on damaged bytes
 
 
-def read_cloud(path: str | Path) -> Cloud:
-    """Read a cloud.
+def read_cloud(path: str | Path, camera: DepthCamera | None = None) -> Cloud:
+    """Read a cloud, or the depth image of a camera as a cloud.
 
     Args:
         path: `.pcd` (ascii, binary, binary_compressed), `.ply`, `.npz` (`xyz`, and optionally `rgb`, `frame_id`,
-            `stamp_ns`) or `.npy`. Coordinates are float32 or float64 [m].
+            `stamp_ns`) or `.npy`. Coordinates are numbers [m]. Depth images: `.png`, `.tif`, `.npy` of (H, W), and `.npz`
+            with `depth` and perhaps `K` and `depth_scale`.
+        camera: Of depth images that do not state it.
 
     Returns:
         The cloud, organised if it is in the file. Points at (0, 0, 0) are NaN, as all without depth.
@@ -46,12 +64,14 @@ def read_cloud(path: str | Path) -> Cloud:
         FileError: With the file, the field and the rule; also if the file cannot be read or is truncated.
     """
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise FileError(path, f"the extension is not one of {', '.join(CLOUD_SUFFIXES)}")
+    suffix = path.suffix.lower()
+    if suffix not in (*_READERS, ".npz", ".npy", *IMAGE_SUFFIXES):
+        raise FileError(path, f"the extension is not one of {', '.join((*CLOUD_SUFFIXES, *IMAGE_SUFFIXES))}")
     try:
         with system_errors(path):
-            cloud = reader(path)
+            cloud = (
+                _READERS[suffix](path) if suffix in _READERS else _read_numbers(path, suffix, camera or DepthCamera())
+            )
     except CloudError as err:
         raise FileError(path, str(err)) from err
     x, y, z = np.moveaxis(cloud.xyz, -1, 0)
@@ -97,7 +117,18 @@ def read_arrays(path: Path, required: Collection[str], optional: Collection[str]
         raise FileError(path, f"is damaged or no .npz archive: {' '.join(str(err).split())}") from err
 
 
-def _read_npz(path: Path) -> Cloud:
+def _read_numbers(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
+    """The cloud in an image or a file of NumPy, whose points are x, y, z or the depth of pixels."""
+    if suffix in IMAGE_SUFFIXES:
+        return camera.cloud(path, read_image(path))
+    if suffix == ".npy":
+        array = _array(path, read_bytes(path, SIZE_LIMIT))
+        depth = array.ndim in (2, 3) and array.shape[1] > _POINT_WIDTH and array.shape[-1] != 3  # else a list of points
+        return camera.cloud(path, array) if depth else Cloud(_coordinates(path, array))
+    arrays = read_arrays(path, (), ("xyz", *_OPTIONAL, *_DEPTH_NAMES))
+    if "depth" in arrays and "xyz" not in arrays:
+        depth = arrays.pop("depth")
+        return camera.cloud(path, depth, arrays)
     return archived_cloud(path, read_arrays(path, ["xyz"], _OPTIONAL))
 
 
@@ -116,10 +147,6 @@ def archived_cloud(path: Path, arrays: Mapping[str, AnyArray]) -> Cloud:
     return Cloud(_coordinates(path, arrays["xyz"]), arrays.get("rgb"), frame, int(stamp))
 
 
-def _read_npy(path: Path) -> Cloud:
-    return Cloud(_coordinates(path, _array(path, read_bytes(path, SIZE_LIMIT))))
-
-
 def _unpacked(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, size: int) -> bytes:
     check_unpacked(path, member.file_size, size, member.filename)
     with archive.open(member) as file:
@@ -132,6 +159,8 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
         first = formats.read_magic(stream) == (1, 0)
         read_header = formats.read_array_header_1_0 if first else formats.read_array_header_2_0
         shape, _, dtype = read_header(stream, _NPY_HEADER_LIMIT)
+        if dtype.hasobject and field is None:
+            raise FileError(path, _PICKLED.format(path.name, path.stem))
         if math.prod(shape) * dtype.itemsize > len(content):  # NumPy would take the memory first
             raise ValueError(f"shape {shown(shape)} of {dtype} needs more bytes than there are")
         stream.seek(0)
@@ -143,7 +172,8 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
 
 def _coordinates(path: Path, xyz: AnyArray) -> Float32:
     if xyz.dtype.kind != "f":
-        raise FileError(path, f"dtype {xyz.dtype} is not a floating-point type", field="xyz")
+        rule = f"dtype {xyz.dtype} is not a floating-point type; a depth image has the shape (H, W), this {xyz.shape}"
+        raise FileError(path, rule, field="xyz")
     with np.errstate(over="ignore"):
         return xyz.astype(np.float32)
 
@@ -165,6 +195,6 @@ def _write_npy(path: Path, cloud: Cloud) -> None:
         np.save(file, cloud.xyz, allow_pickle=False)
 
 
-_READERS = {".pcd": read_pcd, ".ply": read_ply, ".npz": _read_npz, ".npy": _read_npy}
+_READERS = {".pcd": read_pcd, ".ply": read_ply}
 _WRITERS = {".pcd": write_pcd, ".ply": write_ply, ".npz": _write_npz, ".npy": _write_npy}
-CLOUD_SUFFIXES = tuple(_READERS)
+CLOUD_SUFFIXES = tuple(_WRITERS)

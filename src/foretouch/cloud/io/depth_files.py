@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read depth images from files, and the cameras that they are of, as drivers, Open3D, RealSense and GraspNet write them.
+
+Depth: PNG of 16 bits, TIFF of 16 bits or floats, `.npy` with (H, W) numbers, `.npz` with `depth` and perhaps `K`. Cameras: YAML
+of ROS (`camera_info`, or what `ros2 topic echo` prints), JSON of Open3D and RealSense, `meta.mat` of GraspNet, and (3, 3)
+matrices as text.
+"""
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import yaml
+
+from foretouch.cloud.io.mask_files import MASK_SUFFIXES
+from foretouch.errors import CloudError, FileError, described, none_of
+from foretouch.files import read_bytes, require_existing
+from foretouch.types import AnyArray, CameraModel, Cloud
+
+IMAGE_SUFFIXES: Final = (".png", ".tif", ".tiff")
+INFO_SUFFIXES: Final = (".yaml", ".yml", ".json", ".mat", ".txt")
+PAIRING: Final = (
+    "a folder pairs NAME-depth.png (or .tif, .npy; _ for -) with NAME-mask, NAME-label or NAME-seg (.png, .npy), and with NAME-info, "
+    "or camera_info, intrinsics or meta of all (.yaml, .json, .mat, .txt)"
+)
+"""The rule of folders, for help texts."""
+
+_LIMIT: Final = 1_000_000  # bytes of a file of intrinsics
+_IMAGE_LIMIT: Final = 500_000_000  # bytes of an image
+_DEPTH: Final = re.compile(r"(.+)[-_]depth|depth[-_](.+)", re.IGNORECASE)
+_MASKS: Final = ("mask", "label", "labels", "seg", "segmap")
+_INFOS: Final = ("info", "camera", "camera_info", "camera-info", "intrinsics", "meta")
+_NAMES_OF_K: Final = ("K", "k", "intrinsic_matrix", "intrinsics", "camera_matrix", "cam_K")
+_NAMES_OF_D: Final = ("D", "d", "coeffs", "distortion_coefficients", "distortion")
+_NAMES_OF_SCALE: Final = ("factor_depth", "depth_scale")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthCamera:
+    """The camera and the unit of depth files that do not state them."""
+
+    intrinsics: tuple[float, ...] = ()  # fx, fy, cx, cy [px]
+    info: Path | None = None  # a file with the camera
+    scale: float | None = None  # metres per unit
+
+    def cloud(self, path: Path, depth: AnyArray, facts: Mapping[str, Any] | None = None) -> Cloud:
+        """Make the cloud of the depth image of a file.
+
+        Args:
+            path: The file, for messages.
+            depth: (H, W) whole numbers or floats.
+            facts: What the file states beside it, such as `K`.
+
+        Raises:
+            FileError: If no camera is known, or the image is no depth image, or not of the size or unit of the camera.
+        """
+        facts = dict(facts or {}) | (_facts(self.info) if self.info else {})
+        if self.intrinsics:
+            facts |= {"K": self.intrinsics}
+        matrix = next((np.asarray(facts[name], np.float64) for name in _NAMES_OF_K if name in facts), None)
+        if matrix is None:
+            cure = "give --intrinsics fx,fy,cx,cy, --camera-info FILE, or K beside `depth` in an .npz"
+            raise FileError(path, f"is a depth image without its camera: {cure}", field="depth")
+        distortion = next((np.ravel(facts[name]).astype(np.float64) for name in _NAMES_OF_D if name in facts), None)
+        if facts.get("model", "") not in ("", "Brown Conrady", "brown_conrady", "none", "None"):
+            distortion = None if distortion is None or not distortion.any() else distortion
+        depth = _as_depth(depth)
+        try:
+            height, width = depth.shape if depth.ndim == 2 else (0, 0)
+            stated = int(facts.get("width") or 0), int(facts.get("height") or 0)
+            if all(stated) and height and stated != (width, height):
+                raise CloudError(f"depth: {width}x{height} is not the size of the camera, {stated[0]}x{stated[1]}")
+            scale = self.scale if self.scale is not None else _scale(facts)
+            cloud = Cloud.from_depth(
+                depth, CameraModel.of(_row_major(matrix), width, height, distortion) if height else matrix, scale
+            )
+        except (CloudError, ValueError, TypeError) as err:
+            raise FileError(path, str(err)) from err
+        if not np.isfinite(cloud.xyz[..., 2]).any():
+            raise FileError(path, f"no pixel of {depth.size} has a depth", field="depth")
+        return cloud
+
+
+def read_image(path: Path) -> AnyArray:
+    """Read the pixels of an image as they are stored, (H, W) or with colours (H, W, C); a `FileError` if it cannot be read."""
+    from PIL import Image, UnidentifiedImageError
+
+    if path.stat().st_size > _IMAGE_LIMIT:
+        raise FileError(path, f"has more than {_IMAGE_LIMIT} bytes")
+    try:
+        with Image.open(path) as image:
+            count = int(getattr(image, "n_frames", 1))
+            if count > 1:
+                raise FileError(path, f"holds {count} images, not one", field="depth")
+            return np.asarray(image)
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as err:
+        raise FileError(path, f"depth: cannot be read: {described(err)}") from err
+
+
+def _as_depth(depth: AnyArray) -> AnyArray:
+    """The image without sides of length one, whole numbers as uint16 where they fit, and half floats as float32."""
+    if depth.ndim == 3 and 1 in (depth.shape[0], depth.shape[2]):
+        depth = depth.squeeze(2 if depth.shape[2] == 1 else 0)
+    if (
+        depth.dtype.kind in "iu"
+        and depth.dtype.itemsize > 1
+        and depth.size
+        and depth.min() >= 0
+        and depth.max() < 2**16
+    ):
+        return depth.astype(np.uint16)
+    return depth.astype(np.float32) if depth.dtype == np.float16 else depth
+
+
+def _row_major(matrix: AnyArray) -> AnyArray:
+    """Intrinsics by rows; those of Open3D are by columns."""
+    if matrix.size == 9:
+        matrix = matrix.reshape(3, 3)
+        if not matrix[:2, 2].any() and matrix[2, :2].any():
+            return matrix.T
+    return matrix
+
+
+def _scale(facts: Mapping[str, Any]) -> float | None:
+    """Metres per unit by a file, which states it (RealSense) or its inverse (Open3D, GraspNet); None if it does not."""
+    found = next((float(np.ravel(facts[name])[0]) for name in _NAMES_OF_SCALE if name in facts), None)
+    return 1.0 / found if found is not None and found > 1.0 else found
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    """What a file states of a camera, by name; a `FileError` if it cannot be read or holds no intrinsics."""
+    path, suffix = require_existing(path), path.suffix.lower()
+    if suffix not in INFO_SUFFIXES:
+        raise FileError(path, f"suffix: {none_of(suffix, INFO_SUFFIXES)}")
+    content = read_bytes(path, _LIMIT)
+    try:
+        if suffix == ".mat":
+            import io
+
+            from scipy.io import loadmat
+
+            facts: Any = loadmat(io.BytesIO(content))
+        elif suffix == ".txt":
+            facts = {"K": np.array(content.decode().replace(",", " ").split(), np.float64)}
+        elif suffix == ".json":
+            facts = json.loads(content)
+        else:
+            facts = next(iter(yaml.safe_load_all(content)), None)  # `ros2 topic echo` prints several
+    except Exception as err:  # the parsers raise errors of many kinds on damaged bytes
+        raise FileError(path, f"holds no camera: {described(err)}") from err
+    facts = facts.get("intrinsic", facts) if isinstance(facts, dict) else {}
+    found: dict[str, Any] = {
+        name: one["data"] if isinstance(one, dict) and "data" in one else one for name, one in facts.items()
+    }
+    for name, other in (("width", "image_width"), ("height", "image_height"), ("cx", "ppx"), ("cy", "ppy")):
+        found.setdefault(name, found.get(other))
+    if all(found.get(name) is not None for name in ("fx", "fy", "cx", "cy")):
+        found.setdefault("K", [found[name] for name in ("fx", "fy", "cx", "cy")])
+    if not any(name in found for name in _NAMES_OF_K):
+        raise FileError(path, f"holds no camera: none of {', '.join(_NAMES_OF_K)}, or fx, fy, cx, cy")
+    return found
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The files of a folder that belong together, by the rule of `PAIRING`."""
+
+    masks: dict[Path, Path]  # of depth images
+    infos: dict[Path, Path]
+    depths: frozenset[Path]
+    others: frozenset[Path]  # masks and files of cameras, which are no inputs
+
+    @classmethod
+    def of(cls, files: Iterable[Path]) -> "Pairs":
+        """Pair the files of a folder."""
+        files = list(files)
+        by_stem: dict[str, list[Path]] = {}
+        for file in files:
+            by_stem.setdefault(file.stem.lower(), []).append(file)
+
+        def first(stems: Iterable[str], suffixes: tuple[str, ...]) -> Path | None:
+            fitting = (one for stem in stems for one in by_stem.get(stem.lower(), []) if one.suffix.lower() in suffixes)
+            return next(fitting, None)
+
+        masks, infos, depths = {}, {}, set()
+        for file in files:
+            found = _DEPTH.fullmatch(file.stem)
+            if found is None or file.suffix.lower() not in (*IMAGE_SUFFIXES, ".npy"):
+                continue
+            depths.add(file)
+            name = found[1] or found[2]
+            own = [
+                text for one in _MASKS for text in (f"{name}-{one}", f"{name}_{one}", f"{one}-{name}", f"{one}_{name}")
+            ]
+            if (mask := first(own, MASK_SUFFIXES)) is not None:
+                masks[file] = mask
+            own = [
+                text for one in _INFOS for text in (f"{name}-{one}", f"{name}_{one}", f"{one}-{name}", f"{one}_{name}")
+            ]
+            if (info := first([*own, *_INFOS], INFO_SUFFIXES)) is not None:
+                infos[file] = info
+        return cls(masks, infos, frozenset(depths), frozenset((*masks.values(), *infos.values())))

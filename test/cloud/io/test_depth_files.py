@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth files and cameras of others give the cloud of `Cloud.from_depth` to the bit; what is no depth image is named with the cure."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import yaml
+from numpy.testing import assert_array_equal
+from PIL import Image
+
+from foretouch.cli.main import main
+from foretouch.cloud.io.depth_files import DepthCamera
+from foretouch.cloud.io.files import read_cloud
+from foretouch.dataset.source import open_source
+from foretouch.errors import FileError
+from foretouch.types import Cloud
+
+K = (60.0, 61.0, 31.5, 23.5)
+MATRIX = [[60.0, 0.0, 31.5], [0.0, 61.0, 23.5], [0.0, 0.0, 1.0]]
+DISTORTION = [0.1, -0.05, 0.001, 0.002, 0.01]
+
+
+@pytest.fixture
+def depth(rng: np.random.Generator) -> Any:
+    """(48, 64) uint16 [mm], a tenth without depth."""
+    image = rng.integers(500, 1500, (48, 64)).astype(np.uint16)
+    image[rng.random(image.shape) < 0.1] = 0
+    return image
+
+
+def _image(path: Path, array: Any) -> Path:
+    Image.fromarray(array).save(path)
+    return path
+
+
+def _npy(path: Path, array: Any) -> Path:
+    np.save(path, array)
+    return path
+
+
+FILES: dict[str, Callable[[Path, Any], Path]] = {
+    "png": lambda folder, mm: _image(folder / "a.png", mm),
+    "tif of 16 bits": lambda folder, mm: _image(folder / "a.tif", mm),
+    "tiff of floats": lambda folder, mm: _image(folder / "a.tiff", (mm * 1e-3).astype(np.float32)),
+    "npy": lambda folder, mm: _npy(folder / "a.npy", mm),
+    "npy of int32": lambda folder, mm: _npy(folder / "a.npy", mm.astype(np.int32)),
+    "npy of metres": lambda folder, mm: _npy(folder / "a.npy", (mm * 1e-3).astype(np.float32)),
+    "npy with a channel": lambda folder, mm: _npy(folder / "a.npy", mm[..., None]),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_depth_file_is_the_cloud_of_its_array_to_the_bit(tmp_path: Path, depth: Any, name: str) -> None:
+    path = FILES[name](tmp_path, depth)
+    array = (depth * 1e-3).astype(np.float32) if "metres" in name or "floats" in name else depth
+    assert_array_equal(read_cloud(path, DepthCamera(intrinsics=K)).xyz, Cloud.from_depth(array, K).xyz)
+
+
+def test_an_archive_brings_its_camera_and_its_scale(tmp_path: Path, depth: Any) -> None:
+    np.savez(tmp_path / "a.npz", depth=depth, K=MATRIX, segmap=depth > 0)  # as contact_graspnet stores it
+    assert_array_equal(read_cloud(tmp_path / "a.npz").xyz, Cloud.from_depth(depth, K).xyz)
+    np.savez(tmp_path / "b.npz", depth=depth, K=MATRIX, factor_depth=2000)
+    assert_array_equal(read_cloud(tmp_path / "b.npz").xyz, Cloud.from_depth(depth, K, scale=0.0005).xyz)
+    given = DepthCamera(scale=0.002)
+    assert_array_equal(read_cloud(tmp_path / "b.npz", given).xyz, Cloud.from_depth(depth, K, scale=0.002).xyz)
+
+
+def _ros(path: Path) -> None:
+    """As `camera_calibration` writes it."""
+    facts = {
+        "image_width": 64,
+        "image_height": 48,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": np.ravel(MATRIX).tolist()},
+    }
+    path.write_text(
+        yaml.safe_dump(facts | {"distortion_model": "plumb_bob", "distortion_coefficients": {"data": DISTORTION}})
+    )
+
+
+def _echo(path: Path) -> None:
+    """As `ros2 topic echo` prints it, twice."""
+    facts = {"header": {"frame_id": "camera"}, "height": 48, "width": 64, "distortion_model": "plumb_bob"}
+    text = yaml.safe_dump(facts | {"d": DISTORTION, "k": np.ravel(MATRIX).tolist(), "binning_x": 0})
+    path.write_text(f"{text}---\n{text}---\n")
+
+
+def _open3d(path: Path) -> None:
+    """By columns; Open3D's `PinholeCameraIntrinsic`."""
+    path.write_text(
+        json.dumps({"width": 64, "height": 48, "intrinsic_matrix": np.ravel(np.transpose(MATRIX)).tolist()})
+    )
+
+
+def _open3d_parameters(path: Path) -> None:
+    matrix = np.ravel(np.transpose(MATRIX)).tolist()
+    path.write_text(json.dumps({"intrinsic": {"width": 64, "height": 48, "intrinsic_matrix": matrix}, "extrinsic": []}))
+
+
+def _realsense(path: Path) -> None:
+    facts = dict(zip(("fx", "fy", "ppx", "ppy"), K, strict=True)) | {"width": 64, "height": 48, "depth_scale": 0.001}
+    path.write_text(json.dumps(facts | {"model": "distortion.brown_conrady", "coeffs": [0.0] * 5}))
+
+
+def _graspnet(path: Path) -> None:
+    scipy.io.savemat(path, {"intrinsic_matrix": np.array(MATRIX), "factor_depth": np.array([[1000.0]])})
+
+
+CAMERAS: dict[str, tuple[str, Callable[[Path], None], Any]] = {
+    "camera_calibration": ("c.yaml", _ros, DISTORTION),
+    "ros2 topic echo": ("c.yml", _echo, DISTORTION),
+    "Open3D": ("c.json", _open3d, None),
+    "parameters of Open3D": ("c.json", _open3d_parameters, None),
+    "RealSense": ("c.json", _realsense, [0.0] * 5),
+    "GraspNet": ("meta.mat", _graspnet, None),
+    "text": ("cam_K.txt", lambda path: np.savetxt(path, MATRIX), None),
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_camera_is_read_as_others_write_it(tmp_path: Path, depth: Any, name: str) -> None:
+    file, write, distortion = CAMERAS[name]
+    write(tmp_path / file)
+    found = read_cloud(_image(tmp_path / "a.png", depth), DepthCamera(info=tmp_path / file))
+    assert_array_equal(found.xyz, Cloud.from_depth(depth, K, distortion=distortion).xyz)
+
+
+REFUSED: dict[str, tuple[Callable[[Path, Any], Path], DepthCamera, str]] = {
+    "no camera": (FILES["png"], DepthCamera(), "depth: is a depth image without its camera: give --intrinsics fx,fy,cx,cy, --camera"),
+    "zero": (lambda folder, mm: FILES["png"](folder, mm * 0), DepthCamera(intrinsics=K), "no pixel of 3072 has a depth"),
+    "8 bits": (lambda folder, mm: FILES["png"](folder, (mm // 8).astype(np.uint8)), DepthCamera(intrinsics=K), "8 bits"),
+    "colour": (
+        lambda folder, mm: _image(folder / "a.png", np.stack([mm // 8] * 3, -1).astype(np.uint8)),
+        DepthCamera(intrinsics=K),
+        "colour image",
+    ),
+    "another size": (FILES["png"], DepthCamera(intrinsics=(600.0, 600.0, 320.0, 240.0)), "of another image size"),
+    "scale 0": (FILES["png"], DepthCamera(intrinsics=K, scale=0.0), "scale: 0.0 is not a number of metres above 0"),
+    "scale NaN": (FILES["png"], DepthCamera(intrinsics=K, scale=float("nan")), "scale: nan"),
+    "millimetres as metres": (FILES["png"], DepthCamera(intrinsics=K, scale=1.0), "for millimetres pass scale=0.001"),
+    "no image": (lambda folder, mm: Path((folder / "a.png").write_bytes(b"x" * 99) and folder / "a.png"), DepthCamera(intrinsics=K), "cannot be read"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_depth_image_is_named(tmp_path: Path, depth: Any, name: str) -> None:
+    make, camera, rule = REFUSED[name]
+    with pytest.raises(FileError, match=rf"a\.png: .*{rule}"):
+        read_cloud(make(tmp_path, depth), camera)
+
+
+def test_a_camera_of_another_size_or_without_intrinsics_is_named(tmp_path: Path, depth: Any) -> None:
+    path = _image(tmp_path / "a.png", depth[:40])
+    _open3d(tmp_path / "c.json")
+    with pytest.raises(FileError, match="depth: 64x40 is not the size of the camera, 64x48"):
+        read_cloud(path, DepthCamera(info=tmp_path / "c.json"))
+    for name, content, rule in (
+        ("d.json", "{}", "holds no camera: none of K, k"),
+        ("d.json", "[1", "holds no camera: "),
+        ("d.yaml", "a: [", "holds no camera: "),
+        ("d.yaml", "!!python/object/apply:os.system [ls]", "holds no camera: "),
+        ("d.mat", "x", "holds no camera: "),
+        ("d.csv", "x", "suffix: '.csv' is not one of"),
+    ):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(FileError, match=rule):
+            read_cloud(path, DepthCamera(info=tmp_path / name))
+
+
+def test_a_pickled_dictionary_is_refused_with_the_line_that_converts_it(
+    tmp_path: Path, depth: Any, monkeypatch: Any
+) -> None:
+    """As contact_graspnet stores its scenes."""
+    np.save(tmp_path / "7.npy", {"depth": depth, "K": np.array(MATRIX)}, allow_pickle=True)
+    with pytest.raises(FileError, match=r"7\.npy: holds a pickled object .*python -c ") as caught:
+        read_cloud(tmp_path / "7.npy")
+    line = str(caught.value).partition('python -c "')[2].rstrip('"')
+    monkeypatch.chdir(tmp_path)
+    exec(line, {})
+    assert_array_equal(read_cloud(tmp_path / "7.npz").xyz, Cloud.from_depth(depth, K).xyz)
+
+
+def test_a_folder_pairs_depth_images_with_masks_and_cameras(tmp_path: Path, depth: Any) -> None:
+    names = ["scene-depth.png", "b_depth.tif", "depth_0003.png"]
+    for name in names:
+        _image(tmp_path / name, depth)
+    _image(tmp_path / "colours.png", np.zeros((4, 4, 3), np.uint8))  # a picture beside them
+    np.save(tmp_path / "b_mask.npy", depth > 900)
+    _image(tmp_path / "scene-label.png", (depth > 900).astype(np.uint8))
+    _realsense(tmp_path / "scene-info.json")
+    _ros(tmp_path / "camera_info.yaml")  # of all others
+    found = {Path(one.name).name: one for one in open_source(tmp_path)}
+    assert set(found) == set(names)
+    assert {name: one.mask and one.mask.name for name, one in found.items()} == {
+        "scene-depth.png": "scene-label.png", "b_depth.tif": "b_mask.npy", "depth_0003.png": None,
+    }  # fmt: skip
+    assert_array_equal(found["scene-depth.png"].cloud.xyz, Cloud.from_depth(depth, K, distortion=[0.0] * 5).xyz)
+    assert_array_equal(found["b_depth.tif"].cloud.xyz, Cloud.from_depth(depth, K, distortion=DISTORTION).xyz)
+    given = next(iter(open_source(tmp_path, camera=DepthCamera(intrinsics=(70.0, 70.0, 31.0, 23.0)))))
+    assert_array_equal(given.cloud.xyz, Cloud.from_depth(depth, (70.0, 70.0, 31.0, 23.0)).xyz)
+
+
+def test_commands_take_depth_files_by_options(tmp_path: Path, depth: Any, capsys: Any) -> None:
+    path = str(_image(tmp_path / "a.png", depth))
+    _graspnet(tmp_path / "meta.mat")
+    by_numbers, by_file = ["--intrinsics", ",".join(map(str, K))], ["--camera-info", str(tmp_path / "meta.mat")]
+    results = []
+    for options in (by_numbers, by_file):
+        main(["segment", path, *options, "--json"])
+        results.append({**json.loads(capsys.readouterr().out), "ms": None})
+    assert results[0] == results[1]
+    assert results[0]["counts"]["received"] == depth.size
+    assert main(["segment", path, *by_numbers, *by_file, "--json"]) == 1
+    assert "give one of them" in capsys.readouterr().err
+    for wrong in ("0", "nan", "-1"):
+        with pytest.raises(SystemExit) as caught:
+            main(["segment", path, *by_numbers, "--depth-scale", wrong])
+        assert caught.value.code == 2

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The examples of docs/api print what the pages show; numbers other than shapes may differ by a tenth."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "docs" / "_ext"))
+
+import api_pages  # noqa: E402
+
+NUMBER = re.compile(r"-?\d+\.?\d*")
+SHAPE = re.compile(r"\([\d, ]+\)")
+
+
+@pytest.mark.parametrize("page", api_pages.PAGES, ids=lambda page: page.stem)
+def test_the_examples_print_what_the_page_shows_and_draw_its_picture(page: Path, tmp_path: Path) -> None:
+    for code, printed, shown in api_pages.run(page, tmp_path):
+        assert NUMBER.sub("#", printed) == NUMBER.sub("#", shown), code
+        assert SHAPE.findall(printed) == SHAPE.findall(shown), code
+        mine, theirs = (np.array(NUMBER.findall(text), float) for text in (printed, shown))
+        np.testing.assert_allclose(mine, theirs, rtol=0.1, atol=0.11)
+    pictures = re.findall(r"!\[.+\]\((\w+\.png)\)", page.read_text(encoding="utf-8"))
+    for picture in pictures:
+        assert (tmp_path / "api" / picture).stat().st_size > 5_000
+        assert (page.parent / picture).is_file()
+
+
+def test_the_ten_tasks_take_forty_lines() -> None:
+    index = ROOT / "docs" / "api" / "index.md"
+    assert len(re.findall(r"^## \d+\. ", index.read_text(encoding="utf-8"), re.MULTILINE)) == 10
+    assert api_pages.code_lines(index) <= 40
+
+
+def test_the_notebook_runs_and_prints_what_it_shows(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    notebook = json.loads((ROOT / "examples" / "touch.ipynb").read_text(encoding="utf-8"))
+    monkeypatch.chdir(ROOT / "examples")
+    names: dict[str, object] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+            shown = "".join("".join(out["text"]) for out in cell["outputs"] if out["output_type"] == "stream")
+            assert NUMBER.sub("#", capsys.readouterr().out) == NUMBER.sub("#", shown)
