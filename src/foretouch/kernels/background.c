@@ -74,6 +74,28 @@ INLINE int is_within(const ray *hull, int64_t n, float u, float v) {
     return n > 2;
 }
 
+/* Connects neighbours that are of a kind, or, if `but`, that are not; a neighbour that is connected by another one already is left out. */
+static void connect(const board *g, int32_t *parent, int kind, int but) {
+    for (int64_t y = 0; y < g->h; y++) {
+        for (int64_t x = 0; x < g->w; x++) {
+            const int64_t i = y * g->w + x, up = i - g->w;
+            if ((g->kind[i] == kind) == but) {
+                parent[i] = (int32_t)i;
+                continue;
+            }
+            const int left = x && (g->kind[i - 1] == kind) != but, above = y && (g->kind[up] == kind) != but;
+            const int before = x && y && (g->kind[up - 1] == kind) != but, after = y && x + 1 < g->w && (g->kind[up + 1] == kind) != but;
+            parent[i] = left ? parent[i - 1] : above ? parent[up] : before ? parent[up - 1] : after ? parent[up + 1] : (int32_t)i;
+            if (left && above && !before) {
+                join(parent, (int32_t)i, (int32_t)up);
+            }
+            if ((left || before) && after && !above) {
+                join(parent, (int32_t)i, (int32_t)up + 1);
+            }
+        }
+    }
+}
+
 /* Heights and kinds of the cells, the rows and columns in view, and the connected sets of the table, and of all but the world below. */
 static void read_cells(board *g) {
     const float a = (float)g->s[PLANE], b = (float)g->s[PLANE + 1], c = (float)g->s[PLANE + 2], d = (float)g->s[PLANE + 3];
@@ -85,21 +107,12 @@ static void read_cells(board *g) {
             const float level = noise > (float)g->s[LEVEL] ? noise : (float)g->s[LEVEL];
             g->height[i] = height;
             g->kind[i] = height != height ? HOLE : g->labels[i] ? OVER : height < -(float)g->s[BELOW] ? UNDER : fabsf(height) <= level ? TABLE : OVER;
-            g->piece[i] = g->link[i] = (int32_t)i;
             if (filled) {
                 filled[x] += g->kind[i] != HOLE;
             }
-            const int64_t others[4] = {x ? i - 1 : -1, y ? i - g->w : -1, x && y ? i - g->w - 1 : -1, y && x + 1 < g->w ? i - g->w + 1 : -1};
-            for (int k = 0; k < 4; k++) {
-                if (others[k] >= 0 && g->kind[i] == TABLE && g->kind[others[k]] == TABLE) {
-                    join(g->piece, (int32_t)i, (int32_t)others[k]);
-                }
-                if (others[k] >= 0 && k < 2 && g->kind[i] != UNDER && g->kind[others[k]] != UNDER) {
-                    join(g->link, (int32_t)i, (int32_t)others[k]);
-                }
-            }
         }
     }
+    connect(g, g->piece, TABLE, 0);
     int64_t first = 0, last = g->w - 1;
     while (filled && first < last && EMPTY * filled[first] < g->h) {
         first++;
@@ -124,10 +137,18 @@ static void gather_table(board *g, int32_t *size) {
             largest = largest < 0 || size[root] > size[largest] ? root : largest;
         }
     }
-    const int32_t whole = largest < 0 ? -1 : root_of(g->link, largest);
+    int several = 0;
     for (int64_t i = 0; i < g->h * g->w; i++) {
-        const int kept = g->kind[i] == TABLE && PIECE * size[g->piece[i]] >= size[largest] && root_of(g->link, (int32_t)i) == whole;
+        const int kept = g->kind[i] == TABLE && PIECE * size[g->piece[i]] >= size[largest];
         g->kind[i] = g->kind[i] == TABLE && !kept ? OVER : g->kind[i];
+        several |= kept && g->piece[i] != largest;
+    }
+    if (several) {
+        connect(g, g->link, UNDER, 1);
+        const int32_t whole = root_of(g->link, largest);
+        for (int64_t i = 0; i < g->h * g->w; i++) {
+            g->kind[i] = g->kind[i] == TABLE && root_of(g->link, (int32_t)i) != whole ? OVER : g->kind[i];
+        }
     }
 }
 
