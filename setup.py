@@ -54,7 +54,15 @@ setup(
         ("share/foretouch", ["package.xml"]),
         *(
             (f"share/foretouch/{folder}", sorted(map(str, Path(folder).glob("*.*"))))
-            for folder in ("launch", "config", "config/models", "config/scenes", "config/sensors", "config/train")
+            for folder in (
+                "launch",
+                "config",
+                "config/hands",
+                "config/models",
+                "config/scenes",
+                "config/sensors",
+                "config/train",
+            )
         ),
     ],
     entry_points={

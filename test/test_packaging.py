@@ -181,7 +181,7 @@ def test_the_metadata_and_package_xml_require_what_is_imported() -> None:
     modules = {renamed.get(name, name) for name in (one.removeprefix("python3-") for one in declared)}
     needed = imported("src", "launch")
     assert needed - modules - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS - NOT_IN_ROSDEP == set()
-    assert modules - needed == {"rviz2", "lifecycle_msgs"}  # of a launch file; of rclpy's lifecycle
+    assert modules - needed == {"rviz2"}  # of a launch file
 
 
 def test_the_installation_page_installs_what_rosdep_does_not_know() -> None:

@@ -30,7 +30,7 @@ SPIN_M: Final = 0.005  # friction against a turn of the tip about its normal, to
 TABLE_SHARE: Final = 0.2  # of the weight
 OPENING_M: Final = 0.10  # largest distance of the contacts
 SUNK_M: Final = 0.001  # a tip may be this far below the table and count as clear of it
-_STEP_S = 0.002
+STEP_S: Final = 0.002
 _CHECKED = 5  # steps from one check to the next while closing
 _HOLD_N_M, _HOLD_NS_M = 5000.0, 60.0  # of the first tip's place, once closed
 
@@ -108,7 +108,7 @@ class Grip:
             return Verdict(False, False, INSIDE)
         clear = self._clearance()
         touched = False
-        for _ in range(round(CLOSED_S / _STEP_S) // _CHECKED):
+        for _ in range(round(CLOSED_S / STEP_S) // _CHECKED):
             mujoco.mj_step(self.model, self.data, _CHECKED)
             both = self._both_touch()
             touched |= both
@@ -129,10 +129,10 @@ class Grip:
         across = np.cross([0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0], along)
         across /= np.linalg.norm(across)
         model.body_pos[self._hand] = (g1 + g2) / 2.0
-        model.body_quat[self._hand] = _quaternion(np.stack([along, across, np.cross(along, across)], axis=1))
+        model.body_quat[self._hand] = quaternion(np.stack([along, across, np.cross(along, across)], axis=1))
         for body, sign in zip(self._bodies, (-1.0, 1.0), strict=True):
             model.body_pos[body] = [sign * (width / 2.0 + OUTSIDE_M), 0.0, 0.0]
-        data.qpos[:3], data.qpos[3:7] = pose[:3, 3], _quaternion(pose[:3, :3])
+        data.qpos[:3], data.qpos[3:7] = pose[:3, 3], quaternion(pose[:3, :3])
         data.ctrl[3:5] = FORCE_N
         mujoco.mj_forward(model, data)
 
@@ -143,8 +143,8 @@ class Grip:
     def _lift_and_shake(self) -> str:
         model, data = self.model, self.data
         place = float(data.qpos[self._joint.qposadr[0]])
-        for step in range(round((END_S - CLOSED_S) / _STEP_S)):
-            time = CLOSED_S + step * _STEP_S
+        for step in range(round((END_S - CLOSED_S) / STEP_S)):
+            time = CLOSED_S + step * STEP_S
             moved, speed = data.qpos[self._joint.qposadr[0]] - place, data.qvel[self._joint.dofadr[0]]
             data.ctrl[5] = -_HOLD_N_M * moved - _HOLD_NS_M * speed
             raised = min(1.0, (time - CLOSED_S) / (LIFTED_S - CLOSED_S))
@@ -192,40 +192,60 @@ class Grip:
         return float(self.data.geom_xpos[self._tips, 2].min()) - self.radius_m
 
 
-def _quaternion(rotation: Float64) -> Float64:
+def quaternion(rotation: Float64) -> Float64:
     """(4,) float64, w first, of a (3, 3) rotation."""
     result = np.zeros(4)
     mujoco.mju_mat2Quat(result, np.ascontiguousarray(rotation).ravel())
     return result
 
 
-def _xml(item: Item, tip_radius_m: float, friction: float) -> str:
-    """The model; the tips' friction counts at their contacts, and they collide with the object alone."""
+ROUGH: Final = 'condim="4" friction="0.6 0.005 0.0001"'
+
+
+def object_xml(item: Item, near_m: float = 0.0) -> tuple[str, str]:
+    """The meshes of an object, and table and object as MuJoCo reads them; what is nearer than that is found, without a force."""
     names = [f"part{i}" for i in range(len(item.parts))]
     vertices = [" ".join(f"{value:.7f}" for value in part.vertices.ravel()) for part in item.parts]
     meshes = "".join(f'<mesh name="{n}" vertex="{v}"/>' for n, v in zip(names, vertices, strict=True))
-    rough = 'condim="4" friction="0.6 0.005 0.0001"'
-    parts = "".join(f'<geom type="mesh" mesh="{n}" contype="1" conaffinity="3" {rough} mass="0"/>' for n in names)
+    near = f'gap="{near_m}"' if near_m else ""
+    parts = "".join(
+        f'<geom type="mesh" mesh="{n}" contype="1" conaffinity="3" {ROUGH} {near} mass="0"/>' for n in names
+    )
     i = item.inertia + 1e-7 * np.eye(3)  # no thinner than MuJoCo can invert
     inertia = " ".join(f"{v:.9g}" for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
     centre = " ".join(f"{v:.9g}" for v in item.centre)
+    table = (
+        f'<geom name="table" type="plane" size="2 2 .1" contype="1" conaffinity="{3 if near_m else 1}" {ROUGH} {near}/>'
+    )
+    inertial = f'<inertial pos="{centre}" mass="{item.mass_kg}" fullinertia="{inertia}"/>'
+    return meshes, f'{table}<body name="object"><freejoint/>{inertial}{parts}</body>'
+
+
+def arm_xml(kp: float, kv: float) -> tuple[str, str, str]:
+    """The joints of a hand that is lifted and shaken, its arm's inertia, and the drives, which come first."""
+    axes = (("z", "0 0 1"), ("x", "1 0 0"), ("y", "0 1 0"))
+    slides = "".join(f'<joint name="{name}" type="slide" axis="{axis}" damping="10"/>' for name, axis in axes)
+    drives = "".join(f'<position joint="{name}" kp="{kp:g}" kv="{kv:g}"/>' for name, _ in axes)
+    return slides, '<inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/>', drives
+
+
+def _xml(item: Item, tip_radius_m: float, friction: float) -> str:
+    """The model; the tips' friction counts at their contacts, and they collide with the object alone."""
+    meshes, scene = object_xml(item)
     tip = f'type="sphere" size="{tip_radius_m}" mass="0.05" contype="2" conaffinity="0" condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"'
     tips = "".join(
         f'<body name="tip{k}" gravcomp="1"><joint name="close{k}" type="slide" axis="{axis} 0 0" damping="25"/>'
         f'<geom name="tip{k}" {tip}/></body>'
         for k, axis in ((1, 1), (2, -1))
     )
-    axes = (("z", "0 0 1"), ("x", "1 0 0"), ("y", "0 1 0"))
-    slides = "".join(f'<joint name="{name}" type="slide" axis="{axis}" damping="10"/>' for name, axis in axes)
-    drives = "".join(f'<position joint="{name}" kp="20000" kv="300"/>' for name, _ in axes)
+    slides, inertial, drives = arm_xml(20000.0, 300.0)
     return f"""<mujoco>
 <compiler angle="radian" balanceinertia="true" boundmass="1e-6" boundinertia="1e-9"/>
-<option timestep="{_STEP_S}" integrator="implicitfast" cone="elliptic" impratio="10"/>
+<option timestep="{STEP_S}" integrator="implicitfast" cone="elliptic" impratio="10"/>
 <asset>{meshes}</asset>
 <worldbody>
-<geom name="table" type="plane" size="2 2 .1" contype="1" conaffinity="1" {rough}/>
-<body name="object"><freejoint/><inertial pos="{centre}" mass="{item.mass_kg}" fullinertia="{inertia}"/>{parts}</body>
-<body name="arm" gravcomp="1"><inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/>{slides}
+{scene}
+<body name="arm" gravcomp="1">{inertial}{slides}
 <body name="hand">{tips}</body></body>
 </worldbody>
 <actuator>{drives}<motor joint="close1"/><motor joint="close2"/><motor joint="close1"/></actuator>

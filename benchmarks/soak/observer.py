@@ -26,7 +26,7 @@ class Observer(Client):
         from sensor_msgs.msg import PointCloud2
 
         from foretouch.dataset.topics import TACTILE_TOPIC
-        from foretouch.ros.runtime.diagnostics import Losses
+        from foretouch.ros.runtime.subscription import Losses
         from foretouch_msgs.msg import BiotacAll, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 
         self.clouds: dict[int, float] = {}  # first time of each stamp on `points`
@@ -79,7 +79,7 @@ class Observer(Client):
             self.drops.append(Drop(node, reason, count, self._seen_s[topic] - 1.0, time.monotonic()))
 
     def _heard(self, topic: str, info: Any) -> None:
-        self._losses[topic].arrived({"publisher_gid": {"data": b""}, **info})  # Jazzy gives no publisher
+        self._losses[topic].arrived(info, publishers=1)
         self._seen_s[topic] = time.monotonic()
 
     def _see(self, topic: str, data: bytes, info: Any) -> None:

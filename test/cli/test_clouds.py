@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from foretouch.cli.main import main
-from foretouch.cloud.io.files import read_cloud
+from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.models.registry import find_card
 from foretouch.pipeline import Pipeline
-from foretouch.types import ASSUMED_TABLE
+from foretouch.types import ASSUMED_TABLE, Cloud
 
 
 def test_segment_prints_plane_objects_times_and_labels(call, files, tmp_path) -> None:
@@ -130,3 +130,19 @@ def test_the_public_grasps_bring_their_own_grasp_and_name(call, real_data) -> No
     given = np.loadtxt(sample / "best-grasp.txt", delimiter=",")
     one = record["predictions"][0]["grasp"]
     np.testing.assert_allclose([*one["g1"], *one["g2"]], given)
+
+
+def test_a_file_of_the_other_kind_names_the_command_that_reads_it(tmp_path, capsys, rng):
+    """A list of the points of a scene given to `predict`, and one object given to `segment`."""
+    table = np.column_stack([rng.uniform(-0.5, 0.5, (3000, 2)), np.full(3000, 0.9)])
+    write_cloud(tmp_path / "scene.npy", Cloud(table))
+    assert main(["predict", str(tmp_path / "scene.npy")]) == 1
+    assert (
+        "more than max_extent_m 0.6; a list of the points of a whole scene is segmented with --scene"
+        in capsys.readouterr().err
+    )
+    angle = rng.uniform(0.0, np.pi, 800)
+    can = np.column_stack([0.03 * np.cos(angle), rng.uniform(-0.05, 0.05, 800), 0.6 - 0.03 * np.sin(angle)])
+    write_cloud(tmp_path / "can.npy", Cloud(can))
+    assert main(["segment", str(tmp_path / "can.npy"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["reason"].endswith("; a file of one object goes to `foretouch grasp`")

@@ -29,8 +29,8 @@ from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_t
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import read_arrays, read_cloud, read_plane, read_targets
 from foretouch.ros.nodes.recorder import _decode_label
+from foretouch.ros.nodes.touch_predictor import TouchPredictorConfig
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
@@ -203,10 +203,11 @@ class _Hand:
             self.adapter.add_executed(message)
             self.assembler.add("executed", message, received_ns=0, now_s=now_s)
         elif isinstance(message, GraspArray):
-            self.adapter.add_grasps(object_messages()[0], message.grasps)
+            cloud = object_messages()[0]
+            self.adapter.add_grasps(cloud.header, lambda: cloud, message.grasps)
             self.assembler.add("grasps", message, received_ns=0, now_s=now_s)
         elif isinstance(message, PointCloud2):
-            self.adapter.add_grasps(message, grasps_message().grasps)
+            self.adapter.add_grasps(message.header, lambda: message, grasps_message().grasps)
             data = bytes(serialize_message(message))  # as the recorder receives it
             cloud = SerializedCloud(data, lambda: deserialize_message(data, PointCloud2))
             self.assembler.add("cloud", cloud, received_ns=0, now_s=now_s)

@@ -82,7 +82,8 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
             assert np.count_nonzero(met != np.isfinite(other[..., 0])) <= 0.005 * met.size
             both = met & np.isfinite(other[..., 0])
             gaps = np.abs(found - other)[both]
-            low, high, height, top, blocker, solid = gaps.T
+            low, high, height, top, blocker, solid, *palm = gaps.T
+            assert not np.any(palm)
             lengths = np.stack([low, high, height, top])  # [m]
             if met.size > 1:
                 assert np.quantile(lengths, 0.9) < 1e-6
@@ -104,10 +105,21 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     settings = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])
     turns = np.array([[0.0, 0.0, np.nan], [np.pi / 2.0, 0.0, np.nan], [0.0, 0.004, np.nan]])
     others = np.array([[0.05, 0.0, 0.04], [0.0, -0.03, 0.04], [0.08, 0.0, 0.04], [0.05, 0.0, 0.02]])
-    found = np.empty((3, 3, 6))
+    found = np.empty((3, 3, 8))
     completed._closing_lines(
         *(points, np.ones(len(points)), len(points), turns, 3, 3, settings, np.zeros(15)),
-        *(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0, others, len(others), found),
+        *(
+            np.zeros((1, 1), np.float32),
+            np.zeros((1, 1), np.float32),
+            0,
+            0,
+            others,
+            len(others),
+            np.zeros(2),
+            0,
+            0,
+            found,
+        ),
     )
     np.testing.assert_allclose(found[0, :, 0], -0.0298, atol=0.0006)
     np.testing.assert_allclose(found[0, :, 1], 0.0302, atol=0.0006)
@@ -121,3 +133,36 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     np.testing.assert_array_equal(found[1, 1:, 4], 1)
     np.testing.assert_array_equal(found[:, :, 5], 1.0)  # without a view nothing is seen through
     np.testing.assert_allclose(found[2, 0], found[0, 1], atol=1e-8)  # moved by one step: the same line
+
+
+def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
+    """A block of 60 x 40 x 80 mm, worked by hand: its line is at half of 76 mm, the palm reaches down to the free depth over it."""
+    axis = np.arange(-0.03, 0.0301, 0.001)
+    x, y, z = np.meshgrid(axis + 0.0002, np.arange(-0.02, 0.0201, 0.001) + 0.0002, np.arange(0.001, 0.08, 0.002))
+    points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    settings = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])
+
+    def line(beside_middle: float, middle: float, tilts: tuple[float, ...] = (0.0,), lift: float = 0.0) -> Any:
+        found = np.empty((1, 1, 8))
+        palm = np.array([0.03, 0.01, *tilts, *[lift] * len(tilts), *[beside_middle] * 20, *[middle] * 20])
+        completed._closing_lines(
+            *(points, np.ones(len(points)), len(points), np.array([[0.0, 0.0, np.nan]]), 1, 1, settings, np.zeros(15)),
+            *(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0, np.empty((0, 3)), 0),
+            *(palm, len(tilts), 20, found),
+        )
+        return found[0, 0]
+
+    free = line(1.0, 1.0)
+    assert free[2] == pytest.approx(0.038, abs=0.001)
+    assert free[7] == 0.0
+    for one in (line(0.03, 0.05), line(0.05, 0.03)):  # 79 mm of block less 30 mm
+        assert one[2] == pytest.approx(0.049, abs=0.003)
+        assert one[7] == pytest.approx(one[2] - free[2])
+        assert one[6] == pytest.approx(0.0, abs=1e-6)
+    none = line(0.005, 0.005)  # 74 mm would be nearer than 12 mm to the top
+    assert none[7] == 0.0
+    assert none[6] == pytest.approx(0.079 - 0.038 - 0.005, abs=0.003)
+    from_the_side = line(0.03, 0.03, (0.0, np.pi / 2.0))  # which is 20 mm deep
+    assert from_the_side[7] == 0.0
+    assert from_the_side[6] == pytest.approx(0.02 - 0.03, abs=0.005)
+    assert line(0.03, 0.03, (0.0, np.pi / 2.0), lift=0.05)[7] > 0.007  # but where the hand would be in the table

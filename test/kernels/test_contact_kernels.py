@@ -19,7 +19,7 @@ from foretouch.errors import ModelError
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.network.preparation import PreparedCloud, _nearest
-from foretouch.types import Grasp, stacked
+from foretouch.types import Grasp, Grasps
 
 PLACE = np.array([0.02, -0.03, 1.2])
 
@@ -50,8 +50,9 @@ def test_contacts_on_a_surface_differ_by_rounding_and_those_on_a_plane_are_left_
     }
 
     def check(points: np.ndarray, grasps: list[Grasp]) -> None:
-        g1, g2, hand = stacked(grasps)
-        contacts, fingers = np.concatenate([g1, g2]), np.concatenate([hand, -hand])
+        columns = Grasps.of(grasps)
+        contacts = np.concatenate([columns.g1, columns.g2])
+        fingers = np.concatenate([columns.rotation, -columns.rotation])
         found = HandFrameFeatures(points)._contacts(contacts, fingers)
         expected = reference.contact_rows(points, contacts, fingers)
         assert_allclose(found[:, :5], expected[:, :5], rtol=0.0, atol=1e-9)
@@ -65,8 +66,8 @@ def test_contacts_on_a_surface_differ_by_rounding_and_those_on_a_plane_are_left_
     with np.errstate(over="ignore", invalid="ignore"):
         assert_array_equal(scene.describe(far)[:, -28:-14], 0.0)
     points = np.column_stack([rng.uniform(-0.05, 0.05, (3000, 2)), np.full(3000, 0.123)]) + PLACE
-    scene, (g1, _, hand) = HandFrameFeatures(points), stacked(grasps_on(points, 20, rng))
-    assert_array_equal(scene._contacts(g1, hand), scene._summed(g1, hand))
+    scene, grasps = HandFrameFeatures(points), Grasps.of(grasps_on(points, 20, rng))
+    assert_array_equal(scene._contacts(grasps.g1, grasps.rotation), scene._summed(grasps.g1, grasps.rotation))
 
 
 @settings(max_examples=60, deadline=None)

@@ -37,6 +37,7 @@ COMMANDS = {
     "view": "Show clouds, grasps and predicted touch in Rerun",
     "models": "List and verify touch models",
     "sensor": "List, check and draw descriptions of tactile sensors",
+    "hand": "List, check and draw descriptions of hands and grippers",
     "doctor": "Check dependencies and print the fixes",
 }
 LABORATORY = ("simulate", "train", "evaluate", "experiment", "tradeoff")
@@ -129,7 +130,7 @@ def _parser(chosen: str | None) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=summary, description=f"{summary}.")
         if name == chosen:
             command_module(name).add_arguments(command)
-            if name not in {"dataset", "sensor", "view"}:  # whose actions have it, and which prints nothing
+            if name not in {"dataset", "hand", "sensor", "view"}:  # whose actions have it, and which prints nothing
                 command.add_json()
     return parser
 

@@ -58,6 +58,10 @@ EXAMPLES: Final = {
     "sensor list": "foretouch sensor list",
     "sensor check": "foretouch sensor check my_sensor.yaml",
     "sensor show": "foretouch sensor show biotac_sp -o taxels.png",
+    "hand": "foretouch hand list",
+    "hand list": "foretouch hand list",
+    "hand check": "foretouch hand check my_gripper.yaml",
+    "hand show": "foretouch hand show franka_hand -o hand.png",
     "doctor": "foretouch doctor --self-test",
 }
 """A command line for the help of each command."""

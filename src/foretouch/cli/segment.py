@@ -10,10 +10,12 @@ import numpy as np
 
 from foretouch.cli.inputs import READ, add_options, check_single, draw_result, pipeline_config, process_inputs, scene_of
 from foretouch.cli.output import print_table
+from foretouch.cloud.geometry.limits import check_object
 from foretouch.dataset.source import SourceItem
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, LimitError
 from foretouch.files import require_writable
 from foretouch.pipeline import Pipeline
+from foretouch.types import Cloud
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +49,8 @@ def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
     draw_result(arguments, scene)
     yield {
         "status": found.status,
-        "reason": found.reason,
+        "reason": found.reason
+        + ("; a file of one object goes to `foretouch grasp`" if _is_one_object(item.cloud, found.status) else ""),
         "plane": None if found.plane is None else found.plane.coefficients,
         "objects": [
             {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
@@ -62,6 +65,17 @@ def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
         "ms": found.ms,
         "failed": found.status != "ok",
     }
+
+
+def _is_one_object(cloud: Cloud, status: str) -> bool:
+    """Whether a cloud without a table or objects has the size of an object where one can be."""
+    if status not in ("no_plane", "no_object", "too_few_points") or cloud.organised:
+        return False
+    try:
+        check_object(cloud.xyz)
+    except LimitError:
+        return False
+    return True
 
 
 def _show(record: dict[str, Any], *, everything: bool) -> None:

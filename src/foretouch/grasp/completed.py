@@ -19,21 +19,23 @@ Every measure is a quantile or a mean, so that it changes little when the cloud 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
+from foretouch.cloud.geometry.pcl_filters import cell_means, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
+from foretouch.grasp.hand import TILTS
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
-from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane
+from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane, WayIn
 
 _closing_lines = Kernel(
     "closing_lines",
     *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, np.float32, int, int),
-    *(np.float64, int, np.float64),
+    *(np.float64, int, np.float64, int, int, np.float64),
 )
 _outline = Kernel("outline", np.float64, int, np.float64, int, int, np.float32, np.float32)
 _complete_object = Kernel(
@@ -60,11 +62,19 @@ _ACROSS = 0.3  # cost of a line along the view, whose far side is not seen
 _WIDTH_M = 0.1  # from one side to the other
 _HOLLOW = 3.0  # cost of a line whose ends the camera sees through
 _WIDE = 3.0  # cost of a line as wide as the hand opens, so that noise does not decide what is just about refused
+_DEEP, _DEEPER_M = 3.0, 0.01  # cost of a line whose object is deeper than the hand, by so much or more
+_RAISED_M = 0.1  # of a line over the height at which it would be best held
 _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides where both are alike
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
+_CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
+_TILT_M = 0.0004  # of clearance that a degree of tilting is worth
+_LEAST_M = -0.002  # of clearance, below which a hand does not come
+_MORE_M = 0.004  # of clearance, above which more is of no use
+_SCARCE = 3.0  # worth of what is missing of it, over that of what tilting costs
+_OTHER_THUMB_M = 0.002  # of clearance, for which the thumb takes g1 instead of g2
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
@@ -189,17 +199,19 @@ class CompletedObject:
         return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """(A, n_lines, 6) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """(A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
-        floor_m, way_m = hand.tip_radius_m + hand.clearance_m, hand.approach_m + hand.tip_radius_m
-        settings = np.array([_STEP_M, hand.tip_radius_m, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        found = np.empty((len(turns), n_lines, 6))
+        floor_m, way_m = hand.tip_radius + hand.clearance_m, hand.approach_m + hand.tip_radius
+        settings = np.array([_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
+        palm = hand.hand.palm if hand.hand.limits_depth else np.zeros(2)
+        n_tilts = len(TILTS) if hand.hand.limits_depth else 0
+        found = np.empty((len(turns), n_lines, 8))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
-            *(others, len(others), found),
+            *(others, len(others), palm, n_tilts, (len(palm) - 2) // 2 - n_tilts, found),
         )
         return found
 
@@ -208,35 +220,39 @@ class CompletedObject:
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
         found = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
-        low, high, height, _, blocker, solid = found
+        low, high, height, _, blocker, solid, deeper, raised = found
         slope, refused = _slopes(found[:2]), self._refused(found)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
             counts[name] = int(np.count_nonzero(left & refused[name]))
             alone, left = left, left & ~refused[name]
+        counts["n_too_deep"] = 0
         counts["n_free"] = int(np.count_nonzero(left))
-        every = np.minimum(np.nan_to_num(self._cost(high - low, slope, solid), nan=_MOST_COST), _MOST_COST)
+        every = np.minimum(
+            np.nan_to_num(self._cost(high - low, slope, solid, deeper, raised), nan=_MOST_COST), _MOST_COST
+        )
         cost, lost = _final(every, left, refused["n_too_wide"]), 0.0
         if counts["n_blocked"]:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
         return ClosingLines(low, high, height, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost)
 
     def _refused(self, found: Float64) -> dict[str, Bool]:
-        """Which lines (6, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
-        low, high, height, top, blocker, _ = found
+        """Which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        low, high, height, top, blocker = found[:5]
         return {
-            "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius_m),
-            "n_too_wide": high - low > self._hand.opening_m,
+            "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
+            "n_too_wide": high - low > self._hand.opening,
             "n_too_thin": high - low < _THIN_M,
             "n_blocked": blocker >= 0.0,
         }
 
-    def _cost(self, width: Float64, slope: Float64, solid: Float64) -> Float64:
-        """What speaks against each line, with the slopes of both ends (2, ...) and how certainly the object is there; the smallest is the best."""
+    def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
+        """What speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
-        opening_m = self._hand.opening_m
+        cost += _DEEP * smoothstep(deeper, 0.0, _DEEPER_M) + (raised / _RAISED_M) ** 2
+        opening_m = self._hand.opening
         return np.asarray(cost + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
@@ -267,6 +283,48 @@ class CompletedObject:
         middle = self._foot + beside_m * beside + height * self._basis[2]
         ends = middle + low * along, middle + high * along
         return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
+
+    @cached_property
+    def _around(self) -> tuple[Float64, Float64]:
+        """Points of the object, and of what stands around, in the table's frame."""
+        points = self._xyz[self._weights > 0.5].astype(np.float32)
+        own = cell_means(points, voxel_grid(points, _CELL_M)) if len(points) else np.empty((0, 3))
+        others = np.empty((0, 3))
+        if self._obstacles is not None:
+            others = np.asarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
+        return own, others
+
+    def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
+        """How the hand comes to a grasp with contacts (3,) [m] of the camera's frame, None where it cannot; and whether only other objects prevent it."""
+        hand = self._hand.hand
+        middle = self._basis @ ((g1 + g2) / 2.0 - self._foot)
+        across = self._basis @ (g2 - g1)
+        width = float(np.hypot(across[0], across[1]))
+        frame = np.array([[across[0], across[1], 0.0], [-across[1], across[0], 0.0], [0.0, 0.0, width]]) / width
+        clearances, behind = np.full((2, len(TILTS)), np.inf), np.zeros(len(TILTS))
+        if hand.limits_depth:
+            own, others = ((one - middle) @ frame.T for one in self._around)
+            clearances, behind = hand.clearance(width, own, others, float(middle[2]))
+            clearances = clearances[::-1]
+        allowed = clearances >= _LEAST_M
+        if self._hand.thumb_at != "either":
+            allowed[int(self._hand.thumb_at == "g1")] = False
+        if not allowed.any():
+            blocked = hand.limits_depth and len(others) > 0
+            return None, blocked and bool(
+                (hand.clearance(width, own, others[:0], float(middle[2]))[0] >= _LEAST_M).any()
+            )
+        cost = _TILT_M * np.abs(np.degrees(TILTS)) + _SCARCE * np.maximum(_MORE_M - clearances, 0.0)
+        cost[0] += _OTHER_THUMB_M
+        thumb, tilt = np.unravel_index(np.argmin(np.where(allowed, cost, np.inf)), cost.shape)
+        angle = TILTS[tilt]
+        at, pose = hand.at(width), np.eye(4)
+        z = -(np.sin(angle) * frame[1] + np.cos(angle) * frame[2]) @ self._basis
+        x = frame[0] @ self._basis * (1.0 if thumb else -1.0)
+        pose[:3, :3], pose[:3, 3] = np.stack([x, cross(z, x), z], axis=1), (g1 + g2) / 2.0
+        joints = tuple(joint.name for joint in hand.config.joints)
+        name: Literal["g1", "g2"] = "g2" if thumb else "g1"
+        return WayIn(z, name, float(behind[tilt]), clearances, pose @ at.tool, at.posture, joints), False
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Direction and place of the line that is closest to a grasp."""
@@ -327,18 +385,30 @@ def _slopes(ends: Float64) -> Float64:
     return np.asarray(np.nan_to_num(np.sqrt((slopes * slopes).mean(axis=0)), nan=1.0), np.float64)
 
 
-def best_lines(completed: CompletedObject, lines: ClosingLines, count: int) -> list[tuple[int, int]]:
-    """Directions and places of at most `count` lines, best first; each differs from all better ones by a contact."""
+def best_grasps(
+    completed: CompletedObject, lines: ClosingLines, count: int
+) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
+    """Contacts, way in and cost of at most `count` lines to which the hand can come, best first; each differs from all better ones by a contact.
+
+    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`.
+    """
     order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
-    chosen: list[tuple[int, int]] = []
+    chosen: list[tuple[tuple[Float64, Float64], WayIn, float]] = []
     taken = np.empty((0, 2, 3))
     for angle, line in zip(*np.unravel_index(order, lines.cost.shape), strict=True):
         if len(chosen) == count:
             break
-        ends = np.stack(completed.contacts(lines, int(angle), int(line)))
-        if not (np.linalg.norm(taken - ends, axis=2).max(axis=1, initial=0.0) < APART_M).any():
-            chosen.append((int(angle), int(line)))
-            taken = np.concatenate([taken, ends[None]])
+        ends = completed.contacts(lines, int(angle), int(line))
+        if (np.linalg.norm(taken - np.stack(ends), axis=2).max(axis=1, initial=0.0) < APART_M).any():
+            continue
+        taken = np.concatenate([taken, np.stack(ends)[None]])
+        if not chosen:
+            ends = completed.refined(lines, int(angle), int(line))
+        way, blocked = completed.way_in(*ends)
+        if way is None:
+            lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
+        else:
+            chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen
 
 
@@ -355,10 +425,11 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
     if counts["n_lines"] == 0:
         return "no horizontal line across the object meets 8 points"
     reasons = {
-        "n_too_wide": f"wider than hand.opening_m {hand.opening_m:g}",
+        "n_too_wide": f"wider than hand.opening_m {hand.opening:g}",
         "n_too_thin": f"shorter than {_THIN_M * 1e3:g} mm",
         "n_too_flat": "too low for a fingertip that keeps hand.clearance_m from the table",
         "n_blocked": f"blocked by object {', '.join(map(str, blocking_objects(lines, obstacles)))}",
+        "n_too_deep": f"without a way in for hand.name {hand.name}: the object is deeper than its fingers",
     }
     found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
     return f"none of {counts['n_lines']} closing lines can be executed: {'; '.join(found)}"

@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
+from foretouch.grasp.hand import Hand, load_hand
 
 GraspMethod = Literal["completed", "original"]
 SEARCH_VOXELS = 4.0  # radius around an initial point in which contacts are searched: two fingertips
@@ -62,14 +63,48 @@ class SceneGeoGraspConfig(GeoGraspConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class HandConfig(Settings):
-    """What the hand can execute: two fingertips that close along the line through both contacts, from outside."""
+    """What the hand can execute: two fingers that close along the line through both contacts, from outside."""
 
-    opening_m: float = setting(0.1, "Grasps whose contacts are farther apart are not planned", bounds=(0.005, 1.0))
-    tip_radius_m: float = setting(0.008, "Radius of a fingertip where it touches", bounds=(0.001, 0.05))
+    name: str = setting(
+        "two_tips", "Description of the hand: its name (foretouch hand list), or a YAML file of one's own"
+    )
+    thumb_at: Literal["either", "g1", "g2"] = setting(
+        "either",
+        "Contact that the thumb takes: g1 is left in the image; where the arm stands decides",
+        choices=("either", "g1", "g2"),
+    )
+    opening_m: float | None = setting(
+        None, "Grasps whose contacts are farther apart are not planned; absent: as described", bounds=(0.005, 1.0)
+    )
+    tip_radius_m: float | None = setting(
+        None, "Radius of a fingertip where it touches; absent: as described", bounds=(0.001, 0.05)
+    )
     clearance_m: float = setting(0.002, "Distance that a fingertip keeps from the table", bounds=(0.0, 0.1))
     approach_m: float = setting(
         0.03, "Length of the way in, from outside along the line, on which nothing may stand", bounds=(0.0, 0.3)
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            load_hand(self.name)
+        except ConfigError as err:
+            raise ConfigError(f"name: {err}") from err
+
+    @property
+    def hand(self) -> Hand:
+        """The described hand."""
+        return load_hand(self.name)
+
+    @property
+    def opening(self) -> float:
+        """Largest distance of the contacts [m]."""
+        return self.hand.config.opening_m if self.opening_m is None else self.opening_m
+
+    @property
+    def tip_radius(self) -> float:
+        """Radius of a fingertip where it touches [m]."""
+        return self.hand.config.tip_radius_m if self.tip_radius_m is None else self.tip_radius_m
 
 
 DEFAULT_HAND = HandConfig()

@@ -27,7 +27,7 @@ from foretouch.grasp.completed import (
     SCORE_OF_NONE,
     CompletedObject,
     Obstacles,
-    best_lines,
+    best_grasps,
     blocking_objects,
     why_no_line,
 )
@@ -225,13 +225,16 @@ def _plan_completed(
         counts |= lines.counts
         plan.lost, plan.blocked_by = lines.lost, blocking_objects(lines, obstacles)
     with timed(plan.ms, "ranking"):
-        best = best_lines(completed, lines, config.count)
-        ends = [completed.contacts(lines, *one) if k else completed.refined(lines, *one) for k, one in enumerate(best)]
-        found = [(*pair, SCORE_OF_NONE - float(lines.cost[one])) for pair, one in zip(ends, best, strict=True)]
-        plan.grasps = Grasps.of([Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in found])
+        found = best_grasps(completed, lines, config.count)
+        counts |= lines.counts
+        plan.grasps = Grasps.of(
+            [Grasp(g1, g2, hand_rotation(g1, g2, axis), SCORE_OF_NONE - cost, way=way) for (g1, g2), way, cost in found]
+        )
         if held is not None and plan.grasps:
             last, margin = held
             cost = float(lines.cost[completed.nearest_line(last[0])])
+            if completed.way_in(last[0].g1, last[0].g2)[0] is None:
+                cost = np.inf
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
             plan.grasps = Grasps.of([first, *plan.grasps[1:]])

@@ -16,7 +16,11 @@
 #define MOST 2.5        /* up to which */
 #define OUTWARDS 0.75   /* shares of a line by which its ends move outwards: half of what these means leave out */
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
-#define FOUND 6         /* values of a line */
+#define FOUND 8         /* values of a line */
+#define COLUMNS 64      /* of two steps across a direction, for the depth of the object */
+#define EDGE_M 0.012    /* below the top of a line, at least, where a raised line closes */
+#define FIT_M 0.004     /* around a limit of the palm, over which it fades */
+#define UNDER_M 0.004   /* wider than planned, for the free depth of the hand */
 #define TOP_SHARE 0.12    /* of the height, and at least TOP_M: what counts as the top of an object */
 #define TOP_M 0.004
 #define TOP_CELL_M 0.003  /* of the grid for the middle of the top */
@@ -344,20 +348,99 @@ INLINE double hidden_ends(const Outline *seen, double c, double s, const double 
             hidden_by(seen, c * high - s * offset, s * high + c * offset, z, -SEEN_M)) / 2.0;
 }
 
+/* What an object leaves free of the hand, as it comes at some angles over a line: beside the middle half of a line, and over it. */
+typedef struct {
+    const double *tilts, *lifts, *free; /* angles from straight above [rad], upright first; lowest height of a line there; free depths by width, of the middle after those beside it */
+    int64_t n_tilts, n_free;
+    double free_step, across;   /* from one width to the next; half the extent across the fingers that counts */
+    float tops[2][COLUMNS];     /* second highest point in each column across the direction, beside the middle and in it; the second half of the columns is beyond the centre */
+    int64_t from, to;
+} Palm;
+
+/* The highest columns across a direction; `beside` in steps, shifted; `place` along the direction, the middle between two. */
+INLINE void find_tops(Palm *palm, const float *beside, const float *place, const float *level, int64_t n, float shift, float first, float last) {
+    float highest[2][COLUMNS];
+    memset(highest, 0, sizeof(highest)), memset(palm->tops, 0, sizeof(highest));
+    palm->from = COLUMNS, palm->to = 0;
+    for (int64_t i = 0; i < n; i += 2) { /* half of the points are sufficient */
+        const float at = (beside[i] + shift) / 2.0f + (float)(COLUMNS / 2);
+        if (at >= 0.0f && at < (float)COLUMNS) {
+            const int64_t j = (int64_t)at;
+            const int64_t k = place[i] >= first && place[i] <= last;
+            const float lower = level[i] < highest[k][j] ? level[i] : highest[k][j];
+            highest[k][j] = level[i] > highest[k][j] ? level[i] : highest[k][j];
+            palm->tops[k][j] = lower > palm->tops[k][j] ? lower : palm->tops[k][j];
+            palm->from = j < palm->from ? j : palm->from, palm->to = j > palm->to ? j : palm->to;
+        }
+    }
+}
+
+/* How far the object reaches from a line towards a palm that tilts by an angle [m]; columns count as solid from the table on. */
+INLINE double depth_at(const Palm *palm, const float *tops, double tilt, double offset, double z, double step) {
+    const double c = cos(tilt), s = sin(tilt), t = fabs(s) > 1e-9 ? 1.0 / s : 0.0;
+    double deepest = 0.0;
+    for (int64_t j = palm->from; j <= palm->to; j++) {
+        const double v = (2.0 * (double)(j - COLUMNS / 2) + 1.0) * step - offset;
+        double high = (double)tops[j] * (double)HEIGHT_M - z, low = -z;
+        if (t == 0.0) {
+            high = fabs(v) < palm->across ? high : low;
+        } else { /* what is across of it by no more than `across` */
+            const double a = (v * c - palm->across) * t, b = (v * c + palm->across) * t;
+            low = (a < b ? a : b) > low ? (a < b ? a : b) : low;
+            high = (a < b ? b : a) < high ? (a < b ? b : a) : high;
+        }
+        const double depth = high * c + v * s;
+        deepest = high > low && depth > deepest ? depth : deepest;
+    }
+    return deepest;
+}
+
+/* How much deeper the object is than a hand that tilts by an angle [m]. */
+INLINE double too_deep(const Palm *palm, double tilt, double offset, double width, double z, double step) {
+    const double at = (width + UNDER_M) / palm->free_step, inside = at < (double)(palm->n_free - 1) ? at : (double)(palm->n_free - 1);
+    const int64_t k = (int64_t)inside < palm->n_free - 2 ? (int64_t)inside : palm->n_free - 2;
+    double over[2];
+    for (int64_t part = 0; part < 2; part++) {
+        const double *free_m = palm->free + part * palm->n_free + k;
+        over[part] = depth_at(palm, palm->tops[part], tilt, offset, z, step) - (free_m[0] + (inside - (double)k) * (free_m[1] - free_m[0]));
+    }
+    return over[0] > over[1] ? over[0] : over[1];
+}
+
+/* As `too_deep`, at the angle that fits best. Raises the line as no palm fits and one from above would, by parts where it is not certain. */
+INLINE double fit_palm(const Palm *palm, double offset, double width, double top, double step, double *z, double *raised) {
+    const double up = too_deep(palm, 0.0, offset, width, *z, step);
+    double least = up;
+    *raised = 0.0;
+    for (int64_t i = 1; i < palm->n_tilts && least > -FIT_M; i++) {
+        const double over = *z < palm->lifts[i] ? INFINITY : too_deep(palm, palm->tilts[i], offset, width, *z, step);
+        least = over < least ? over : least;
+    }
+    if (least > -FIT_M && up > 0.0) {
+        *raised = up * smooth(least, -FIT_M, 0.0) * smooth(top - EDGE_M - *z - up, -FIT_M, FIT_M);
+        *z += *raised;
+        least = up - *raised < least ? up - *raised : least;
+    }
+    return least;
+}
+
 /* The object along `angles` x `lines` horizontal lines, on which two fingers close at a height between its top and its underside.
  *
  * points (n, 3), weights (n): of the object, in the table's frame (z = 0), x and y from the axis, |x| and |y| below 0.6 m.
  * turns (angles, 3): direction of the lines [rad], how far the middle one is beside the axis, and their height, or NaN if it follows from the points.
  * settings: distance of the lines, radius of a fingertip, lowest height of its centre, share of the points beyond either end, horizontal part of the
  * direction of view, shift of the height from the middle, length of the way in. others (m, 3): what stands around.
- * found (angles, lines, 6): both ends, height, top, the first of `others` in the way of a finger, or -1, and how certainly the object is at both ends,
- * 0 ... 1. The first two and the last two are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
+ * palm: half the extent across the fingers that counts, and the step of its widths; then n_tilts angles, upright first, the lowest height of a line at
+ * each, and the n_free free depths by width, beside the middle half of a line and over it; n_free is 0 for a hand without a palm.
+ * found (angles, lines, 8): both ends, height, top, the first of `others` in the way of a finger, or -1, how certainly the object is at both ends,
+ * 0 ... 1, how much deeper the object is than the hand, and how far the line was raised for it. The first two, the fifth and the sixth are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
                               int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns,
-                              const double *others, int64_t m, double *found) {
+                              const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
     const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
+    Palm hand = {palm + 2, palm + 2 + n_tilts, palm + 2 + 2 * n_tilts, n_tilts, n_free, palm[1], palm[0], {{0.0f}}, 0, 0};
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
     const size_t sums = (size_t)bins * (HEIGHTS + 8 + ALONGS) * 2;
     int64_t *start = malloc((size_t)(bins + 1) * 4 * sizeof(int64_t) + ((size_t)n * 12 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));
@@ -410,6 +493,10 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         for (int64_t j = 0; j < bins && used; j++) {
             add_strip(&all, j, highest, from_bin, to_bin, least + j, most + j);
         }
+        if (n_free) {
+            const float inner = (float)(to_bin - from_bin) / 4.0f;
+            find_tops(&hand, beside, place, level, used, -first, (float)from_bin + inner, (float)to_bin - inner);
+        }
         for (int64_t line = 0; line < lines; line++) {
             const int64_t from = start[line], to = start[line + 4];
             double *one = found + (angle * lines + line) * FOUND, low, high;
@@ -440,6 +527,10 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             double z = isnan(turns[3 * angle + 2]) ? shifted : turns[3 * angle + 2];
             z = z > top - tip / 2.0 ? top - tip / 2.0 : z;
             z = z < floor_m ? floor_m : z;
+            one[6] = one[7] = 0.0;
+            if (n_free && isnan(turns[3 * angle + 2])) {
+                one[6] = fit_palm(&hand, offset, width, top, step, &z, one + 7);
+            }
             one[2] = z, one[3] = top;
             add_points(&all, line, from, to, (float)((z - tip) / (double)HEIGHT_M), &alongs);
             if (!(alongs.total >= 3.0)) {

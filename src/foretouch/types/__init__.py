@@ -25,7 +25,7 @@ from foretouch.types.arrays import (
 )
 from foretouch.types.camera import CameraModel
 from foretouch.types.cloud import ASSUMED_TABLE, NO_CLOUD, SQUARABLE, Cloud, Plane, assumed_table
-from foretouch.types.grasps import NO_GRASP, NO_GRASPS, Grasp, Grasps
+from foretouch.types.grasps import NO_GRASP, NO_GRASPS, Grasp, Grasps, WayIn
 from foretouch.types.predictions import (
     LATE,
     REDUCED,
@@ -73,6 +73,7 @@ __all__ = [
     "Rows",
     "Touch",
     "UInt8",
+    "WayIn",
     "assumed_table",
 ]
 

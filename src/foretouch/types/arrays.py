@@ -25,6 +25,7 @@ UInt8 = npt.NDArray[np.uint8]
 Rows: TypeAlias = slice | Index | Bool | Sequence[int]
 
 _ROW: Final = "row"  # key of the metadata of a column
+_REQUIRED: Final = object()
 
 
 def objects(rows: Sequence[Any] | AnyArray) -> Objects:
@@ -32,7 +33,7 @@ def objects(rows: Sequence[Any] | AnyArray) -> Objects:
     return np.fromiter(rows, object, len(rows))
 
 
-def column(*row: int | None, default: Any = None, dtype: Any = np.float64) -> Any:
+def column(*row: int | None, default: Any = _REQUIRED, dtype: Any = np.float64) -> Any:
     """Declare a column of a `Columns` class.
 
     Args:
@@ -41,7 +42,7 @@ def column(*row: int | None, default: Any = None, dtype: Any = np.float64) -> An
         dtype: Of the array; with `object`, rows are texts, tuples or other values. A field may also hold other `Columns`
             of the same number of rows.
     """
-    if default is None:
+    if default is _REQUIRED:
         return field(metadata={_ROW: (row, dtype)})
     return field(default=default, metadata={_ROW: (row, dtype)})
 

@@ -3,12 +3,29 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, overload
+from typing import Any, ClassVar, Literal, Self, overload
 
 import numpy as np
 
 from foretouch.errors import ForetouchError, GraspError
 from foretouch.types.arrays import Columns, Float64, Objects, Rows, column
+
+
+@dataclass(frozen=True, eq=False)
+class WayIn:
+    """How a described hand comes to a grasp; see `foretouch.grasp.hand`."""
+
+    approach: (
+        Float64  # (3,) float64, unit length, from the palm to the middle of the contacts, perpendicular to their line
+    )
+    thumb_at: Literal["g1", "g2"]  # the contact that the thumb takes; of a gripper, its finger on the positive side
+    depth_m: float  # how far the object reaches from the line towards the palm [m]
+    approaches: (
+        Float64  # (2, A) float64 [m], thumb at g1 and at g2: how much further the hand could go, at each of `TILTS`
+    )
+    pose_of_hand: Float64  # (4, 4) float64, the tool frame of the hand's description in the cloud's frame
+    posture: Float64  # (J,) float64 [rad], angles of `joints`
+    joints: tuple[str, ...] = ()  # names of J joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +42,7 @@ class Grasp:
     score: float = float("nan")  # score of the planner, higher is better; NaN if it is undefined
     id: str = ""  # unique within a session
     object_id: str = ""  # the object for which it was planned
+    way: WayIn | None = None  # how the hand comes to it; None for a grasp that was not planned for a hand
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
@@ -76,6 +94,7 @@ class Grasps(Columns, Sequence[Grasp]):
     score: Float64 = column(default=np.nan)  # (K,) float64, higher is better; NaN if it is undefined
     id: Objects = column(default="", dtype=object)  # (K,) texts, unique within a session
     object_id: Objects = column(default="", dtype=object)  # (K,) texts, the objects for which they were planned
+    way: Objects = column(default=None, dtype=object)  # (K,) `WayIn` or None: how the hand comes to each
     status: str = "ok"  # of the plan: `ok`, `initial_points` or `no_grasp`
     reason: str = ""  # explanation of the status
 
@@ -117,6 +136,30 @@ class Grasps(Columns, Sequence[Grasp]):
     def midpoint(self) -> Float64:
         """(K, 3) float64 [m], the origins of the hand frames."""
         return (self.g1 + self.g2) / 2.0
+
+    @property
+    def width_m(self) -> Float64:
+        """(K,) float64 [m], distances of the contacts."""
+        return np.asarray(np.linalg.norm(self.g1 - self.g2, axis=1), np.float64)
+
+    @property
+    def approach(self) -> Float64:
+        """(K, 3) float64, directions in which the hand comes, in the cloud frame; NaN for a grasp without a way in."""
+        return self._of_ways("approach", np.full(3, np.nan))
+
+    @property
+    def depth_m(self) -> Float64:
+        """(K,) float64 [m], how far the object reaches from the line towards the palm; NaN for a grasp without a way in."""
+        return self._of_ways("depth_m", np.array(np.nan))
+
+    @property
+    def pose_of_hand(self) -> Float64:
+        """(K, 4, 4) float64, what an arm is sent to: the tool frame of the hand's description; NaN for a grasp without a way in."""
+        return self._of_ways("pose_of_hand", np.full((4, 4), np.nan))
+
+    def _of_ways(self, name: str, absent: Float64) -> Float64:
+        rows = [absent if way is None else getattr(way, name) for way in self.way]
+        return np.asarray(rows, np.float64).reshape(len(self), *absent.shape)
 
     @property
     def pose(self) -> Float64:

@@ -181,6 +181,7 @@ def test_an_info_describes_the_images_that_it_belongs_to() -> None:
             ),
             ("'kannala_brandt4' cannot be undone", info(d=d, distortion_model="kannala_brandt4")),
             ("camera_info: width: 0 px", info(width=0)),
+            ("camera_info: K of 3 and P of 12 numbers are not 9 and 12", info(k=np.ones(3))),
             ("camera_info: distortion: .*not finite", info(d=np.array([np.nan]))),
         ],
         camera_model,

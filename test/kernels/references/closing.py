@@ -54,9 +54,27 @@ def _columns(xyz: Array, cell_m: float) -> tuple[Array, Array]:
 
 
 def closing_lines(
-    points, weights, n, turns, angles, lines, settings, camera, nearest, inside, rows, columns, others, m, found
+    points,
+    weights,
+    n,
+    turns,
+    angles,
+    lines,
+    settings,
+    camera,
+    nearest,
+    inside,
+    rows,
+    columns,
+    others,
+    m,
+    palm,
+    n_tilts,
+    n_free,
+    found,
 ):
-    """See the kernel, whose arguments these are."""
+    """See the kernel, whose arguments these are; of a hand without a palm."""
+    assert n_free == 0
     step, tip, floor_m, share, horizontal, shift, way = settings
     found[:] = np.nan
     points, weights = points[weights > 0.0], weights[weights > 0.0]
@@ -103,7 +121,7 @@ def closing_lines(
                 inset = min((ends[1] - ends[0]) / 2.0, 0.004)
                 at = np.array([[ends[0] + inset], [ends[1] - inset]]) * along_line
                 solid = _hidden(at + offset * beside_line + [0.0, 0.0, z], -0.003, camera, nearest, inside).mean()
-            found[angle, line] = (*ends, z, top, blocking[0] if len(blocking) else -1, solid)
+            found[angle, line] = (*ends, z, top, blocking[0] if len(blocking) else -1, solid, 0.0, 0.0)
 
 
 class _Strip:

@@ -148,6 +148,8 @@ def camera_model(info: Any, *, rectified: bool = False) -> CameraModel:
         CloudError: If K is zero or not possible, or the distortion model is another one. The message names the field.
     """
     k, p, d = (np.asarray(_either(info, name), np.float64) for name in "kpd")
+    if (k.size, p.size) != (9, 12):
+        raise CloudError(f"camera_info: K of {k.size} and P of {p.size} numbers are not 9 and 12")
     fx, fy, cx, cy = k[[0, 4, 2, 5]].tolist()
     if rectified and p.any():
         fx, fy, cx, cy = p[[0, 5, 2, 6]].tolist()

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do hands with bodies take the first grasp? See HANDS.md."""
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from benchmarks.common import add_data, markdown, print_rows, replace_marked
+from benchmarks.grasp_physics.bodies import FORCES_N, Planned, body_of, take
+from benchmarks.grasp_physics.camera import VIEWS, Seen, see
+from benchmarks.grasp_physics.objects import Item, read_items
+from benchmarks.grasp_physics.simulation import held
+from foretouch.camera.device import ensure_libusb
+from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.report.panels import new_figure, save_small
+from foretouch.types import Grasp, UInt8
+
+HERE: Final = Path(__file__).parent
+FRICTIONS: Final = (0.8, 0.5)
+_PIXELS: Final = (300, 300)
+
+Row = dict[str, Any]
+
+
+def planned_in_world(seen: Seen, grasp: Grasp) -> Planned:
+    """A grasp with a way in, in the world."""
+    assert grasp.way is not None
+    ends = seen.camera.to_world(np.stack([grasp.g1, grasp.g2]))
+    x = (ends[1] - ends[0]) * (1.0 if grasp.way.thumb_at == "g2" else -1.0)
+    x /= np.linalg.norm(x)
+    tip, origin = seen.camera.to_world(np.stack([grasp.way.approach, np.zeros(3)]))
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = np.stack([x, np.cross(tip - origin, x), tip - origin], axis=1), ends.mean(axis=0)
+    return Planned(frame, grasp.width_m)
+
+
+def rows_of(item: Item, hand: str, poses: int) -> Iterator[Row]:
+    """What became of the first grasp on each image of an object."""
+    pipeline = Pipeline(PipelineConfig().updated({"hand.name": hand}))
+    for number, view in product(range(poses), VIEWS):
+        seen = see(item, number, view)
+        targets = pipeline.segment(seen.cloud).targets
+        plan = pipeline.plan(targets[0]) if targets else None
+        facts = {"object": item.name, "pose": number, "view": view, "hand": hand}
+        if plan is None or not len(plan.grasps):
+            yield facts | {"planned": False, "reason": "no object found" if plan is None else "no grasp"}
+            continue
+        planned = planned_in_world(seen, plan.grasps[0])
+        ends = seen.camera.to_world(np.stack([plan.grasps[0].g1, plan.grasps[0].g2]))
+        exact, rough = (take(item, seen.pose, planned, hand, friction) for friction in FRICTIONS)
+        off = take(item, seen.pose, planned, hand, off=2 * number + VIEWS.index(view))
+        yield facts | {
+            "planned": True,
+            **exact._asdict(),
+            "tips": held(item, seen.pose, *ends).held,
+            "off": off.held,
+            "rough": rough.held,
+        }
+
+
+def table(rows: Sequence[Row]) -> list[dict[str, str]]:
+    """A line for each hand."""
+    lines = []
+    for hand in dict.fromkeys(row["hand"] for row in rows):
+        own = [row for row in rows if row["hand"] == hand]
+        reached = [row for row in own if row.get("reached")]
+
+        def count(name: str, among: Sequence[Row] = own) -> str:
+            number = sum(bool(row.get(name)) for row in among)
+            return f"{number} of {len(among)}, {number / max(len(among), 1):.2f}"
+
+        failed = Counter(row["reason"] for row in own if not row.get("held"))
+        lines.append(
+            {
+                "hand, force": f"{hand}, {FORCES_N[hand]:g} N",
+                "planned": count("planned"),
+                "reached": count("reached"),
+                "held of the reached": count("held", reached),
+                "**taken and held of all**": count("held"),
+                "palm off: held of the reached": count("off", reached),
+                f"friction {FRICTIONS[1]:g}: held of all": count("rough"),
+                "free tips on the same: held of all": count("tips"),
+                "reasons": ", ".join(f"{number} {reason}" for reason, number in failed.most_common()),
+            }
+        )
+    return lines
+
+
+def by_object(rows: Sequence[Row]) -> list[dict[str, str]]:
+    """Taken and held by object."""
+    return [
+        {"object": name}
+        | {
+            hand: "{} of {}".format(sum(bool(r.get("held")) for r in own), len(own))
+            for hand in dict.fromkeys(row["hand"] for row in rows)
+            for own in [[row for row in rows if (row["object"], row["hand"]) == (name, hand)]]
+        }
+        for name in dict.fromkeys(row["object"] for row in rows)
+    ]
+
+
+def pictures(items: Sequence[Item], path: Path) -> None:
+    """Draw each hand as it has lifted objects."""
+    chosen = [item for item in items if item.name in {"Banana", "CrackerBox", "MustardBottle", "TennisBall"}] or items[
+        :4
+    ]
+    figure = new_figure(2.6 * len(chosen), 2.8 * len(FORCES_N))
+    axes = figure.subplots(len(FORCES_N), len(chosen), squeeze=False)
+    for (row, hand), (column, item) in product(enumerate(FORCES_N), enumerate(chosen)):
+        title, view = _picture(item, hand)
+        axes[row, column].axis("off")
+        axes[row, column].set_title(title, fontsize=7)
+        if view is not None:
+            axes[row, column].imshow(view)
+    save_small(figure, path)
+
+
+def _picture(item: Item, hand: str) -> tuple[str, UInt8 | None]:
+    """What became of the first grasp on an object, and the last view of it; None where the hand does not come."""
+    seen = see(item, 0, VIEWS[0])
+    pipeline = Pipeline(PipelineConfig().updated({"hand.name": hand}))
+    targets = pipeline.segment(seen.cloud).targets
+    grasps = pipeline.plan(targets[0]).grasps if targets else ()
+    if not len(grasps):
+        return f"{hand}\n{item.name}: no grasp", None
+    body, views = body_of(item, hand, FRICTIONS[0]), list[UInt8]()
+    with mujoco.Renderer(body.model, *_PIXELS) as renderer:
+
+        def watch(_model: mujoco.MjModel, data: mujoco.MjData) -> None:
+            camera = mujoco.MjvCamera()
+            camera.lookat[:], camera.distance = data.xpos[body.object], 0.75
+            camera.azimuth, camera.elevation = 130.0, -15.0
+            renderer.update_scene(data, camera)
+            views[:] = [renderer.render()]
+
+        taken = take(item, seen.pose, planned_in_world(seen, grasps[0]), hand, watch=watch)
+    return f"{hand}\n{item.name}: {taken.reason}", views[-1] if views else None
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_data(parser)
+    parser.add_argument("--objects", type=Path, help="folder of objects (default: ycb in the folder of recordings)")
+    parser.add_argument("--hands", nargs="+", choices=FORCES_N, default=list(FORCES_N), metavar="HAND")
+    parser.add_argument("--poses", type=int, default=4, help="of each object")
+    parser.add_argument("--renew", action="store_true", help="write the committed table and the pictures")
+    options = parser.parse_args()
+    ensure_libusb()
+    items = read_items(options.objects or Path(options.data or "") / "ycb")
+    rows = [row for hand in options.hands for item in items for row in rows_of(item, hand, options.poses)]
+    found = {"First grasps": table(rows), "Taken and held, by object": by_object(rows)}
+    for title, lines in found.items():
+        print(f"\n{title}")
+        print_rows(lines)
+    if options.renew:
+        text = [
+            f"{len(items)} objects, {options.poses} poses each, two views; friction {FRICTIONS[0]:g} where it is not named."
+        ]
+        text += [
+            f"{title}:\n\n{markdown(list(lines[0]), [list(line.values()) for line in lines])}"
+            for title, lines in found.items()
+        ]
+        replace_marked(HERE / "HANDS.md", "\n\n".join(text).strip())
+
+
+if __name__ == "__main__":
+    main()

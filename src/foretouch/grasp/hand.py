@@ -1,0 +1,343 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Descriptions of hands: a YAML file with what two fingers that close on a line leave free, and where the hand is then.
+
+Places are in the frame of the grasp: its origin is the middle of both contacts, x points to the thumb (of a gripper to either finger), z from the palm
+to the line, and y is z × x. What changes with the width of the grasp is given for several widths, and interpolated between them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from foretouch.config import Settings, load_yaml, setting
+from foretouch.errors import ConfigError, nearest, shown
+from foretouch.types import Float64, Int64
+
+FINGER, THUMB, PALM = "finger", "thumb", "palm"
+_UNLIMITED_M: Final = 10.0  # depth of a hand without a palm
+TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
+"""Angles of the palm about the line [rad]: 0 is straight above, positive ones come from the side to which z x line points."""
+
+SPARE_M: Final = 0.003
+"""Distance that the palm keeps from the object where it can, since sizes and places are estimated."""
+
+_FREE_STEP_M: Final = 0.005
+_WIDER_M: Final = 0.002  # on either side of a line, where the object is not seen to end
+_CELL_M: Final = 0.005
+_WIDTH_STEP_M: Final = 0.0025
+_CELLS: Final = 100  # of the grid over a hand, in either direction
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_SIDES: Final = {FINGER: -0.5, PALM: 0.0, THUMB: 0.5}  # of the width, where the origin of such a box is
+
+
+def _require_three(settings: Settings, *names: str) -> None:
+    for name in names:
+        if len(getattr(settings, name)) != 3:
+            raise ConfigError(f"{name}: {list(getattr(settings, name))} are not three numbers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxConfig(Settings):
+    """A box that holds a part of the hand: of the palm, in the tool's frame; of a finger, in the frame of the grasp from its contact on."""
+
+    name: str = setting("", "What it holds")
+    part: str = setting(PALM, "What it moves with", choices=tuple(_SIDES))
+    xyz: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Its middle", unit="m")
+    rpy: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Its angles about x, y and z, as in URDF", unit="rad")
+    size: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Its edges", unit="m", bounds=(0.001, 2.0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_three(self, "xyz", "rpy", "size")
+
+    @property
+    def corners(self) -> Float64:
+        """(8, 3) float64 [m]."""
+        return np.asarray(self.xyz + (_CORNERS * self.size) @ rotation_of(self.rpy).T, np.float64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureConfig(Settings):
+    """The hand at one width of a grasp."""
+
+    width_m: float = setting(0.0, "Distance of the contacts", bounds=(0.0, 1.0))
+    depth_m: float = setting(
+        _UNLIMITED_M, "How far an object of this width may reach from the line to the palm", bounds=(0.001, 10.0)
+    )
+    middle_m: float | None = setting(
+        None, "As `depth_m` between the middle halves of the fingers' distance; absent: the same", bounds=(0.001, 10.0)
+    )
+    xyz: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Origin of the tool's frame in that of the grasp", unit="m")
+    rpy: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Its angles, as in URDF", unit="rad")
+    angles: tuple[float, ...] = setting((), "Angles of `joints`, in their order", unit="rad")
+    boxes: tuple[BoxConfig, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_three(self, "xyz", "rpy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointConfig(Settings):
+    """A joint of the hand, as the vendor's URDF names it."""
+
+    name: str = setting("", "Name of the joint")
+    lower: float = setting(-3.2, "Smallest angle", unit="rad")
+    upper: float = setting(3.2, "Largest angle", unit="rad")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandDescription(Settings):
+    """Two fingers of a hand or gripper that close along a line."""
+
+    name: str = setting("", "Name of the hand")
+    summary: str = setting("", "What it is, in one line")
+    tool: str = setting("", "Frame whose pose is sent to the arm, as the vendor's URDF names it")
+    opening_m: float = setting(0.1, "Largest distance of the contacts", bounds=(0.005, 1.0))
+    open_m: float = setting(
+        0.02, "How much farther out each finger is on the way in, as far as the hand opens", bounds=(0.0, 0.3)
+    )
+    tip_radius_m: float = setting(
+        0.008, "Radius of a fingertip where it touches; it reaches as far beyond the line", bounds=(0.001, 0.05)
+    )
+    across_m: float = setting(
+        0.06, "Extent across the fingers of what may not be deeper than `depth_m`", bounds=(0.001, 1.0)
+    )
+    joints: tuple[JointConfig, ...] = ()
+    boxes: tuple[BoxConfig, ...] = ()
+    postures: tuple[PostureConfig, ...] = (PostureConfig(),)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        widths = [one.width_m for one in self.postures]
+        if not widths or sorted(set(widths)) != widths:
+            raise ConfigError(f"postures: widths {widths} do not ascend")
+        for number, one in enumerate(self.postures):
+            where = f"postures[{number}]"
+            if len(one.angles) != len(self.joints):
+                raise ConfigError(f"{where}.angles: {len(one.angles)} of {len(self.joints)} joints; give one for each")
+            for joint, angle in zip(self.joints, one.angles, strict=True):
+                if not joint.lower <= angle <= joint.upper:
+                    limits = f"{joint.lower:g} to {joint.upper:g} rad"
+                    raise ConfigError(f"{where}.angles: {joint.name} {angle:g} is outside of its limits, {limits}")
+            if [box.name for box in one.boxes] != [box.name for box in self.postures[0].boxes]:
+                raise ConfigError(f"{where}.boxes: are not those of postures[0], in their order")
+        if any(box.part != PALM for box in self.boxes):
+            raise ConfigError("boxes: hold the palm; those of fingers stand in `postures`")
+        twice = [joint.name for joint in self.joints]
+        if len(set(twice)) < len(twice):
+            raise ConfigError(f"joints: {max(twice, key=twice.count)} occurs twice")
+
+
+class HandAt(NamedTuple):
+    """The hand at one width of a grasp."""
+
+    depth_m: float  # free between line and palm [m]
+    tool: Float64  # (4, 4) float64, the tool's frame in that of the grasp
+    corners: Float64  # (B, 8, 3) float64 [m], of its boxes, closed, in the frame of the grasp
+    posture: Float64  # (J,) float64 [rad]
+
+
+class Hand:
+    """A description and what follows from it.
+
+    Args:
+        config: The description.
+
+    Raises:
+        ConfigError: If the object may reach into the palm.
+    """
+
+    def __init__(self, config: HandDescription) -> None:
+        self.config, first = config, config.postures[0]
+        self.widths = np.array([one.width_m for one in config.postures])
+        self.depths = np.array([[one.depth_m, one.middle_m or one.depth_m] for one in config.postures]).T
+        self.parts = [box.part for box in (*config.boxes, *first.boxes)]
+        self.names = [box.name for box in (*config.boxes, *first.boxes)]
+        self._sides = np.array([_SIDES[part] for part in self.parts])
+        self._rows = np.array([_flat(config, one) for one in config.postures])
+        for number, width in enumerate(self.widths):
+            free = min(map(_ahead, self.at(float(width)).corners[: len(config.boxes)]), default=_UNLIMITED_M)
+            for name, depth in zip(("depth_m", "middle_m"), self.depths[:, number].tolist(), strict=True):
+                if depth > free + 1e-4:
+                    rule = f"the palm is {free:g} m from the line: the fingers are not that long"
+                    raise ConfigError(f"postures[{number}].{name}: {depth:g} m, but {rule}")
+
+    @property
+    def limits_depth(self) -> bool:
+        """Whether the hand has a palm that an object can meet."""
+        return bool(self.depths.min() < _UNLIMITED_M)
+
+    @cached_property
+    def palm(self) -> Float64:
+        """Half of `across_m`, the step of the widths, the angles `TILTS` and the lowest height of a line at each, and free depths by width, beside the middle half of a line and over it [m]."""
+        lifts = np.min([-self.lowest(float(width)) for width in self.widths], axis=(0, 1))
+        widths = _FREE_STEP_M * np.arange(round(self.config.opening_m / _FREE_STEP_M) + 3)
+        free = [np.interp(widths, self.widths, depths) - SPARE_M for depths in self.depths]
+        return np.concatenate([[self.config.across_m / 2.0, _FREE_STEP_M], TILTS, lifts, *free])
+
+    @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
+    def lowest(self, width_m: float) -> Float64:
+        """(2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `TILTS`, with the thumb at its end and at its beginning."""
+        corners = self.at(width_m).corners.reshape(-1, 3)
+        below = np.outer(np.cos(TILTS), np.minimum(corners[:, 2], self.config.tip_radius_m))
+        beside = np.outer(np.sin(TILTS), corners[:, 1])
+        return np.stack([(sign * beside - below).min(axis=1, initial=_UNLIMITED_M) for sign in (1.0, -1.0)])
+
+    def opened(self, width_m: float, share: float = 1.0) -> Float64:
+        """(B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
+        wide = min(
+            width_m + 2.0 * share * self.config.open_m,
+            max(float(self.widths[-1]), self.config.opening_m + 2.0 * _WIDER_M),
+        )
+        here, there = self.at(width_m), self.at(max(wide, width_m))
+        back = here.tool @ np.linalg.inv(there.tool)
+        return np.asarray(there.corners @ back[:3, :3].T + back[:3, 3], np.float64)
+
+    @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
+    def _fronts(self, number: int) -> Float64:
+        """(2, 102, 102) float64 [m], how far the hand reaches along z over x and y: opened, and anywhere between open and closed; the border is empty.
+
+        At a width of `number` times `_WIDTH_STEP_M`. Each place stands for its neighbours, too.
+        """
+        found = np.full((2, _CELLS + 2, _CELLS + 2), -np.inf)
+        for share in (1.0, 0.5, 0.0):
+            for corners in self.opened(number * _WIDTH_STEP_M, share):
+                _raise_to(found[1], corners)
+            if share == 1.0:
+                found[0] = found[1]
+        near = [np.roll(found, (i, j), (1, 2)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        found = np.asarray(np.max(near, axis=0), np.float64)
+        found[:, [0, -1]] = found[:, :, [0, -1]] = -np.inf
+        return found
+
+    def clearance(self, width_m: float, own: Float64, others: Float64, height_m: float) -> tuple[Float64, Float64]:
+        """How much further the hand could go along each of `TILTS` before it meets something [m], negative where it is blocked.
+
+        Its fingers are open; everything between the hand and where it comes from counts.
+
+        Args:
+            width_m: Of the grasp.
+            own: (N, 3) float64 [m], the object: along a horizontal line, beside it and up, from the middle of the contacts.
+            others: (M, 3) float64 [m], what stands around.
+            height_m: Of the line over the table.
+
+        Returns:
+            (2, A) float64 with the thumb at the line's end, and at its beginning; and (A,) float64, how far the object reaches towards the palm [m].
+        """
+        xyz, split = np.concatenate([own, others]), len(own)
+        number = round(width_m / _WIDTH_STEP_M)
+        fronts = self._fronts(number)
+        depth, middle = (float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, one)) for one in self.depths)
+        c, s = np.cos(TILTS)[:, None], np.sin(TILTS)[:, None]
+        z, y = -(c * xyz[:, 2] + s * xyz[:, 1]), s * xyz[:, 2] - c * xyz[:, 1]  # (A, N)
+        across_m = self.config.across_m / 2.0
+        between = (np.abs(own[:, 0]) <= width_m / 2.0 + _WIDER_M) & (np.abs(y[:, :split]) <= across_m)
+        behind = -np.where(between, z[:, :split], 0.0).min(axis=1, initial=0.0)
+        free_m = np.where(np.abs(own[:, 0]) <= width_m / 4.0, middle, depth)
+        between_m = np.where(between, z[:, :split] + free_m, _UNLIMITED_M).min(axis=1, initial=_UNLIMITED_M)
+        found, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
+        for row, thumb in enumerate((1.0, -1.0)):
+            cells = (_CELLS + 2) * _cell(thumb * xyz[:, 0]) + _cell(thumb * y)
+            for part, front in ((slice(split), fronts[0]), (slice(split, None), fronts[1])):
+                free = (z[:, part] - front.take(cells[:, part])).min(axis=1, initial=_UNLIMITED_M)
+                found[row] = free if part.start is None else np.minimum(found[row], free)
+            above = height_m + lowest[row]  # the table is where it was seen: there is no tolerance
+            found[row] = np.where(above < 0.0, -_UNLIMITED_M, np.minimum(found[row], np.minimum(between_m, above)))
+        return found, behind
+
+    def at(self, width_m: float) -> HandAt:
+        """The hand at a width of a grasp [m], by linear interpolation."""
+        place = float(np.interp(width_m, self.widths, np.arange(len(self.widths))))
+        k = min(int(place), max(len(self.widths) - 2, 0))
+        row = self._rows[k] + (place - k) * (self._rows[min(k + 1, len(self.widths) - 1)] - self._rows[k])
+        tool = np.eye(4)
+        left, _, right = np.linalg.svd(row[4:13].reshape(3, 3))  # the nearest rotation
+        tool[:3, :3], tool[:3, 3] = left @ right, row[1:4]
+        boxes = 24 * len(self.parts)
+        corners = row[13 : 13 + boxes].reshape(-1, 8, 3).copy()
+        corners[..., 0] += (self._sides * width_m)[:, None]
+        return HandAt(float(row[0]), tool, corners, row[13 + boxes :])
+
+
+def _ahead(corners: Float64) -> float:
+    """How far from the origin towards the palm a box with corners (8, 3) begins [m]; `_UNLIMITED_M` where it is beside."""
+    edges = corners[[4, 2, 1]] - corners[0]  # along x, y and z of the box
+    squares = (edges * edges).sum(axis=1)
+    start, step = edges @ -corners[0] / squares, -edges[:, 2] / squares  # in parts of the edges, 0 to 1 inside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.sort(np.stack([-start / step, (1.0 - start) / step]), axis=0)
+    first, last = ends[0].max(), ends[1].min()
+    return float(first) if first <= last else _UNLIMITED_M
+
+
+def _cell(values: Float64) -> Int64:
+    """Index of a place in `Hand._fronts`, whose border is empty."""
+    return np.clip(np.floor(values / _CELL_M + (_CELLS / 2 + 1)), 0, _CELLS + 1).astype(np.int64)
+
+
+def _raise_to(front: Float64, corners: Float64) -> None:
+    """Raise a map of `Hand._fronts` to a box with corners (8, 3)."""
+    low, high = (_cell(end) for end in (corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)))
+    x, y = (_CELL_M * (np.arange(a, b + 1) - (_CELLS / 2 + 0.5)) for a, b in zip(low, high, strict=True))
+    edges = corners[[4, 2, 1]] - corners[0]
+    squares = (edges * edges).sum(axis=1)[:, None, None]
+    place = np.stack(np.broadcast_arrays(x[:, None], y[None, :], 0.0), axis=-1) - corners[0]
+    start = np.einsum("xyk,ek->exy", place, edges) / squares  # in parts of the edges, 0 to 1 inside
+    step = edges[:, 2, None, None] / squares + 1e-12
+    ends = np.stack([-start / step, (1.0 - start) / step])
+    first, last = ends.min(axis=0).max(axis=0), ends.max(axis=0).min(axis=0)
+    part = front[low[0] : high[0] + 1, low[1] : high[1] + 1]
+    np.maximum(part, np.where(first <= last, last, -np.inf), out=part)
+
+
+def _flat(config: HandDescription, posture: PostureConfig) -> Float64:
+    """All numbers of a posture in a row: depth, tool, corners of the boxes, angles."""
+    turned = rotation_of(posture.rpy)
+    palm = [posture.xyz + box.corners @ turned.T for box in config.boxes]
+    corners = [*palm, *(box.corners for box in posture.boxes)]
+    parts = [[posture.depth_m], posture.xyz, turned.ravel(), *(one.ravel() for one in corners), posture.angles]
+    return np.concatenate([np.asarray(one, np.float64) for one in parts])
+
+
+def rotation_of(rpy: Sequence[float]) -> Float64:
+    """(3, 3) float64 rotation of angles about the fixed axes x, y and z [rad], as in URDF."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(rpy), np.sin(rpy)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(about_z @ about_y @ about_x, np.float64)
+
+
+def hand_files() -> dict[str, Path]:
+    """The descriptions that come with the package, by name."""
+    folder = Path(str(resources.files("foretouch.grasp"))) / "hands"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+@cache
+def load_hand(hand: str | Path) -> Hand:
+    """Read a description, once.
+
+    Args:
+        hand: A YAML file, or the name of a description that comes with the package, such as `franka_hand`.
+
+    Raises:
+        ConfigError: If there is none, or it breaks a rule; names file, field and rule.
+    """
+    path, known = Path(hand), hand_files()
+    if not path.is_file():
+        if str(hand) not in known:
+            raise ConfigError(
+                f"{shown(path)}: is neither a file nor one of {', '.join(known)}{nearest(str(hand), known)}"
+            )
+        path = known[str(hand)]
+    try:
+        return Hand(HandDescription.from_mapping(load_yaml(path)))
+    except ConfigError as err:
+        raise ConfigError(f"{shown(path)}: {err}") from err

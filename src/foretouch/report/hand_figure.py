@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The boxes of a described hand: as lines in space, and drawn from the side and from the front."""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from foretouch.errors import GraspError
+from foretouch.grasp.hand import FINGER, PALM, THUMB, Hand
+from foretouch.report.panels import new_figure, save
+from foretouch.types import Float64, Grasp
+
+_EDGES: Final = [(a, b) for a in range(8) for b in (a ^ 1, a ^ 2, a ^ 4) if a < b]  # of the corners of a box
+_COLORS: Final = {FINGER: "tab:orange", PALM: "tab:gray", THUMB: "tab:blue"}
+
+
+def hand_lines(hand: Hand, grasp: Grasp) -> Float64:
+    """(E, 2, 3) float64 [m], the edges of all boxes of a hand at a grasp, in the frame of the grasp's cloud.
+
+    Raises:
+        GraspError: If the grasp was not planned for a hand.
+    """
+    if grasp.way is None:
+        raise GraspError("way: is absent: the grasp was not planned for a hand")
+    at = hand.at(grasp.width_m)
+    pose = grasp.way.pose_of_hand @ np.linalg.inv(at.tool)
+    return np.asarray((at.corners[:, _EDGES] @ pose[:3, :3].T + pose[:3, 3]).reshape(-1, 2, 3), np.float64)
+
+
+def save_hand_figure(hand: Hand, path: Path) -> Path:
+    """Draw the boxes of a hand at three of its widths, seen across the fingers and along the line; returns the path, errors as `save`."""
+    opening = hand.config.opening_m
+    widths = [opening * share for share in (0.2, 0.6, 1.0)]
+    figure = new_figure(4.0 * len(widths), 7.5)
+    for number, width in enumerate(widths):
+        at, open_ = hand.at(width), hand.opened(width)
+        for row, (right, name) in enumerate(((0, "along the line, thumb to the right"), (1, "across the fingers"))):
+            axes = figure.add_subplot(2, len(widths), row * len(widths) + number + 1)
+            for part, closed, opened in zip(hand.parts, at.corners, open_, strict=True):
+                for corners, style, wide in ((opened, ":", 0.6), (closed, "-", 1.1)):
+                    lines = 1e3 * corners[_EDGES]
+                    axes.plot(lines[..., right].T, -lines[..., 2].T, style, color=_COLORS[part], linewidth=wide)
+            axes.plot(*([[-500.0 * width, 500.0 * width], [0.0, 0.0]] if row == 0 else [[0.0], [0.0]]), "k.-")
+            depth = f", free {1e3 * at.depth_m:.0f} mm" if hand.limits_depth else ""
+            axes.set(title=f"{1e3 * width:.0f} mm{depth}", xlabel=f"{name} [mm]", ylabel="towards the palm [mm]", aspect="equal")  # fmt: skip
+    figure.suptitle(f"{hand.config.name}: {hand.config.summary}. Dotted: opened")
+    return save(figure, path)

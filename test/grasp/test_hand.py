@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Descriptions of hands, and grasps that hands with a palm can take."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from every_case import every_case
+from seen_solids import Camera, box
+
+from foretouch.config import load_yaml
+from foretouch.errors import ConfigError
+from foretouch.grasp import GeoGraspConfig, HandConfig, Obstacles, plan_grasps
+from foretouch.grasp.hand import TILTS, Hand, HandDescription, hand_files, load_hand
+from foretouch.types import Float64, Grasps
+
+CONFIG = GeoGraspConfig()
+LOW, TALL = box(0.06, 0.09, 0.05), box(0.05, 0.08, 0.15)
+HANDS = ("shadow_thumb_middle", "franka_hand", "robotiq_2f85")
+
+
+def test_hands_of_the_package() -> None:
+    assert set(hand_files()) == {*HANDS, "two_tips"}
+
+    def check(name: str) -> None:
+        hand = load_hand(name)
+        assert hand.config.name == name
+        at = hand.at(0.05)
+        np.testing.assert_allclose(at.tool[:3, :3] @ at.tool[:3, :3].T, np.eye(3), atol=1e-12)
+        assert len(at.posture) == len(hand.config.joints)
+        assert hand.limits_depth == (name != "two_tips")
+        edges = np.linalg.norm(at.corners[:, [4, 2, 1]] - at.corners[:, :1], axis=2)
+        sizes = [box.size for box in (*hand.config.boxes, *hand.config.postures[0].boxes)]
+        np.testing.assert_allclose(edges, np.reshape(sizes, (-1, 3)), atol=0.006)
+
+    every_case(list(hand_files()), check)
+
+
+def test_jaws_open_by_the_width_and_palms_stay() -> None:
+    jaw = load_hand("franka_hand")
+    narrow, wide = jaw.at(0.02).corners, jaw.at(0.06).corners
+    sides = {"finger": -0.02, "palm": 0.0, "thumb": 0.02}
+    for part, one, other in zip(jaw.parts, narrow, wide, strict=True):
+        np.testing.assert_allclose(other - one, np.broadcast_to([sides[part], 0.0, 0.0], (8, 3)), atol=1e-12)
+    inner = {part: one[:, 0] for part, one in zip(jaw.parts, wide, strict=True)}
+    assert inner["finger"].max() == pytest.approx(-0.03)
+    assert inner["thumb"].min() == pytest.approx(0.03)
+
+
+def test_clearance_over_a_block() -> None:
+    """A block that reaches 20 mm up from the line: 46 mm less 20 mm are left from above; a post behind it blocks the palm that tilts that way."""
+    jaw = load_hand("franka_hand")
+    axis = np.linspace(-0.02, 0.02, 9)
+    block = np.stack(np.meshgrid(axis, axis, np.linspace(-0.02, 0.02, 9)), axis=-1).reshape(-1, 3)
+    found, behind = jaw.clearance(0.04, block, np.empty((0, 3)), 0.3)
+    assert found[0, 0] == pytest.approx(0.026, abs=1e-9)
+    assert behind[0] == pytest.approx(0.02)
+    np.testing.assert_allclose(found[0], found[1])  # jaws are the same on both sides
+    post = np.stack([np.zeros(50), np.full(50, 0.06), np.linspace(-0.05, 0.3, 50)], axis=1)
+    beside, _ = jaw.clearance(0.04, block, post, 0.3)
+    tilt = int(np.argmax(TILTS))
+    assert found[0, tilt] > 0.02
+    assert beside[0, tilt] < 0.0
+    assert beside[0, 0] == found[0, 0]
+    ceiling = np.stack(np.meshgrid(np.linspace(-0.2, 0.2, 81), np.linspace(-0.2, 0.2, 81), [0.03]), axis=-1).reshape(
+        -1, 3
+    )
+    assert (jaw.clearance(0.04, block, ceiling, 0.3)[0] < 0.0).all()
+    assert (jaw.clearance(0.04, block, post[:0], 0.001)[0][:, np.abs(TILTS) > 1.0] < 0.0).all()  # the table
+
+
+def test_a_tall_box_is_taken_from_above_near_its_top() -> None:
+    """Lines at half of the height are deeper than any of these hands."""
+    camera, solid = Camera(50.0), TALL
+    cloud, table = camera.see(solid), camera.table()
+    two = plan_grasps(cloud, table, CONFIG, hand=HandConfig()).grasps[0]
+
+    def height(z: Float64) -> float:
+        return float(camera.to_world(z[None])[0, 2])
+
+    def check(name: str) -> None:
+        plan = plan_grasps(cloud, table, CONFIG.replace(count=3), hand=HandConfig(name=name))
+        hand = load_hand(name)
+        for grasp in plan.grasps:
+            way = grasp.way
+            assert way is not None
+            assert abs(way.approach @ (grasp.g2 - grasp.g1)) < 1e-9
+            assert np.linalg.norm(way.approach) == pytest.approx(1.0)
+            assert way.approaches.shape == (2, len(TILTS))
+            at = hand.at(grasp.width_m)
+            assert way.depth_m <= max(at.depth_m, hand.depths[1].max()) + 0.002
+            pose = way.pose_of_hand @ np.linalg.inv(at.tool)  # the frame of the grasp
+            np.testing.assert_allclose(pose[:3, 3], grasp.midpoint, atol=1e-9)
+            np.testing.assert_allclose(pose[:3, 2], way.approach, atol=1e-9)
+            thumb = grasp.g1 if way.thumb_at == "g1" else grasp.g2
+            np.testing.assert_allclose(pose[:3, 0], (thumb - grasp.midpoint) / (grasp.width_m / 2.0), atol=1e-9)
+            assert len(way.posture) == len(way.joints) == len(hand.config.joints)
+        first = plan.grasps[0]
+        assert first.way is not None
+        assert height(first.midpoint) > height(two.midpoint) + 0.01
+        both = Grasps.of([first, two])
+        np.testing.assert_array_equal(both.pose_of_hand[0], first.way.pose_of_hand)
+        np.testing.assert_array_equal(both.approach[0], first.way.approach)
+
+    every_case(["franka_hand"], check)
+    every_case(["robotiq_2f85"], check)
+
+
+def test_the_thumb_takes_the_contact_that_is_asked_for() -> None:
+    cloud, table = Camera(50.0).see(LOW), Camera(50.0).table()
+    for name in ("g1", "g2"):
+        hand = HandConfig(name="shadow_thumb_middle", thumb_at=name)
+        plan = plan_grasps(cloud, table, CONFIG, hand=hand)
+        assert plan.grasps[0].way is not None
+        assert plan.grasps[0].way.thumb_at == name
+
+
+def test_no_way_in_is_counted_and_named() -> None:
+    """Under a ceiling no hand comes from above, and between walls none from the side."""
+    camera = Camera(50.0)
+    cloud, table = camera.see(LOW), camera.table()
+    across = np.linspace(-0.3, 0.3, 90)
+    ceiling = np.stack(np.meshgrid(across, across, [0.16]), axis=-1).reshape(-1, 3)
+    around = Obstacles(camera.to_camera(ceiling).astype(np.float32), np.full(len(ceiling), 7, np.int32))
+    plan = plan_grasps(cloud, table, CONFIG, hand=HandConfig(name="franka_hand"), obstacles=around)
+    assert plan.status == "no_grasp"
+    assert plan.counts["n_blocked"] > 0
+    assert "are blocked by object 7" in plan.reason
+    small = HandDescription.from_mapping({**load_yaml(hand_files()["franka_hand"]), "name": "short"})
+    (posture,) = small.postures
+    short = small.replace(postures=(posture.replace(depth_m=0.002),))
+    assert Hand(short).depths.max() == 0.002
+
+
+def _described(changes: dict[str, object]) -> str:
+    """A description of the Franka Hand with changes, as text."""
+    stated = load_yaml(hand_files()["franka_hand"])
+    for key, value in changes.items():
+        group, names = stated, key.split(".")
+        for name in names[:-1]:
+            group = group[int(name)] if isinstance(group, list) else group[name]
+        group[names[-1]] = value  # type: ignore[index]
+    return yaml.safe_dump(stated)
+
+
+def test_descriptions_that_break_a_rule_are_refused(tmp_path: Path) -> None:
+    joint = {"name": "J1", "lower": 0.0, "upper": 1.0}
+
+    def check(changes: dict[str, object], reason: str) -> None:
+        path = tmp_path / "hand.yaml"
+        path.write_text(_described(changes), encoding="utf-8")
+        load_hand.cache_clear()
+        with pytest.raises(ConfigError) as caught:
+            HandConfig(name=str(path))
+        assert "hand.yaml" in str(caught.value)
+        assert reason in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    cases = {
+        "opens 0": ({"opening_m": 0}, "opening_m: 0.0 is below 0.005"),
+        "deeper than its fingers": (
+            {"postures.0.depth_m": 0.09},
+            "postures[0].depth_m: 0.09 m, but the palm is 0.046 m from the line",
+        ),
+        "a palm of no size": ({"boxes.0.size": [0.06, 0, 0.065]}, "size[1]: 0.0 is below 0.001"),
+        "outside its limits": (
+            {"joints": [joint], "postures.0.angles": [1.5]},
+            "postures[0].angles: J1 1.5 is outside of its limits, 0 to 1 rad",
+        ),
+        "joints unknown": ({"postures.0.angles": [0.5]}, "postures[0].angles: 1 of 0 joints"),
+        "twice": ({"joints": [joint, joint], "postures.0.angles": [0, 0]}, "joints: J1 occurs twice"),
+        "a finger in the palm": ({"boxes.0.part": "thumb"}, "boxes: hold the palm"),
+        "two numbers": ({"postures.0.xyz": [0, 0]}, "xyz: [0.0, 0.0] are not three numbers"),
+        "unknown key": ({"openning_m": 0.1}, "openning_m"),
+    }
+    every_case(cases, check)
+    with pytest.raises(ConfigError, match="name: frank_hand: is neither a file nor one of"):
+        HandConfig(name="frank_hand")
