@@ -8,22 +8,19 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 
 from benchmarks.common import add_data, markdown, print_rows, replace_marked
-from benchmarks.grasp_physics.bodies import FORCES_N, Planned, body_of, take
+from benchmarks.grasp_physics.bodies import FORCES_N, Planned, take
 from benchmarks.grasp_physics.camera import VIEWS, Seen, see
 from benchmarks.grasp_physics.objects import Item, read_items
 from benchmarks.grasp_physics.simulation import held
 from foretouch.camera.device import ensure_libusb
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.report.panels import new_figure, save_small
-from foretouch.types import Grasp, UInt8
+from foretouch.types import Grasp
 
 HERE: Final = Path(__file__).parent
 FRICTIONS: Final = (0.8, 0.5)
-_PIXELS: Final = (300, 300)
 
 Row = dict[str, Any]
 
@@ -105,44 +102,6 @@ def by_object(rows: Sequence[Row]) -> list[dict[str, str]]:
     ]
 
 
-def pictures(items: Sequence[Item], path: Path) -> None:
-    """Draw each hand as it has lifted objects."""
-    chosen = [item for item in items if item.name in {"Banana", "CrackerBox", "MustardBottle", "TennisBall"}] or items[
-        :4
-    ]
-    figure = new_figure(2.6 * len(chosen), 2.8 * len(FORCES_N))
-    axes = figure.subplots(len(FORCES_N), len(chosen), squeeze=False)
-    for (row, hand), (column, item) in product(enumerate(FORCES_N), enumerate(chosen)):
-        title, view = _picture(item, hand)
-        axes[row, column].axis("off")
-        axes[row, column].set_title(title, fontsize=7)
-        if view is not None:
-            axes[row, column].imshow(view)
-    save_small(figure, path)
-
-
-def _picture(item: Item, hand: str) -> tuple[str, UInt8 | None]:
-    """What became of the first grasp on an object, and the last view of it; None where the hand does not come."""
-    seen = see(item, 0, VIEWS[0])
-    pipeline = Pipeline(PipelineConfig().updated({"hand.name": hand}))
-    targets = pipeline.segment(seen.cloud).targets
-    grasps = pipeline.plan(targets[0]).grasps if targets else ()
-    if not len(grasps):
-        return f"{hand}\n{item.name}: no grasp", None
-    body, views = body_of(item, hand, FRICTIONS[0]), list[UInt8]()
-    with mujoco.Renderer(body.model, *_PIXELS) as renderer:
-
-        def watch(_model: mujoco.MjModel, data: mujoco.MjData) -> None:
-            camera = mujoco.MjvCamera()
-            camera.lookat[:], camera.distance = data.xpos[body.object], 0.75
-            camera.azimuth, camera.elevation = 130.0, -15.0
-            renderer.update_scene(data, camera)
-            views[:] = [renderer.render()]
-
-        taken = take(item, seen.pose, planned_in_world(seen, grasps[0]), hand, watch=watch)
-    return f"{hand}\n{item.name}: {taken.reason}", views[-1] if views else None
-
-
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -150,7 +109,7 @@ def main() -> None:
     parser.add_argument("--objects", type=Path, help="folder of objects (default: ycb in the folder of recordings)")
     parser.add_argument("--hands", nargs="+", choices=FORCES_N, default=list(FORCES_N), metavar="HAND")
     parser.add_argument("--poses", type=int, default=4, help="of each object")
-    parser.add_argument("--renew", action="store_true", help="write the committed table and the pictures")
+    parser.add_argument("--renew", action="store_true", help="write the committed table")
     options = parser.parse_args()
     ensure_libusb()
     items = read_items(options.objects or Path(options.data or "") / "ycb")

@@ -66,7 +66,8 @@ class Soak:
     def start(self, name: str) -> bool:
         """Start a node and wait until it reports that it is active."""
         before = self.seen.processes(name)
-        parameters = {"diagnostics_period_s": 0.25, **self._parameters.get(name, {})}
+        looks = {"input": "points"} if name == "segmentation" else {}
+        parameters = {"diagnostics_period_s": 0.25, **looks, **self._parameters.get(name, {})}
         self.processes[name] = spawn((name,), parameters, self.folder / f"{name}.log")
         self.memory[name] = []
         return self.seen.wait(lambda: self.seen.active(name, before), START_S)

@@ -29,7 +29,7 @@ DOMAIN = 87
 RESULTS = Path(__file__).with_name("results.csv")
 REQUESTS = Path(__file__).with_name("requests.csv")
 PICTURE = ROOT / "docs" / "stamp_to_touch.png"
-NODES = ("segmentation", "grasp", "touch_predictor")
+NODES = ("perception",)
 PERCENTILES = ("p50_ms", "p95_ms", "p99_ms")
 RATES = [1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0]
 REST_S = 3.0  # without clouds
@@ -53,7 +53,7 @@ class Bench(Client):
 
     def ready(self) -> None:
         """Wait until all nodes are active and connected."""
-        wanted = {"points": 1, "table": 2, "object_cloud": 2, "grasps": 1, "touch": 1}
+        wanted = {"points": 1, "touch": 1}
 
         def connected() -> bool:
             return self.is_active(NODES) and all(
@@ -119,7 +119,7 @@ def measure(rates: Sequence[float], seconds: float) -> list[dict[str, Any]]:
     """A row of the results for each rate, of one start of the graph."""
     clouds, others, rows = scenes(), OthersLoad(), []
     messages = [cloud_to_msg(cloud) for cloud in clouds]
-    graph = spawn(NODES, {"diagnostics_period_s": 0.5, "grasp_hold": 0.0})
+    graph = spawn(NODES, {"diagnostics_period_s": 0.5, "grasp_hold": 0.0, "input": "points"})
     bench = Bench()
     try:
         bench.ready()

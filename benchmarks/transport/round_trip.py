@@ -21,7 +21,7 @@ RADIUS_M, AWAY_M = 0.03, 0.8  # of the object, a standing cylinder, and from the
 HAND = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))  # its z from the second contact to the first
 _START = (
     "import sys; from foretouch.ros.executables import run; "
-    "sys.exit(run('segmentation', 'grasp', 'touch_predictor', args=[sys.argv[0], '--ros-args']))"
+    "sys.exit(run('perception', args=[sys.argv[0], '--ros-args', '-p', 'input:=points']))"
 )
 
 

@@ -175,8 +175,11 @@ def test_a_hand_that_touches_nothing_is_named_and_decides_the_exit_status(flags,
     view = View(answers=Counter(ok=2), executed=(None, readings))
     monitor = SimpleNamespace(close_view=lambda: view)
     graph = SimpleNamespace(monitor=monitor, nodes={}, replay=None, played=lambda: 2, conflicts=list)
+    lines = SimpleNamespace(dropped=0, put=lambda _: None, close=lambda _: True)
     assert (
-        run_command._finish(graph, argparse.Namespace(json=True, picture=None, source="a.yaml"), complete=True)
+        run_command._finish(
+            graph, argparse.Namespace(json=True, picture=None, source="a.yaml", lines=lines), complete=True
+        )
         == status
     )
     assert ("touched nothing: its readings are those at rest" in capsys.readouterr().err) == bool(status)

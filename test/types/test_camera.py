@@ -199,6 +199,8 @@ def test_a_camera_is_made_of_whole_sizes_and_numbers() -> None:
     for size in ("a", 848.5, None, 0, 20_000):
         with pytest.raises(CloudError, match=r"width: .* px is not a whole number between 1 and 16384"):
             CameraModel(size, 480, *([600.0] * 4))
+    with pytest.raises(CloudError, match=r"K: cy -1e\+308 px is at no image"):
+        CameraModel(848, 480, 600.0, 600.0, 424.0, -1e308)
     with pytest.raises(CloudError, match="K: None is not a number"):
         CameraModel(848, 480, None, 600.0, 424.0, 240.0)
 

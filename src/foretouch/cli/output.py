@@ -2,7 +2,10 @@
 """Output of the commands: JSON lines or tables on stdout, progress bars and warnings on stderr."""
 
 import json
+import os
 import sys
+import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -17,6 +20,69 @@ def print_json(record: Mapping[str, Any]) -> None:
     utf8 = (sys.stdout.encoding or "").lower() in {"utf-8", "utf8"}
     sys.stdout.write(json.dumps(_plain(record), allow_nan=False, ensure_ascii=not utf8) + "\n")
     sys.stdout.flush()
+
+
+class JsonLines:
+    """Prints records as lines of JSON in a thread, so that a reader that stops reading holds up nothing.
+
+    Args:
+        record: Makes the record of an item.
+        waiting: Number of items that may wait; further ones are dropped and counted.
+
+    Attributes:
+        dropped: Number of items that were not printed.
+        fault: Why no more can be printed, such as that the reader (`| head`) has exited.
+    """
+
+    def __init__(self, record: Callable[[Any], Mapping[str, Any]] = lambda item: item, waiting: int = 100) -> None:
+        self.dropped = 0
+        self.fault: OSError | None = None
+        self._record, self._most = record, waiting
+        self._changed = threading.Condition()
+        self._items: deque[Any] = deque()
+        self._busy = self._closed = False
+        self._utf8 = (sys.stdout.encoding or "").lower() in {"utf-8", "utf8"}
+        sys.stdout.flush()
+        self._file = sys.stdout.fileno()
+        self._thread = threading.Thread(target=self._run, name="json", daemon=True)
+        self._thread.start()
+
+    def put(self, item: Any) -> None:
+        """Let an item wait to be printed, or drop it."""
+        with self._changed:
+            if self._closed or self.fault is not None or len(self._items) >= self._most:
+                self.dropped += 1
+                return
+            self._items.append(item)
+            self._changed.notify_all()
+
+    def close(self, timeout_s: float) -> bool:
+        """Print what waits, for a time at most [s]; what was not read by then is dropped. Returns whether all was printed."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+            done = self._changed.wait_for(lambda: not (self._items or self._busy) or self.fault is not None, timeout_s)
+            self.dropped += len(self._items) + self._busy
+            self._items.clear()
+            return done
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._items or self._closed)
+                if not self._items:
+                    return
+                item, self._busy = self._items.popleft(), True
+            try:
+                line = json.dumps(_plain(self._record(item)), allow_nan=False, ensure_ascii=not self._utf8) + "\n"
+                rest = line.encode()
+                while rest:  # past sys.stdout: a thread that waits in it would keep Python from ending
+                    rest = rest[os.write(self._file, rest) :]
+            except OSError as err:
+                with self._changed:
+                    self.fault = err
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:

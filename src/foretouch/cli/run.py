@@ -16,7 +16,7 @@ from rich.panel import Panel
 from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
-from foretouch.cli.output import announce, print_json, warn
+from foretouch.cli.output import JsonLines, announce, warn
 from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from foretouch_msgs.msg import TouchPredictionArray
 
 
+_END_S = 1.5  # for what waits to be printed at the end
 _TOPIC_S = 5.0  # until somebody must publish a topic
 _PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
@@ -117,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_writable(arguments.picture, *PICTURE_SUFFIXES)
     nodes = _nodes(arguments)
     sensor = _sensor(arguments, nodes)
-    arguments.failures = []  # why an answer could not be printed, such as that the reader (`| head`) has exited
+    arguments.lines = None  # the lines of answers, with --json
     monitor: dict[str, Any] = {
         "sensor": sensor,
         "with_clouds": arguments.picture is not None,
@@ -125,7 +126,8 @@ def run(arguments: argparse.Namespace) -> int:
         "count": arguments.count,
     }
     if arguments.json:
-        monitor["on_touch"] = partial(_print, sensor, arguments.failures)
+        arguments.lines = JsonLines(partial(_printed, sensor))
+        monitor["on_touch"] = arguments.lines.put
     graph = Graph(
         nodes,
         namespace=arguments.namespace,
@@ -285,8 +287,8 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     replay, count = graph.replay, arguments.count
 
     def ended() -> bool:
-        if arguments.failures:
-            raise arguments.failures[0]
+        if arguments.lines is not None and arguments.lines.fault is not None:
+            raise arguments.lines.fault
         return (replay is not None and replay.ended.is_set()) or (count is not None and graph.answered() >= count)
 
     def panel() -> Panel:
@@ -330,7 +332,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         counts |= {"answers": view.answers, "reasons": view.reasons}
         if "hand" in graph.nodes:
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
-        print_json(counts)
+        _print_end(arguments.lines, counts)
     else:
         terminal().print(
             live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
@@ -386,9 +388,14 @@ def at_rest(readings: TouchCut | None) -> bool:
     )
 
 
-def _print(sensor: Sensor, failures: list[OSError], message: TouchPredictionArray) -> None:
-    """Print an answer in the executor's thread, where a failure cannot end the command."""
-    try:
-        print_json(answer_record(message, sensor))
-    except OSError as err:
-        failures.append(err)
+def _printed(sensor: Sensor, item: TouchPredictionArray | dict[str, Any]) -> Mapping[str, Any]:
+    """The line of an answer, or of the counts at the end."""
+    return item if isinstance(item, dict) else answer_record(item, sensor)
+
+
+def _print_end(lines: JsonLines, counts: dict[str, Any]) -> None:
+    """Print the counts as the last line, if somebody reads, within a few seconds."""
+    counts |= {"not_printed": lines.dropped} if lines.dropped else {}
+    lines.put(counts)
+    if not lines.close(_END_S):
+        warn(f"{lines.dropped} lines were not printed: nobody reads them")

@@ -7,7 +7,7 @@ Each finding is one line with a fix. The reports of a dataset are lines of `chec
 import json
 import math
 import os
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -71,6 +71,10 @@ class SessionCheck:
         self._received: dict[str, list[int]] = defaultdict(list)
         self._behind: dict[str, list[int]] = defaultdict(list)
         self._answers: dict[str, tuple[str, ...]] = {}
+        self._unreadable: Counter[str] = (
+            Counter()
+        )  # messages that could not be decoded, by the last part of their topic
+        self._fault = ""  # why the latest was none
 
     def add_message(self, what: str, received_ns: int, stamp_ns: int | None) -> None:
         """Count a message of the `hand` or the `camera`, with its stamp if it has one [ns]."""
@@ -87,6 +91,11 @@ class SessionCheck:
         self._readings.append(reading)
         events = self._contacts.update(received_ns, reading.counts)
         self.pressed += [event.finger for event in events if event.kind == "onset"]
+
+    def add_unreadable(self, topic: str, reason: str) -> None:
+        """Count a message that could not be decoded."""
+        self._unreadable[topic.rpartition("/")[2]] += 1
+        self._fault = reason
 
     def end_press(self, finger: str) -> None:
         """Take what is `pressed` for the answer to the press of a finger, such as `TH`."""
@@ -107,6 +116,10 @@ class SessionCheck:
         ]
         missing = self.table is None
         fix = "is the graph running, and the table in the camera's view?" * missing
+        if self._unreadable:
+            counts = ", ".join(f"{count} of {topic}" for topic, count in self._unreadable.items())
+            wrong = "do the types and the sensor's description fit?"
+            found.append(CheckFinding("messages", f"cannot be decoded: {counts}: {self._fault}", wrong))
         return [*found, CheckFinding("table", "none in the clouds" if missing else "found", fix), self._view()]
 
     def presses(self) -> list[CheckFinding]:

@@ -115,7 +115,7 @@ def write(
                 continue
             try:
                 yield sample_of(own, missing=missing, remarks=remarks, **one)
-            except (TypeError, ForetouchError) as err:  # TypeError: of a key that is missing or not known
+            except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
                 name = (
                     f"{one.get('object')}/{one.get('id') or number}" if isinstance(one, Mapping) else type(one).__name__
                 )
@@ -242,6 +242,13 @@ def sample_of(
     """
     if missing not in ("refuse", "hold", "mask"):
         raise DatasetError(f"missing: {none_of(missing, ('refuse', 'hold', 'mask'))}")
+    if not isinstance(rest, int | np.integer) or rest < 0:
+        raise DatasetError(f"rest: {rest} is not a number of readings")
+    if not isinstance(cloud, Cloud) or not isinstance(grasp, Grasp):
+        raise DatasetError("cloud, grasp: are not a Cloud and a Grasp of foretouch")
+    if not np.isfinite(start_s):
+        raise DatasetError(f"start_s: {start_s} is not finite")
+    object, id, note = str(object), str(id), str(note)  # noqa: A001  tables hold numbers of objects
     channels, name = sensor.channels, f"{object}/{id}" if id else ""
     check_id(name or f"{object}/1", object)
     counts = _joined(values, channels, "values")

@@ -62,7 +62,7 @@ class BoxConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PostureConfig(Settings):
+class WidthConfig(Settings):
     """The hand at one width of a grasp."""
 
     width_m: float = setting(0.0, "Distance of the contacts", bounds=(0.0, 1.0))
@@ -110,7 +110,7 @@ class HandDescription(Settings):
     )
     joints: tuple[JointConfig, ...] = ()
     boxes: tuple[BoxConfig, ...] = ()
-    postures: tuple[PostureConfig, ...] = (PostureConfig(),)
+    postures: tuple[WidthConfig, ...] = (WidthConfig(),)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -296,7 +296,7 @@ def _raise_to(front: Float64, corners: Float64) -> None:
     np.maximum(part, np.where(first <= last, last, -np.inf), out=part)
 
 
-def _flat(config: HandDescription, posture: PostureConfig) -> Float64:
+def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
     """All numbers of a posture in a row: depth, tool, corners of the boxes, angles."""
     turned = rotation_of(posture.rpy)
     palm = [posture.xyz + box.corners @ turned.T for box in config.boxes]

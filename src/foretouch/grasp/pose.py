@@ -103,7 +103,11 @@ def rotation_faults(rotations: Float64) -> list[str]:
     """Say which of (K, 3, 3) matrices are no proper rotations within 1e-3, of each; "" for those that are."""
     with np.errstate(all="ignore"):  # what overflows or is not finite is no rotation
         skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))
-        proper = (skewed <= _SKEWED) & (np.linalg.det(rotations) > 0.0)
+        x, y, z = rotations[:, :, 0].T, rotations[:, :, 1].T, rotations[:, :, 2].T
+        handed = (
+            x[0] * (y[1] * z[2] - y[2] * z[1]) + x[1] * (y[2] * z[0] - y[0] * z[2]) + x[2] * (y[0] * z[1] - y[1] * z[0])
+        )
+        proper = (skewed <= _SKEWED) & (handed > 0.0)
     return _texts(proper, lambda k: f"rotation: {rotations[k].tolist()} is not a rotation matrix")
 
 
@@ -123,7 +127,8 @@ def closing_faults(grasps: Grasps) -> list[str]:
 
 def joined_faults(*parts: list[str]) -> list[str]:
     """The first fault of each of K grasps in several lists of K; "" if there is none."""
-    return [next(filter(None, row), "") for row in zip(*parts, strict=True)]
+    found = [part for part in parts if any(part)]
+    return [next(filter(None, row), "") for row in zip(*found, strict=True)] if found else parts[0]
 
 
 def require_none(faults: list[str]) -> None:

@@ -296,16 +296,18 @@ class TouchModel:
         half = half if self._widen is None else half * self._widen
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
         predictions = Predictions(
-            np.where(finite[:, None], counts, np.nan),
+            counts,
             grasps,
             self.sensor.channels,
-            np.where(finite[:, None], counts - half, np.nan),
-            np.where(finite[:, None], counts + half, np.nan),
-            status=np.where(finite, "ok", "refused").astype(object),
-            reason=np.where(finite, "", "the model gives a value that is not finite").astype(object),
+            counts - half,
+            counts + half,
             reference=objects([reference] * len(grasps)),
             evidence=objects([evidence] * len(grasps)),
         )
+        if not finite.all():
+            reason = "the model gives a value that is not finite"
+            refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
+            predictions = predictions.put(~finite, refused)
         outside = np.asarray(self.ranges.outside(counts).any(axis=1) & finite, np.bool_)
         return predictions.flagged("out_of_range", outside).flagged("unfamiliar", ~in_distribution & finite)
 

@@ -74,6 +74,8 @@ class CameraModel:
         for name, value in zip(names, numbers, strict=True):
             if not np.isfinite(value):
                 raise CloudError(f"K: {name} {value} is not finite")
+            if name in {"cx", "cy"} and abs(value) > 10.0 * _LARGEST_SIDE:
+                raise CloudError(f"K: {name} {value:g} px is at no image")
             object.__setattr__(self, name, value)
         for name, focal, side in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
             if focal <= 0.0:

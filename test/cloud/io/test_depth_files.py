@@ -165,6 +165,14 @@ def test_a_camera_of_another_size_or_without_intrinsics_is_named(tmp_path: Path,
         ("d.yaml", "!!python/object/apply:os.system [ls]", "holds no camera: "),
         ("d.mat", "x", "holds no camera: "),
         ("d.csv", "x", "suffix: '.csv' is not one of"),
+        ("d.json", '{"K": "x"}', r"a.png: could not convert .* \(of the camera in .*d.json\)"),
+        (
+            "d.json",
+            '{"K": [60, 60, 31, 19], "model": "inverse_brown_conrady", "coeffs": [0.1, 0, 0, 0, 0]}',
+            "cannot be undone",
+        ),
+        ("d.json", '{"K": [60, 60, 31, 19], "depth_scale": []}', "a.png: index 0 is out of bounds"),
+        ("d.json", '{"intrinsic": 5}', "holds no camera: none of"),
     ):
         (tmp_path / name).write_text(content)
         with pytest.raises(FileError, match=rule):

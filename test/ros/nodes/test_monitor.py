@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings that are shown beside a prediction are those that the recorder would have recorded."""
 
+import threading
+
 import numpy as np
 import pytest
 from pair_builders import REST, level
@@ -8,7 +10,7 @@ from robot_builders import QUICK, Robot
 
 from foretouch.dataset.pairing.assembler import AssemblerConfig
 from foretouch.dataset.pairing.cut import PairingConfig
-from foretouch.ros.nodes.monitor import MonitorNode
+from foretouch.ros.nodes.monitor import MonitorNode, View
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch_msgs.msg import BiotacAll, GraspArray, Status, TouchPrediction, TouchPredictionArray
 
@@ -54,3 +56,19 @@ def test_readings_of_a_successful_grasp_are_shown_and_others_are_not(graph, monk
     graph.until(lambda: robot.feel(REST, 1) or monitor._assembler.results.total() == 3)
     assert dict(monitor._assembler.results) == {"recorded": 1, "overlap": 1, "grasp_failed": 1}
     assert monitor.view().executed[0].grasp.id == "good"
+
+
+def test_reasons_are_counted_by_kind_however_many_numbers_they_hold():
+    monitor = MonitorNode.__new__(MonitorNode)
+    monitor._lock, monitor._view, monitor._closed, monitor._count = threading.Lock(), View(), False, None
+    monitor._on_touch = None
+    for k in range(1000):
+        reason = f"no object: the nearest is {k / 7:.3f} m away of {k} points"
+        monitor._receive_touch(TouchPredictionArray(status=Status.NO_OBJECT, reason=reason))
+    for k in range(1000):
+        word = "".join(chr(97 + int(digit)) for digit in str(k))
+        monitor._receive_touch(TouchPredictionArray(status=Status.NO_OBJECT, reason=word))
+    reasons = monitor.view().reasons
+    assert reasons["no object: the nearest is # m away of # points"] == 1000
+    assert len(reasons) <= 101
+    assert reasons.total() == 2000

@@ -20,6 +20,7 @@ from foretouch.cloud.io.mask_files import MASK_SUFFIXES
 from foretouch.errors import CloudError, FileError, described, none_of
 from foretouch.files import read_bytes, require_existing
 from foretouch.types import AnyArray, CameraModel, Cloud
+from foretouch.types.camera import check_image
 
 IMAGE_SUFFIXES: Final = (".png", ".tif", ".tiff")
 INFO_SUFFIXES: Final = (".yaml", ".yml", ".json", ".mat", ".txt")
@@ -36,6 +37,7 @@ _MASKS: Final = ("mask", "label", "labels", "seg", "segmap")
 _INFOS: Final = ("info", "camera", "camera_info", "camera-info", "intrinsics", "meta")
 _NAMES_OF_K: Final = ("K", "k", "intrinsic_matrix", "intrinsics", "camera_matrix", "cam_K")
 _NAMES_OF_D: Final = ("D", "d", "coeffs", "distortion_coefficients", "distortion")
+_OTHER_MODELS: Final = re.compile("inverse|modified|theta|fisheye|equidistant|kannala", re.IGNORECASE)
 _NAMES_OF_SCALE: Final = ("factor_depth", "depth_scale")
 
 
@@ -61,25 +63,21 @@ class DepthCamera:
         facts = dict(facts or {}) | (_facts(self.info) if self.info else {})
         if self.intrinsics:
             facts |= {"K": self.intrinsics}
-        matrix = next((np.asarray(facts[name], np.float64) for name in _NAMES_OF_K if name in facts), None)
+        matrix = next((facts[name] for name in _NAMES_OF_K if name in facts), None)
         if matrix is None:
             cure = "give --intrinsics fx,fy,cx,cy, --camera-info FILE, or K beside `depth` in an .npz"
             raise FileError(path, f"is a depth image without its camera: {cure}", field="depth")
-        distortion = next((np.ravel(facts[name]).astype(np.float64) for name in _NAMES_OF_D if name in facts), None)
-        if facts.get("model", "") not in ("", "Brown Conrady", "brown_conrady", "none", "None"):
-            distortion = None if distortion is None or not distortion.any() else distortion
         depth = _as_depth(depth)
         try:
-            height, width = depth.shape if depth.ndim == 2 else (0, 0)
+            height, width = check_image(depth)
             stated = int(facts.get("width") or 0), int(facts.get("height") or 0)
-            if all(stated) and height and stated != (width, height):
+            if all(stated) and stated != (width, height):
                 raise CloudError(f"depth: {width}x{height} is not the size of the camera, {stated[0]}x{stated[1]}")
-            scale = self.scale if self.scale is not None else _scale(facts)
-            cloud = Cloud.from_depth(
-                depth, CameraModel.of(_row_major(matrix), width, height, distortion) if height else matrix, scale
-            )
-        except (CloudError, ValueError, TypeError) as err:
-            raise FileError(path, str(err)) from err
+            model = CameraModel.of(_row_major(np.asarray(matrix, np.float64)), width, height, _distortion(facts))
+            cloud = Cloud.from_depth(depth, model, self.scale if self.scale is not None else _scale(facts))
+        except (CloudError, ValueError, TypeError, IndexError) as err:
+            where = f" (of the camera in {self.info})" if self.info else ""
+            raise FileError(path, f"{err}{where}") from err
         if not np.isfinite(cloud.xyz[..., 2]).any():
             raise FileError(path, f"no pixel of {depth.size} has a depth", field="depth")
         return cloud
@@ -125,6 +123,17 @@ def _row_major(matrix: AnyArray) -> AnyArray:
     return matrix
 
 
+def _distortion(facts: Mapping[str, Any]) -> AnyArray | None:
+    """The coefficients of OpenCV's models, if there are any; a `CloudError` for a model that cannot be undone."""
+    found = next(
+        (np.ravel(facts[name]).astype(np.float64) for name in _NAMES_OF_D if facts.get(name) is not None), None
+    )
+    model = str(facts.get("distortion_model") or facts.get("model") or "")
+    if _OTHER_MODELS.search(model) and found is not None and found.any():
+        raise CloudError(f"distortion: model {model!r} cannot be undone: use the rectified image with its K")
+    return found
+
+
 def _scale(facts: Mapping[str, Any]) -> float | None:
     """Metres per unit by a file, which states it (RealSense) or its inverse (Open3D, GraspNet); None if it does not."""
     found = next((float(np.ravel(facts[name])[0]) for name in _NAMES_OF_SCALE if name in facts), None)
@@ -153,6 +162,7 @@ def _facts(path: Path) -> dict[str, Any]:
     except Exception as err:  # the parsers raise errors of many kinds on damaged bytes
         raise FileError(path, f"holds no camera: {described(err)}") from err
     facts = facts.get("intrinsic", facts) if isinstance(facts, dict) else {}
+    facts = facts if isinstance(facts, dict) else {}
     found: dict[str, Any] = {
         name: one["data"] if isinstance(one, dict) and "data" in one else one for name, one in facts.items()
     }

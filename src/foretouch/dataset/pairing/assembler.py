@@ -33,7 +33,6 @@ from foretouch.types import Cloud, Float32, Grasp, GraspSample
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
 _TACTILE_TIMEOUT_S: Final = 1.0
-_KEPT_MB: Final = 300.0  # of clouds, for grasps that are reported later
 _CLOUD_TIMEOUT_S: Final = 3.0  # a busy scene may give one object cloud a second
 
 
@@ -80,7 +79,7 @@ class SampleAssembler:
     def reset_grasps(self) -> None:
         """Forget clouds and all grasps, planned or executed; tactile readings are kept."""
         pairing = self.config.pairing
-        self.clouds = CloudBuffer(pairing.kept_s, _KEPT_MB)
+        self.clouds = CloudBuffer(pairing.kept_s, pairing.kept_mb)
         self.matcher = GraspTouchMatcher(
             self.readings,
             self.clouds,

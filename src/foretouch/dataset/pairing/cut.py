@@ -43,6 +43,7 @@ class PairingConfig(Settings):
     kept_s: float = setting(
         60.0, "How long clouds, grasps and readings are kept for a grasp that is reported later", bounds=(1.0, 3600.0)
     )
+    kept_mb: float = setting(300.0, "Largest memory for these clouds; the oldest are dropped", bounds=(1.0, 100_000.0))
     wait_s: float = setting(
         2.0, "How long a grasp waits for readings, clouds and labels that are still to come", bounds=(0.0, 60.0)
     )

@@ -4,13 +4,14 @@
 Its callbacks only store, under a lock; `view` gives a copy.
 """
 
+import re
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -34,6 +35,9 @@ from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_n
 from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
+_NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_KINDS: Final = 100  # of reasons that are counted
+
 
 @dataclass
 class View:
@@ -41,7 +45,7 @@ class View:
 
     sensor: Sensor = BIOTAC_SP  # whose readings are predicted
     answers: Counter[str] = field(default_factory=Counter)  # number of arrays of predictions by status
-    reasons: Counter[str] = field(default_factory=Counter)  # how often each reason was given
+    reasons: Counter[str] = field(default_factory=Counter)  # how often each kind of reason was given; # is a number
     last: TouchPredictionArray | None = None  # the last array
     executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
     # Last level, line and numbers by node name.
@@ -60,7 +64,7 @@ class MonitorNode(GuardedCallbacks, Node):
     """Subscribes to `touch` and /diagnostics; also to the clouds, to draw an answer, and to the hand, to show its readings.
 
     The predictions are for `sensor`; with `hand`, the messages of the hand are read. `on_touch` is called with each message of `touch`,
-    in the executor's thread, and must not call the monitor. The view is closed after `count` of them, if that is given.
+    in the executor's thread, and must return at once. The view is closed after `count` of them, if that is given.
     """
 
     def __init__(
@@ -155,7 +159,9 @@ class MonitorNode(GuardedCallbacks, Node):
             self._view.answers[status_name(message.status)] += 1
             self._closed = self._view.answers.total() == self._count
             if message.reason:
-                self._view.reasons[message.reason] += 1
+                kind = _NUMBER.sub("#", message.reason)
+                known = kind in self._view.reasons or len(self._view.reasons) < _KINDS
+                self._view.reasons[kind if known else "other"] += 1
             self._view.last = message
             if message.predictions:
                 self._drawable.append(message)

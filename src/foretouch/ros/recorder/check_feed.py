@@ -26,7 +26,7 @@ _CLOUDS = 5  # of the camera that are kept until the object's cloud of the same 
 
 
 class CheckFeed:
-    """Receives until `close`; messages that cannot be decoded are left out."""
+    """Receives until `close`; messages that cannot be decoded are counted."""
 
     def __init__(self, check: SessionCheck, inputs: RecorderSubscriptions, reader: TactileReader) -> None:
         self._check, self._inputs, self._reader = check, inputs, reader
@@ -43,8 +43,8 @@ class CheckFeed:
             for message in self._queue.take(0.05)[0]:
                 try:
                     self._add(message)
-                except ForetouchError:
-                    continue
+                except ForetouchError as err:
+                    self._check.add_unreadable(message.topic, str(err))
 
     def close(self) -> None:
         """Receive no more."""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from foretouch.errors import ConfigError, FileError
+from foretouch.errors import ConfigError, FileError, described
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import TouchModel
 
@@ -103,8 +103,8 @@ class HistoryKeeper:
             return written
         try:
             file.write(history)
-        except FileError as err:
-            self._fail(str(err))
+        except Exception as err:  # noqa: BLE001  the thread must go on, and try again with the next reading
+            self._fail(str(err) if isinstance(err, FileError) else f"{file.path}: {described(err)}")
             return written
         self.fault = ""
         return history.revision

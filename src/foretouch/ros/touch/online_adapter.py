@@ -213,6 +213,7 @@ class OnlineAdapter:
         with self._input_lock:
             age_s, self._texts["tare.fault"] = self._tare.age_s(time.monotonic()), self._tare.fault
             counts = {"waiting": len(self._assembler.matcher.pending), **self._touch_counts}
+            kept = self._assembler.clouds
         return {
             "regime": self._calibration_group,
             "touches": str(self._history.touches),
@@ -220,6 +221,8 @@ class OnlineAdapter:
             "tdc.jumps": str(self._history.tracker.tdc_jumps),
             **{f"touches.{name}": str(count) for name, count in sorted(counts.items())},
             "tare_age_s": "none" if age_s == float("inf") else f"{age_s:.1f}",
+            "clouds.kept": str(len(kept)),
+            "clouds.kept_mb": f"{kept.bytes / 1e6:.1f}",
             "tactile.received": str(self._received),
             "tactile.unreadable": str(self._unreadable),
             **{name: text for name, text in self._texts.items() if text},
