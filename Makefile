@@ -34,7 +34,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 	@test ! -e $@ || test "$$(cat $@)" = $(ROS) || { echo "setup: $(VENV) holds another ROS 2: it is made anew"; rm -rf $(VENV); }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two; on a loaded machine more)"
-	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera,lab]'
+	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera,sim]'
 	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
 	  && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl
@@ -42,7 +42,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute; on a loaded machine more)"
-	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[open3d,hdf5,view,serve,physics,docs,test,dev]'
+	@$(SHOWN_PIP) install $(CONSTRAINTS) -e '.[lab,open3d,hdf5,view,serve,physics,docs,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 
@@ -66,7 +66,7 @@ test-portable: setup
 	$(BIN)/python test/portable.py
 
 test-ros: runtime
-	@$(PIP) install $(CONSTRAINTS) -e '.[test]'
+	@$(PIP) install $(CONSTRAINTS) -e '.[lab,test]'
 	$(BIN)/pytest -n 2 --dist loadgroup test/ros
 
 check: setup
@@ -86,7 +86,7 @@ bench: setup
 
 # The site, in build/docs; a warning is an error.
 docs: runtime
-	@$(PIP) install $(CONSTRAINTS) -e '.[docs]'
+	@$(PIP) install $(CONSTRAINTS) -e '.[lab,docs]'
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/docs
 	@echo "docs: open build/docs/index.html"
 

@@ -17,7 +17,7 @@ class ConstantEstimator:
         self.ranges = Ranges.of_sensor(sensor.channels)
         self._values = values
 
-    def estimate(self, _cloud: Any, grasps: Any) -> Estimate:
+    def estimate(self, _cloud: Any, grasps: Any, _table: Any = None) -> Estimate:
         return Estimate(np.tile(self._values, (len(grasps), 1)), np.ones(len(grasps), np.bool_))
 
 

@@ -179,7 +179,7 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
     "docs/models.md": [
         *(
             (rf"\| `{name}`[^|]* \| {{}} \| {{}} \| {{}} \|", lambda name=name: card_skills(name))
-            for name in ("contact-v2", "touchnet-v1")
+            for name in ("contact-v3",)
         ),
         ("without a touch, no model differs significantly from the mean of the training readings", no_model_is_better_than_the_mean),
         (

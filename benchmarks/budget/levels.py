@@ -15,7 +15,7 @@ from foretouch.models import load_model
 from foretouch.tactile import MODALITIES
 from foretouch_lab.experiments.framework.manifest import read_results
 
-KEPT = ("10 trees", "no surroundings", "touchnet-v1")
+KEPT = ("10 trees", "no surroundings")
 TARGET = ROOT / "src/foretouch/models/levels.json"
 
 

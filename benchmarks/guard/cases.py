@@ -159,7 +159,6 @@ def all_cases() -> list[Case]:
         yard("contact model, 1 grasp", lambda: touch("default", 1)),
         yard("contact model, 100 grasps", lambda: touch("default", 100)),
         yard("contact model, 1000 grasps", lambda: touch("default", 1000)),
-        yard("touchnet, 1 grasp", lambda: touch("touchnet-v1", 1)),
         yard("simulator, rigid", lambda: simulator("rigid")),
         yard("simulator, deformables", lambda: simulator("deformables")),
         yard("training step", training_step),

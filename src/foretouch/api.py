@@ -91,7 +91,7 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
 
 
 def fit(
-    samples: SampleSet | Sequence[GraspSample] | str | Path, recipe: str = "contact-v2", **settings: Any
+    samples: SampleSet | Sequence[GraspSample] | str | Path, recipe: str = "contact-v3", **settings: Any
 ) -> TouchModel:
     """Fit a touch model to samples; requires `foretouch[lab]`.
 

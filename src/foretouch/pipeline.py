@@ -298,7 +298,7 @@ class Pipeline:
         if not grasps:
             return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")
         predictions = model.predict(
-            target.cloud, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
+            target, grasps, tare=tare, history=history, limits=self.config.limits, reach=self.config.reach
         )
         for flag in target.flags:
             predictions = predictions.flagged(flag)

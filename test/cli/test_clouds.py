@@ -86,7 +86,7 @@ def test_predict_gives_50_values_within_their_bounds(call, files, tmp_path) -> N
     assert np.isfinite(values).all()
     assert (np.less(fifty(one, "lower"), values) & np.less(values, fifty(one, "upper"))).all()
     assert (one["reference"], len(record["model"]["sha256"])) == ("none", 64)
-    shipped = find_card("touchnet-v1")
+    shipped = find_card("contact-v3")
     shutil.copy(shipped.with_suffix(".safetensors"), tmp_path)
     bare = tmp_path / shipped.name
     bare.write_text(json.dumps({**json.loads(shipped.read_text()), "calibration": None}))

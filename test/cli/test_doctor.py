@@ -25,7 +25,7 @@ def test_this_environment_has_no_problem(call) -> None:
     assert rclpy_loads["found"] == "rmw_fastrtps_cpp"
     (clouds,) = (one["found"] for one in answer.records if one["name"] == "large clouds")
     assert re.match(r"rmw_fastrtps_cpp: \d+ of \d+ MB of /dev/shm are free", clouds)
-    assert {"Python", "torch", "open3d loads", "model contact-v2", "a node answers over DDS"} <= set(records)
+    assert {"Python", "torch", "open3d loads", "model contact-v3", "a node answers over DDS"} <= set(records)
 
 
 def test_an_absent_package_and_another_version_are_named_with_the_fix(monkeypatch) -> None:
@@ -52,11 +52,11 @@ def test_models_are_as_stored_and_what_is_not_is_named(monkeypatch, tmp_path) ->
     selftest.check_models()
     stored = json.loads(selftest._EXPECTED.read_text())
     monkeypatch.setattr(selftest, "_EXPECTED", tmp_path / "expected.json")
-    counts = [[one + 1.0 for one in row] for row in stored["contact-v2"]["counts"]]
+    counts = [[one + 1.0 for one in row] for row in stored["contact-v3"]["counts"]]
     for name, changed, message in (
         ("gone", {}, "model gone: is not both installed and stored"),
-        ("contact-v2", {**stored["contact-v2"], "sha256": "0" * 64}, f"sha256: .* is not {'0' * 64} of this version"),
-        ("contact-v2", {**stored["contact-v2"], "counts": counts}, "model contact-v2: answers differ by 1 counts"),
+        ("contact-v3", {**stored["contact-v3"], "sha256": "0" * 64}, f"sha256: .* is not {'0' * 64} of this version"),
+        ("contact-v3", {**stored["contact-v3"], "counts": counts}, "model contact-v3: answers differ by 1 counts"),
     ):
         selftest._EXPECTED.write_text(json.dumps({**stored, name: changed}))
         with pytest.raises(ModelError, match=message):

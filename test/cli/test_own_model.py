@@ -32,7 +32,7 @@ def test_a_model_of_too_few_grasps_has_a_card_that_says_how_many_are_missing(tmp
     def check(counts: tuple[int, ...], sentence: str) -> None:
         folder = tmp_path / "-".join(map(str, counts))
         write_recording(folder / "grasps", counts)
-        done = call("train", "contact-v2", f"data={folder / 'grasps'}", QUICKLY, "-o", folder / "model", "--json")
+        done = call("train", "contact-v3", f"data={folder / 'grasps'}", QUICKLY, "-o", folder / "model", "--json")
         assert (done.status, done.records[-1]["calibrated"]) == (0, False)
         assert done.records[-1]["limits"][0] == f"No calibration: {sentence} more of other objects are needed."
         card = load_model(str(folder / "model")).card
@@ -46,7 +46,7 @@ def test_a_model_of_too_few_grasps_has_a_card_that_says_how_many_are_missing(tmp
         check,
     )
     write_recording(tmp_path / "few", (3,))
-    done = call("train", "contact-v2", f"data={tmp_path / 'few'}", QUICKLY, "-o", tmp_path / "none", "--json")
+    done = call("train", "contact-v3", f"data={tmp_path / 'few'}", QUICKLY, "-o", tmp_path / "none", "--json")
     assert done.status == 1
     assert "3 samples are fewer than 5: 2 more grasps are needed" in done.err
 

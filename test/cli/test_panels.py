@@ -41,7 +41,7 @@ READINGS: Any = SimpleNamespace(touch=shifted(21.0), tare=shifted(-200.0))
 
 
 def message(**fields: Any) -> Any:
-    return touch_message(Prediction.of(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), model="contact-v2")
+    return touch_message(Prediction.of(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), model="contact-v3")
 
 
 def screen(panel: Panel, width: int) -> set[str]:
@@ -89,7 +89,7 @@ def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     view.nodes["/foretouch/touch_predictor"] = 1, "no camera", values
     text = printed(live_panel(view, "title"))
     assert "±" not in text, "without a calibration there is no half width"
-    for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "12 late", "no camera"):
+    for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v3", "12 late", "no camera"):
         assert words in text
     assert "cloud only" in printed(live_panel(View(last=TouchPredictionArray(predictions=[message()])), "title"))
     refused = touch_message(refusal("bad_grasp", "grasp: too wide"), grasp_to_msg(GRASP))

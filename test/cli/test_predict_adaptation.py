@@ -108,10 +108,10 @@ def test_a_tare_shifts_the_prediction_as_the_model_does(call, model, session, tm
 
 
 def test_a_tare_that_is_like_a_reading_in_contact_is_warned_of_by_file_and_channel(call, session, tmp_path) -> None:
-    rest = load_model("contact-v2").calibration.rest
+    rest = load_model("contact-v3").calibration.rest
     for name, change in (("rest", 30.0), ("held", np.r_[400.0, 0.0, np.zeros(24), np.full(24, -700.0)])):
         (tmp_path / f"{name}.json").write_text(json.dumps(reading(change, rest)))
-    words = ("predict", session, "--model", "contact-v2", "--json")
+    words = ("predict", session, "--model", "contact-v3", "--json")
     answer = call(*words, "--tare", tmp_path / "rest.json", "--tare", tmp_path / "held.json")
     (line,) = [one for one in answer.err.splitlines() if "contact" in one]
     assert line.startswith(f"foretouch: {tmp_path / 'held.json'}: as in contact, or of another hand; a tare is")

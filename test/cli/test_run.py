@@ -98,7 +98,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     (tmp_path / "scene.yaml").write_text("grasps: {}\n")
     files = {
         "none": "/foretouch/perception: {ros__parameters: {use_tare: false}}",
-        "named": "foretouch: {perception: {ros__parameters: {model: touchnet-v1}}}",
+        "named": "foretouch: {perception: {ros__parameters: {model: simulated_too}}}",
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
@@ -112,7 +112,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     scene = str(tmp_path / "scene.yaml")
     assert model(scene) == model(scene, "--params", str(tmp_path / "none.yaml")) == "simulated"
     assert model(scene, "--params", str(tmp_path / "named.yaml")) is None  # the file's counts
-    assert model(scene, "--model", "touchnet-v1") == "touchnet-v1"
+    assert model(scene, "--model", "simulated_too") == "simulated_too"
     assert model("camera") is None
 
 
@@ -152,7 +152,7 @@ def test_ctrl_c_ends_a_recording_in_order(tmp_path, environment) -> None:
 
 
 def test_what_is_shown_is_for_the_sensor_of_the_model_from_the_option_or_the_parameter_file(tmp_path) -> None:
-    card = json.loads(find_card("contact-v2").read_text())
+    card = json.loads(find_card("contact-v3").read_text())
     path, params = tmp_path / "uskin.json", tmp_path / "params.yaml"
     path.write_text(json.dumps(with_sensor(card, packaged_sensor("xela_uskin_4x4"))))
     params.write_text(f"/foretouch/perception:\n  ros__parameters: {{model: {path}}}\n")

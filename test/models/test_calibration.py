@@ -133,7 +133,7 @@ def test_a_calibration_that_amplifies_is_refused() -> None:
 
 
 def test_readings_in_contact_are_found_and_what_drifts_at_rest_is_not(rng: np.random.Generator, request) -> None:
-    calibration = load_model("contact-v2").calibration
+    calibration = load_model("contact-v3").calibration
     assert calibration is not None
     tracker = calibration.tracker_parameters
     drift = (rng.normal(size=(500, SIZE)) * np.sqrt(tracker.slow + tracker.fast)) @ tracker.basis.T

@@ -51,7 +51,7 @@ def test_the_history_of_a_hand_goes_on_from_its_file_and_that_of_another_sensor_
         for part in (history, again)
     )
     np.testing.assert_array_equal(one.value.values, other.value.values)
-    biotac = load_model("contact-v2")
+    biotac = load_model("contact-v3")
     with pytest.raises(FileError, match=r"hand: sensor: is of xela_uskin_4x4 \(\w{8}\): not biotac_sp"):
         read_history(tmp_path / "hand", biotac)
     HistoryFile(tmp_path / "other", "left").write(HandHistory(biotac))

@@ -49,7 +49,7 @@ def test_files_that_are_not_of_this_model_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="predicts whether a grasp holds, and no touch"):
         load_model(card)
     with pytest.raises(ModelError, match="kind: contact is not hold"):
-        load_touch_hold(card.parents[1] / "contact-v2.json")
+        load_touch_hold(card.parents[1] / "contact-v3.json")
     facts = json.loads(card.read_text())
     (tmp_path / "touch-hold.json").write_text(json.dumps(facts))
     weights = tmp_path / "touch-hold.safetensors"

@@ -53,7 +53,7 @@ def test_from_the_callback_to_the_model_there_are_at_most_eight_frames(graph, sc
         found.append([frame.name for frame in traceback.extract_stack()])
         return predict(model, *arguments, **options)
 
-    (node,) = graph.add("perception", model="contact-v2")
+    (node,) = graph.add("perception", model="contact-v3")
     assert node._touch.adapter is not None
     heard, publisher = graph.listen(TouchPredictionArray, "touch"), graph.talk_matched(PointCloud2, "points")
     graph.matched("touch")

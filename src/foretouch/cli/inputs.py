@@ -138,7 +138,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "the touch_predictor keeps: adapt the predictions to the state of its sensors",
     },
     "--model": {
-        "help": "name of a model, or path of its card, weights or model folder (default: contact-v2; of `run` with a scene: simulated)"
+        "help": "name of a model, or path of its card, weights or model folder (default: contact-v3; of `run` with a scene: simulated)"
     },
     "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
     "--sensor": {

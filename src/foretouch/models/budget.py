@@ -21,11 +21,10 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from foretouch.models.contact.estimator import fewer_trees
-from foretouch.models.registry import load_model
 from foretouch.models.timing import time_calls
 from foretouch.models.touch_model import Estimate, Estimator, TouchModel
 from foretouch.tactile import Ranges
-from foretouch.types import Cloud, Float64, Grasp
+from foretouch.types import Cloud, Float64, Grasp, Plane
 
 _COUNTS: Final = (1, 10, 100, 1000)  # grasps of the requests that are timed
 _POINTS: Final = 3000  # of the object, about the median of the public clouds
@@ -53,14 +52,13 @@ class _Mean:
     mean: Float64  # (D,) [counts]
     ranges: Ranges
 
-    def estimate(self, _: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+    def estimate(self, _: Cloud, grasps: Sequence[Grasp], _table: Plane | None = None) -> Estimate:
         return Estimate(np.tile(self.mean, (len(grasps), 1)), np.zeros(len(grasps), np.bool_))
 
 
 _MAKERS: Final[dict[str, Callable[[Any], Estimator]]] = {
     "10 trees": lambda one: fewer_trees(one, 10),
     "no surroundings": lambda one: replace(one, surroundings=False),
-    "touchnet-v1": lambda _: load_model("touchnet-v1").estimator,
 }
 """Estimators of the levels by name, from the model's own."""
 

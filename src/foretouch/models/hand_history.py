@@ -29,7 +29,7 @@ from foretouch.models.touch_model import Estimate, HasCloud, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.description import require_same
-from foretouch.types import AnyArray, Cloud, Float64, Grasp, Predictions, Touch, UInt8
+from foretouch.types import AnyArray, Cloud, Float64, Grasp, Plane, Predictions, Touch, UInt8
 from foretouch.types.channels import Channels
 
 VERSION: Final = 2
@@ -102,6 +102,7 @@ class HandHistory:
         limits: ObjectLimits = DEFAULT_LIMITS,
         estimate: Estimate | None = None,
         tdc: Float64 | None = None,
+        table: Plane | None = None,
     ) -> tuple[str, ...]:
         """Add the reading of an executed grasp; stamps, temperature and result are as of `SensorTracker.add_tare`.
 
@@ -114,6 +115,7 @@ class HandHistory:
             limits: Range and size of objects.
             estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
             tdc: (F,) [counts].
+            table: In the cloud's frame; without one the camera is taken to look straight down on it.
 
         Raises:
             TactileError: If the reading is of another sensor or not of working ones, or the stamp cannot be used.
@@ -121,7 +123,7 @@ class HandHistory:
             GraspError: If no hand can execute the grasp.
         """
         values = self.model.usable_values(reading, "touched")
-        estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)
+        estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits, table)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
         where = None if estimate.where is None else estimate.where[0]
@@ -161,7 +163,8 @@ class HandHistory:
         """
         cloud = target if isinstance(target, Cloud) else target.cloud
         same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
-        self.add_touch(self._stamp(stamp_ns), cloud, grasp, reading, new_object=not same, tdc=tdc)
+        table = getattr(target, "plane", None)
+        self.add_touch(self._stamp(stamp_ns), cloud, grasp, reading, new_object=not same, tdc=tdc, table=table)
         self._tared = False
 
     def predict(
@@ -176,7 +179,7 @@ class HandHistory:
         cloud = target if isinstance(target, Cloud) else target.cloud
         same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
         read = self.snapshot(self._stamp(stamp_ns), same_object=same, tare=self._tared)
-        return self.model.predict(cloud, grasps, history=read)
+        return self.model.predict(target, grasps, history=read)
 
     def save(self, path: str | Path) -> None:
         """Write everything read so far to a file, which is replaced; a `FileError` if it cannot be written."""

@@ -10,7 +10,7 @@ from foretouch.files import read_json
 from foretouch.models.card import CARD_FORMAT, read_card
 from foretouch.models.touch_model import TouchModel
 
-DEFAULT_MODEL: Final = "contact-v2"
+DEFAULT_MODEL: Final = "contact-v3"
 SIMULATED_HAND_MODEL: Final = "simulated"
 """The model of scenes with a simulated hand."""
 

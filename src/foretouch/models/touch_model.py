@@ -8,7 +8,7 @@ through the tracker of the sensors' state (`models.tracker`), with the parameter
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -25,12 +25,24 @@ from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import Ranges, touch_faults
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
-from foretouch.types import Bool, Cloud, Evidence, Float64, Grasp, Grasps, Predictions, Reference, Touch
+from foretouch.types import Bool, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
 from foretouch.types.arrays import objects
 from foretouch.types.grasps import contact_faults
 
 SIMILAR_TOUCHES: Final = "similar_touches"
 """Flag of predictions in which took part where on the object its earlier touches were."""
+
+
+UNFAMILIAR: Final[Mapping[str, str]] = {
+    "larger_object": "the object is larger than any of the training",
+    "smaller_object": "the object is smaller than any of the training",
+    "other_shape": "no object of the training has these proportions",
+    "wider_grasp": "the contacts are farther apart than in the training",
+    "narrower_grasp": "the contacts are nearer to each other than in the training",
+    "other_direction": "the hand comes from a direction that the training lacks",
+    "sparse_points": "the points are too few for this object",
+}
+"""Flags beside `unfamiliar`, and what they mean. Touch the object, or train on 20 grasps of such ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +52,9 @@ class Estimate:
     counts: Float64  # (K, D) float64 [counts]
     in_distribution: Bool  # (K,) bool: whether cloud and grasp resemble those of training
     where: Float64 | None = None  # (K, P) features of the grasps, by which touches of one object are compared
+    reasons: Mapping[str, Bool] = field(
+        default_factory=dict
+    )  # (K,) bool each, why grasps are not in distribution, by flag
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +102,8 @@ class Estimator(Protocol):
         """Ranges outside which a predicted value is flagged."""
         ...
 
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
-        """Predict K grasps; the cloud's features are computed once.
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
+        """Predict K grasps; the cloud's features are computed once. Without a table the camera looks straight down on it.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position.
@@ -182,6 +197,7 @@ class TouchModel:
         history: History | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
+        table: Plane | None = None,
     ) -> Predictions:
         """Predict the readings of both fingertips at each grasp.
 
@@ -194,12 +210,14 @@ class TouchModel:
             history: Readings of the hand so far, which include tares; `tare` must be omitted.
             limits: Range and size of objects.
             reach: Of the hand.
+            table: In the cloud's frame; of an object of a scene its own. Without one the camera is taken to look straight
+                down on the table, as in the public recordings.
 
         Returns:
             A row for each grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
             `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
-            grasp is out of the training distribution, `similar_touches` where the places of earlier touches took part.
+            grasp is out of the training distribution, with a reason from `UNFAMILIAR`, `similar_touches` where the places of earlier touches took part.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
@@ -212,19 +230,22 @@ class TouchModel:
                 raise ModelError("history: has tares and touches of its own")
             if history.tracker.parameters is not self._calibrated().tracker_parameters:
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
-        cloud = cloud if isinstance(cloud, Cloud) else cloud.cloud
+        if not isinstance(cloud, Cloud):
+            table, cloud = table or getattr(cloud, "plane", None), cloud.cloud
         check_object(cloud.xyz, limits)
         columns = Grasps.of(grasps)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
         usable = np.array([not fault for fault in faults], np.bool_)
         if usable.all():
-            return self._predict(cloud, columns, tare, history)
-        predictions = self._predict(cloud, columns.take(usable), tare, history)  # a useless cloud is named first
+            return self._predict(cloud, columns, tare, history, table)
+        predictions = self._predict(cloud, columns.take(usable), tare, history, table)  # a useless cloud is named first
         return Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults).put(usable, predictions)
 
-    def _predict(self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: History | None) -> Predictions:
+    def _predict(
+        self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: History | None, table: Plane | None
+    ) -> Predictions:
         """Predictions for executable grasps."""
-        estimate = self.estimator.estimate(cloud, grasps)
+        estimate = self.estimator.estimate(cloud, grasps, table)
         if tare is not None:
             tracker = self.new_tracker()
             tracker.add_tare(0, self.tare_offset(tare))
@@ -233,15 +254,15 @@ class TouchModel:
         if history is not None and history.evidence.readings:
             read = (*history.adapt(estimate), history.reference, history.evidence)
             similar = history.same_object and history.tracker.similar.enough and estimate.where is not None
-            predictions = self._predictions(grasps, known, *read)
+            predictions = self._predictions(grasps, estimate, *read)
             return predictions.flagged(SIMILAR_TOUCHES) if similar else predictions
         half = None
         if self.calibration is not None:
             half = np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
-        return self._predictions(grasps, known, estimate.counts, half, "none", Evidence())
+        return self._predictions(grasps, estimate, estimate.counts, half, "none", Evidence())
 
     def estimate_executed(
-        self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS
+        self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS, table: Plane | None = None
     ) -> Estimate:
         """Predictions by vision for grasps that were executed, which readings are compared with.
 
@@ -252,7 +273,7 @@ class TouchModel:
         columns = Grasps.of(grasps)
         faults = _faults(columns, cloud, 2.0, limits.max_range_m)
         usable = np.array([not fault for fault in faults], np.bool_)
-        estimate = self.estimator.estimate(cloud, columns.take(usable))  # a useless cloud is named first
+        estimate = self.estimator.estimate(cloud, columns.take(usable), table)  # a useless cloud is named first
         require_none(faults)
         return estimate
 
@@ -285,7 +306,7 @@ class TouchModel:
     def _predictions(
         self,
         grasps: Grasps,
-        in_distribution: Bool,
+        estimate: Estimate,
         counts: Float64,
         half: Float64 | None,
         reference: Reference,
@@ -309,7 +330,11 @@ class TouchModel:
             refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
             predictions = predictions.put(~finite, refused)
         outside = np.asarray(self.ranges.outside(counts).any(axis=1) & finite, np.bool_)
-        return predictions.flagged("out_of_range", outside).flagged("unfamiliar", ~in_distribution & finite)
+        unknown = ~estimate.in_distribution & finite
+        predictions = predictions.flagged("out_of_range", outside).flagged("unfamiliar", unknown)
+        for flag, rows in estimate.reasons.items():
+            predictions = predictions.flagged(flag, np.asarray(rows & unknown, np.bool_))
+        return predictions
 
 
 def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:

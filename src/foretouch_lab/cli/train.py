@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "config",
         metavar="CONFIG",
-        help="YAML file, such as config/train/p2_srgan.yaml, or the name of a recipe of the package, such as contact-v2",
+        help="YAML file, such as config/train/p2_srgan.yaml, or the name of a recipe of the package, such as contact-v3",
     )
     parser.add_argument(
         "overrides",

@@ -11,9 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.models.budget import PAUSE_S, levels_of
-from foretouch.models.card import read_card
 from foretouch.models.contact.estimator import ContactEstimator, fewer_trees
-from foretouch.models.registry import find_card, load_model
+from foretouch.models.registry import load_model
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
@@ -27,11 +26,11 @@ from foretouch_lab.learning.evaluation.baselines import object_mean
 from foretouch_lab.learning.evaluation.metrics import error_rows
 from foretouch_lab.learning.prequential import TimedReadings, replay
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch_lab.learning.training.contact import ContactPredictor, ContactTrainingConfig
+from foretouch_lab.learning.training.contact import ContactPredictor
+from foretouch_lab.learning.training.run_config import load_run_config
 from foretouch_lab.learning.training.tracker import fit_tracker
 
-SHIPPED: Final = "contact-v2"
-NETWORK: Final = "touchnet-v1"
+SHIPPED: Final = "contact-v3"
 _PAPERS: Final = "papers' four networks"
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
 _READINGS: Final = " + readings"
@@ -42,7 +41,6 @@ VARIANTS: Final = (
     Variant(_MEAN, "part"),
     Variant(_OBJECT, "part"),
     Variant(_MEAN + _READINGS, "readings"),
-    Variant(NETWORK, "network"),
     *(Variant(f"{count} trees", "trees", {"trees": count}) for count in (5, 10, 20)),
     Variant("no surroundings", "part", {"part": True}),
     Variant(SHIPPED, "shipped"),
@@ -56,7 +54,8 @@ VARIANTS: Final = (
 def described(data: Dataset) -> tuple[ContactPredictor, dict[str, int]]:
     """The shipped recipe for the labelled samples, whose features are computed once; and the place of each by its id."""
     samples = labelled(data)
-    predictor = ContactPredictor(samples, labels_of(samples), ContactTrainingConfig())
+    recipe: Any = load_run_config(SHIPPED)
+    predictor = ContactPredictor(samples, labels_of(samples), recipe.contact)
     return predictor, {sample.id: k for k, sample in enumerate(samples)}
 
 
@@ -68,7 +67,7 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
 
 
 def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str, Row]:
-    """Errors on the folds of a split; touchnet-v1 has the skills of its card."""
+    """Errors on the folds of a split."""
     samples = labelled(data)
     folds = make_folds(samples, split, 0)
     errors: dict[str, list[Row]] = {}
@@ -77,11 +76,7 @@ def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str
         for name, predicted in _predictions(data, folds, fold):
             rows = error_rows([one.object for one in test], predicted, labels_of(test), labels_of(train).mean(axis=0))
             errors.setdefault(name, []).extend({"part": fold.name, **row} for row in rows)
-    found = skill_rows(split, errors, settings.bootstrap)
-    own = read_card(find_card(NETWORK))["skill"][split]
-    found[NETWORK] = {split: float(np.mean([own[one]["skill"] for one in MODALITIES]))}
-    found[NETWORK] |= {f"{split}_rmse_{one}": own[one]["rmse"] for one in MODALITIES}
-    return found
+    return skill_rows(split, errors, settings.bootstrap)
 
 
 def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[tuple[str, Float64]]:
@@ -135,7 +130,7 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
     if readings:
         return _after_reading(models[name], sample, grasps), 1.0
     shipped: Any = models[SHIPPED].estimator
-    estimator = models[NETWORK].estimator if name == NETWORK else _reduced(shipped, variant.values)
+    estimator = _reduced(shipped, variant.values)
     return lambda count: estimator.estimate(sample.cloud, grasps[:count]).counts, 1.0
 
 

@@ -47,7 +47,7 @@ def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, model_c
 
 
 def test_clouds_without_grasps_are_answered_counted_and_reported_first_as_a_warning_then_as_an_error(predictor, graph):
-    node, send, heard = predictor(model="touchnet-v1", partner_timeout_s=0.5, silence_s=1.5, diagnostics_period_s=0.2)
+    node, send, heard = predictor(model="simulated", partner_timeout_s=0.5, silence_s=1.5, diagnostics_period_s=0.2)
     reports, clouds = graph.reports("touch_predictor"), graph.talk_matched(PointCloud2, "object_cloud")
     stamps, monitor = count(1), MonitorNode()
     graph.serve(monitor)

@@ -23,13 +23,14 @@ from scipy.spatial.distance import cdist
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import CardCalibration, card_sensor, load_calibration, save_model
+from foretouch.models.contact.above import STEEP
 from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, OBJECT_FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.files import TensorRecord, file_beside, read_part, read_tensors
 from foretouch.models.novelty import IN_DISTRIBUTION, standardisation
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import Ranges
-from foretouch.types import AnyArray, Bool, Cloud, Float64, Grasp
+from foretouch.types import AnyArray, Bool, Cloud, Float64, Grasp, Plane
 
 TOGETHER: Final = "together"
 """Name of the forest with all values as outputs."""
@@ -41,7 +42,9 @@ _AROUND: Final = [name.startswith(("g1_", "g2_")) and "_depth" not in name for n
 
 _USUAL: Final = (0.93, 0.98)  # quantiles of the distances within training between which the score falls from 1 to 0
 _LEAST: Final = 0.05  # variance within objects that a size has at least, over that between all clouds
-_BEYOND: Final = {"distance": 2.0, "spacing": 2.5, "width": 1.5}  # factors beyond them
+_BEYOND: Final = {"spacing": 2.5, "width": 1.5}  # factors beyond them
+_TILTED: Final = 4.0  # factor of the distances where the camera is tilted, whose view of an object is completed: more would hide strangers
+_SIZE: Final = CHECKED.index("spread_3")
 _TURN: Final = 0.05  # what is added to the directions of the hand, which are cosines
 _SIZES: Final = [CHECKED.index(name) for name in OBJECT_FEATURES]
 _LIMITED: Final = tuple(name for name in CHECKED if name not in OBJECT_FEATURES)
@@ -54,14 +57,14 @@ class NoveltyDetector(TensorRecord):
 
     The sizes of a cloud are compared with those of the nearest of S training clouds, by a distance that counts less what varies
     between clouds of one object: its pose, and what is seen of it. Conditions under which the training data say nothing, `CHECKED`, are
-    unfamiliar too: another distance of the camera, too few points, another width or direction of the hand.
+    unfamiliar too: too few points, another width or direction of the hand. A tilted camera leaves more open, and so the distance may be larger there.
     """
 
     centre: Float64  # (11,) float64, mean of the sizes
     turn: Float64  # (11, 11) float64: differences of sizes times it have unit variance within objects
     known: Float64  # (S, 11) float64, sizes minus `centre`, times `turn`
     span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
-    low: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
+    low: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`; the first, once of the camera's distance, is not used
     high: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
 
     RULES = {"centre": "C", "turn": "CC", "known": "SC", "span": "2", "low": "5", "high": "5"}  # noqa: RUF012
@@ -98,10 +101,32 @@ class NoveltyDetector(TensorRecord):
         """
         moved = ((rows[:, _SIZES] - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
         distance = cdist(moved, self.known).min(axis=1)
+        distance = np.where(rows[:, CHECKED.index("tilt")] < STEEP, distance / _TILTED, distance)
         start, end = self.span
         limited = rows[:, _LIMITED_COLUMNS]
-        inside = ((limited >= self.low) & (limited <= self.high)).all(axis=1)
+        inside = ((limited >= self.low) & (limited <= self.high))[:, 1:].all(axis=1)  # no view is refused
         return np.where(inside, np.clip((end - distance) / (end - start), 0.0, 1.0), 0.0)
+
+    def reasons(self, rows: Float64) -> dict[str, Bool]:
+        """(K,) bool each, what of (K, F) rows is unlike the training, by the names of `UNFAMILIAR`."""
+        below, above = (
+            dict(zip(_LIMITED, (rows[:, _LIMITED_COLUMNS] < self.low).T, strict=True)),
+            dict(zip(_LIMITED, (rows[:, _LIMITED_COLUMNS] > self.high).T, strict=True)),
+        )
+        known = self.known @ np.linalg.inv(self.turn) + self.centre
+        longest, size = known[:, _SIZES.index(_SIZE)], rows[:, _SIZE]
+        larger, smaller = size > longest.max(), size < longest.min()
+        turned = below["approach"] | above["approach"] | below["rise"] | above["rise"]
+        limited = above["spacing"] | above["width"] | below["width"] | turned
+        return {
+            "larger_object": larger,
+            "smaller_object": smaller,
+            "other_shape": ~(larger | smaller | limited),
+            "wider_grasp": above["width"],
+            "narrower_grasp": below["width"],
+            "other_direction": turned,
+            "sparse_points": above["spacing"],
+        }
 
     def _check(self) -> None:
         super()._check()
@@ -136,10 +161,11 @@ class ContactEstimator:
     ranges: Ranges
     surroundings: bool = True
 
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
         """See `Estimator.estimate`."""
-        rows = HandFrameFeatures(cloud.xyz).describe(grasps, surroundings=self.surroundings)
-        return Estimate(*self.predict_rows(rows), rows[:, len(CONDITIONS) :] if self.surroundings else None)
+        rows = HandFrameFeatures(cloud.xyz, table).describe(grasps, surroundings=self.surroundings)
+        where = rows[:, len(CONDITIONS) :] if self.surroundings else None
+        return Estimate(*self.predict_rows(rows), where, self.novelty.reasons(rows))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.

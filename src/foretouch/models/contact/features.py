@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features of an object and a grasp in the frame of the hand: independent of where the camera is, and of density.
+"""Features of an object and a grasp in the frame of the hand and of the table: independent of where the camera is, and of density.
 
     cloud ─► object: sizes along its principal axes, visible height ─────────┐
     grasp ─► width, place on the object, the object in the hand's frame ─────┼─► one row for each grasp
@@ -10,8 +10,10 @@ first), along the object's principal axes, or along the optical axis: where the 
 camera is rolled, changes none of them. All are means, moments, quantiles or shares of points, which thinning does not
 shift; points around a contact weigh less the farther they are, so that no point enters or leaves by a step.
 
-The camera is assumed to look down on the table, as in the public recordings (`foretouch.types.ASSUMED_TABLE`): heights
-are along the optical axis, and `approach` and `rise` are the directions of the hand relative to it.
+Heights are above the table, and `approach` and `rise` are the directions of the hand relative to its normal. Without a
+table the camera is assumed to look straight down on it, as in the public recordings (`foretouch.types.ASSUMED_TABLE`).
+A camera that is tilted sees other parts of an object. Its points are therefore brought to what a camera above the table
+would see (`models.contact.above`).
 """
 
 from collections.abc import Sequence
@@ -23,8 +25,9 @@ from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.kernels import Kernel
+from foretouch.models.contact.above import seen_from_above
 from foretouch.models.novelty import principal_axes, usable_points
-from foretouch.types import Float64, Grasp, Grasps, Int32, Int64
+from foretouch.types import Float64, Grasp, Grasps, Int32, Int64, Plane
 
 _sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)
 _describe_contacts = Kernel(
@@ -51,8 +54,8 @@ OBJECT_FEATURES: Final = (
 )
 """Sizes of the object alone, by which novelty is detected."""
 
-CONDITIONS: Final = ("distance", "spacing")
-"""Distances of the object from the camera and of its points from each other. No prediction depends on them."""
+CONDITIONS: Final = ("tilt", "spacing")
+"""Cosine between the line of sight and the vertical, and the distance of the points from each other. No prediction depends on them."""
 
 CHECKED: Final = (*CONDITIONS, *OBJECT_FEATURES, "width", "approach", "rise")
 """The first columns of a row, by which novelty is detected."""
@@ -82,6 +85,7 @@ class HandFrameFeatures:
 
     Args:
         xyz: (N, 3) points [m], camera frame; points that are not finite are ignored.
+        table: The table in that frame; None if the camera looks straight down on it.
 
     Attributes:
         object_features: (len(OBJECT_FEATURES),) float64, lengths in metres.
@@ -90,8 +94,8 @@ class HandFrameFeatures:
         CloudError: If fewer than eight points are finite, or all are at one position.
     """
 
-    def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
-        self._points = usable_points(xyz)
+    def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]], table: Plane | None = None) -> None:
+        self._points, self._turn, steepness = seen_from_above(usable_points(xyz), table)
         self._centre, self._columns, self._covariance = centred_columns(self._points)
         self._centred = self._points - self._centre
         spreads, axes = principal_axes(self._covariance)
@@ -102,8 +106,7 @@ class HandFrameFeatures:
         self.object_features: Float64 = np.concatenate(
             [spreads, extents, quantiles(distances(self._columns), _QUARTERS), [high - low]]
         )
-        away = np.sqrt((self._centre**2).sum())
-        self._conditions = np.array([away, np.sqrt(extents[1] * extents[2] / len(self._points))])
+        self._conditions = np.array([steepness, np.sqrt(extents[1] * extents[2] / len(self._points))])
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -136,7 +139,8 @@ class HandFrameFeatures:
         if not grasps:
             return np.empty((0, len(FEATURES)))
         columns = Grasps.of(grasps)
-        g1, g2, hand = columns.g1, columns.g2, columns.rotation
+        g1, g2 = (_into(self._turn.T[None], contact) for contact in (columns.g1, columns.g2))
+        hand = (self._turn[None, :, :, None] * columns.rotation[:, None, :, :]).sum(axis=2)
         away = np.where(hand[:, 2, :1] < 0.0, -1.0, 1.0)
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
         objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from safetensors.torch import load
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import card_sensor, load_calibration, read_card
@@ -23,7 +21,7 @@ from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths
 from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges
-from foretouch.types import Cloud, Grasp
+from foretouch.types import AnyArray, Cloud, Grasp, Plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +47,17 @@ class NetworkEstimator:
         """Ranges outside which a predicted value is flagged."""
         return self.config.ranges.ranges
 
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
         """See `Estimator.estimate`.
 
         Out of distribution where a length leaves its range or the object's sizes are novel.
         """
+        del table  # networks look at the cloud as the camera does
         counts, in_distribution = np.empty((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
         prepared = prepare_cloud(cloud, self.config)
-        features = self.network.features(torch.from_numpy(prepared.points))
-        inputs = torch.from_numpy(prepare_grasps(grasps, prepared.frame, self.config))
-        counts[:, BIOTAC.columns(self.config.outputs)] = self.network.regress(features, inputs).numpy()
+        features = self.network.features(prepared.points)
+        inputs = prepare_grasps(grasps, prepared.frame, self.config)
+        counts[:, BIOTAC.columns(self.config.outputs)] = self.network.regress(features, inputs)
         if self.lengths is not None:
             in_distribution &= self.lengths.within(grasp_lengths(prepared, grasps))
         if self.fallback is not None:
@@ -85,7 +84,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
         raise ModelError(f"{card_path}: {err}") from err
 
 
-def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, torch.Tensor], dict[str, Any]]:
+def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, AnyArray], dict[str, Any]]:
     """The architecture of a card's network, its checked weights by name, and the card.
 
     Raises:
@@ -101,22 +100,22 @@ def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, torch.Te
     except ConfigError as err:
         raise ModelError(str(err)) from err
     weights = file_beside(card_path, card["weights"], "weights")
-    tensors = read_tensors(weights, card["sha256"], card_path.name, load)
+    tensors = read_tensors(weights, card["sha256"], card_path.name)
     _check_tensors(weights, tensor_shapes(config), tensors)
     return config, tensors, card
 
 
-def _check_tensors(path: Path, shapes: Mapping[str, tuple[int, ...]], found: Mapping[str, torch.Tensor]) -> None:
+def _check_tensors(path: Path, shapes: Mapping[str, tuple[int, ...]], found: Mapping[str, AnyArray]) -> None:
     """Check names, shapes, dtypes and finiteness, so that an error names the field."""
     for key in sorted(shapes.keys() | found.keys()):
         if key not in found:
             raise ModelError(f"{path}: {key}: is missing; the card describes another architecture")
         if key not in shapes:
             raise ModelError(f"{path}: {key}: is not part of the card's architecture")
-        own, dtype = found[key], torch.int64 if key.endswith("num_batches_tracked") else torch.float32
+        own, dtype = found[key], np.dtype(np.int64 if key.endswith("num_batches_tracked") else np.float32)
         if own.shape != shapes[key] or own.dtype != dtype:
             raise ModelError(
                 f"{path}: {key}: {own.dtype} {tuple(own.shape)} is not {dtype} {shapes[key]} of the card's architecture"
             )
-        if own.is_floating_point() and not torch.isfinite(own).all():
+        if not np.isfinite(own).all():
             raise ModelError(f"{path}: {key}: holds a value that is not finite")

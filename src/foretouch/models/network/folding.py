@@ -12,7 +12,7 @@ Three rewrites, none of which changes the function:
 The head runs in blocks of `BLOCK` rows, the last one padded: all matrix products have the same size, so a
 prediction is equal to the last bit however many grasps are predicted in the same call.
 
-The network as torch's modules, which a robot does not need, is `foretouch_lab.learning.network`.
+It is NumPy alone. The network as torch's modules, which a robot does not need, is `foretouch_lab.learning.network`.
 
 Shapes: N points, C channels, F features, K grasps, G grasp numbers, M outputs.
 """
@@ -21,10 +21,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import torch
-from torch import Tensor, nn
+import numpy as np
 
 from foretouch.models.network.config import ModelConfig
+from foretouch.types import AnyArray, Float32
 
 BLOCK = 16
 """Rows of one pass through the head."""
@@ -60,12 +60,12 @@ def tensor_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
 class _Affine:
     """x to x Wᵀ + b."""
 
-    weight: Tensor  # (out, in) float32
-    bias: Tensor  # (out,) float32
+    weight: Float32  # (out, in) float32
+    bias: Float32  # (out,) float32
 
-    def __call__(self, x: Tensor) -> Tensor:
+    def __call__(self, x: Float32) -> Float32:
         """(..., in) to (..., out)."""
-        return nn.functional.linear(x, self.weight, self.bias)
+        return np.asarray(x @ self.weight.T + self.bias, np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,66 +85,61 @@ class FoldedNetwork:
     trunk: tuple[_Affine, ...]
     trunk_relu: bool
     first: _Affine
-    first_grasp: Tensor
+    first_grasp: Float32
     head: tuple[_Affine, ...]
 
-    @torch.inference_mode()
-    def features(self, points: Tensor) -> Tensor:
+    def features(self, points: Float32) -> Float32:
         """(N, C) float32 points of one cloud to its (F,) features."""
         if self.transform is not None:
             shared, rest = self.transform
-            matrix = _chain(rest, _pooled(shared, points, relu=True)[None]).view(3, 3)
-            points = torch.cat([points[:, :3] @ matrix, points[:, 3:]], dim=1)
+            matrix = _chain(rest, _pooled(shared, points, relu=True)[None]).reshape(3, 3)
+            points = np.concatenate([points[:, :3] @ matrix, points[:, 3:]], axis=1)
         return _pooled(self.trunk, points, relu=self.trunk_relu)
 
-    @torch.inference_mode()
-    def regress(self, features: Tensor, grasps: Tensor) -> Tensor:
+    def regress(self, features: Float32, grasps: Float32) -> Float32:
         """(F,) features and (K, G) grasps to (K, M) predictions [counts]; K may be 0."""
-        count = grasps.shape[0]
-        padded = torch.zeros((-(-count // BLOCK) * BLOCK, grasps.shape[1]))
+        count = len(grasps)
+        padded = np.zeros((-(-count // BLOCK) * BLOCK, grasps.shape[1]), np.float32)
         padded[:count] = grasps
-        shared = self.first(features)
-        blocks = [self._block(shared, block) for block in torch.split(padded, BLOCK)] if count else []
-        return torch.cat(blocks)[:count] if blocks else torch.empty((0, self.output_size))
+        shared, result = self.first(features), np.empty((len(padded), self.output_size), np.float32)
+        for start in range(0, len(padded), BLOCK):
+            x = padded[start : start + BLOCK] @ self.first_grasp.T + shared
+            result[start : start + BLOCK] = _chain(self.head, _relu(x)) if self.head else x
+        return result[:count]
 
     @property
     def output_size(self) -> int:
         """M."""
-        return (self.head[-1] if self.head else self.first).weight.shape[0]
-
-    def _block(self, shared: Tensor, grasps: Tensor) -> Tensor:
-        x = nn.functional.linear(grasps, self.first_grasp) + shared
-        return _chain(self.head, torch.relu_(x)) if self.head else x
+        return len((self.head[-1] if self.head else self.first).bias)
 
 
-def fold(config: ModelConfig, tensors: Mapping[str, Tensor]) -> FoldedNetwork:
+def fold(config: ModelConfig, tensors: Mapping[str, AnyArray]) -> FoldedNetwork:
     """Fold a trained network; later training of the network does not change the copy.
 
     Args:
         config: Its architecture.
         tensors: By the names of `tensor_shapes`. Batch norm is folded with its running statistics, as in evaluation.
     """
-    tensors = {name: value.detach().double() for name, value in tensors.items()}
+    tensors = {name: value.astype(np.float64) for name, value in tensors.items()}
     transform = None
     if config.tnet:
-        matrix = _Affine(*(tensors[f"features.transform.matrix.{name}"].float() for name in ("weight", "bias")))
+        matrix = _affine(*(tensors[f"features.transform.matrix.{name}"] for name in ("weight", "bias")))
         shared, rest = (_folded(tensors, f"features.transform.{part}") for part in ("points", "cloud"))
         transform = shared, (*rest, matrix)
     scale, mean = tensors["target_scale"], tensors["target_mean"]
-    output = (tensors["output.weight"] * scale[:, None]).float().contiguous()
-    bias = (tensors["output.bias"] * scale + mean).float()
-    first, *head = *_folded(tensors, "head"), _Affine(output, bias)
+    output = _affine(tensors["output.weight"] * scale[:, None], tensors["output.bias"] * scale + mean)
+    first, *head = *_folded(tensors, "head"), output
     return FoldedNetwork(
         transform=transform,
         trunk=_folded(tensors, "features.layers"),
         trunk_relu=config.trunk_relu,
-        first=_Affine(first.weight[:, : config.feature_size].contiguous(), first.bias),
-        first_grasp=first.weight[:, config.feature_size :].contiguous(),
+        first=_affine(first.weight[:, : config.feature_size], first.bias),
+        first_grasp=np.ascontiguousarray(first.weight[:, config.feature_size :]),
         head=tuple(head),
     )
 
 
-def _folded(tensors: Mapping[str, Tensor], prefix: str) -> tuple[_Affine, ...]:
+def _folded(tensors: Mapping[str, AnyArray], prefix: str) -> tuple[_Affine, ...]:
     """Consecutive layers, in float32, with their batch norms merged in double precision."""
     found: list[_Affine] = []
     while (name := f"{prefix}.{len(found)}.linear.weight") in tensors:
@@ -152,21 +147,30 @@ def _folded(tensors: Mapping[str, Tensor], prefix: str) -> tuple[_Affine, ...]:
         norm = f"{prefix}.{len(found)}.norm."
         if f"{norm}weight" in tensors:
             gain, shift, mean, variance = (tensors[norm + part] for part in _NORM)
-            scale = gain / torch.sqrt(variance + _EPSILON)
+            scale = gain / np.sqrt(variance + _EPSILON)
             weight, bias = weight * scale[:, None], (bias - mean) * scale + shift
-        found.append(_Affine(weight.float().contiguous(), bias.float()))
+        found.append(_affine(weight, bias))
     return tuple(found)
 
 
-def _pooled(layers: tuple[_Affine, ...], points: Tensor, *, relu: bool) -> Tensor:
+def _affine(weight: AnyArray, bias: AnyArray) -> _Affine:
+    return _Affine(np.ascontiguousarray(weight, np.float32), bias.astype(np.float32))
+
+
+def _relu(x: Float32) -> Float32:
+    """In its place."""
+    return np.maximum(x, 0.0, out=x)
+
+
+def _pooled(layers: tuple[_Affine, ...], points: Float32, *, relu: bool) -> Float32:
     x, last = points, layers[-1]
     for layer in layers[:-1]:
-        x = torch.relu_(layer(x))
-    pooled = (x @ last.weight.T).amax(dim=0) + last.bias
-    return torch.relu_(pooled) if relu else pooled
+        x = _relu(layer(x))
+    pooled = np.asarray((x @ last.weight.T).max(axis=0) + last.bias, np.float32)
+    return _relu(pooled) if relu else pooled
 
 
-def _chain(layers: tuple[_Affine, ...], x: Tensor) -> Tensor:
+def _chain(layers: tuple[_Affine, ...], x: Float32) -> Float32:
     for layer in layers[:-1]:
-        x = torch.relu_(layer(x))
+        x = _relu(layer(x))
     return layers[-1](x)

@@ -8,7 +8,15 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.pipeline import Object
-from foretouch.ros.messages.requests import Latest, RefusalError, check_frames, passed_on, read_objects, read_targets
+from foretouch.ros.messages.requests import (
+    Latest,
+    RefusalError,
+    check_frames,
+    passed_on,
+    read_objects,
+    read_plane,
+    read_targets,
+)
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
 from foretouch.ros.steps.touch import TouchStep
@@ -47,7 +55,8 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         if not grasps.grasps:
             raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
         check_frames(GRASPS_TOPIC, grasps.header, item.header)
-        targets = read_targets(cloud, ASSUMED_TABLE, self.config.limits)  # predictions do not use the table
+        table = self._tables.get(stamp_ns(cloud.header.stamp))  # without one, the camera is taken to look straight down
+        targets = read_targets(cloud, read_plane(table) if table else ASSUMED_TABLE, self.config.limits)
         answer, budget = self._step.answer(targets, grasps.grasps, item.header, None, item.arrived)
         self._step.publish(answer, budget, grasps, lambda: cloud)
         return answer.summary

@@ -93,7 +93,7 @@ class TouchStep(Step):
         parts = []
         for target, plan in zip(targets, plans, strict=True):
             posed = Predictions.refused(plan.grasps, self.predictor.channels, "ok", "")  # no value yet
-            parts.append(self.predictor.predict(target.cloud, posed, self._node.config, model))
+            parts.append(self.predictor.predict(target, posed, self._node.config, model))
         answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
         return self._end(answer, budget), budget
 

@@ -36,9 +36,11 @@ from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Predictions, Touch
+from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
+
+_TABLES = 64  # of the latest clouds, for grasps that are executed on them
 
 
 class OnlineAdapter:
@@ -74,6 +76,7 @@ class OnlineAdapter:
         self._received = self._unreadable = 0
         self._touch_counts: Counter[str] = Counter()
         self._tare_refused = False
+        self._tables: dict[int, Plane | None] = {}  # of the clouds that were predicted on, by stamp [ns]
         self._texts = {"tare.fault": "", "touches.last_refusal": "", "tactile.last_unreadable": ""}  # for /diagnostics
         self._calibration_group = ""
 
@@ -137,6 +140,7 @@ class OnlineAdapter:
         limits: ObjectLimits,
         reach: ReachConfig,
         model: TouchModel | None = None,
+        table: Plane | None = None,
     ) -> Predictions:
         """Predict as `TouchModel.predict`, adapted to the readings so far; `model` may be a reduced form of the model."""
         config, model = self._config(), model or self._model
@@ -144,7 +148,10 @@ class OnlineAdapter:
         tare = self._recent_tare(config)
         history = self._history_for(cloud, tare, config) if config.use_touches else None
         alone = tare if history is None else None
-        predictions = model.predict(cloud, grasps, tare=alone, history=history, limits=limits, reach=reach)
+        predictions = model.predict(cloud, grasps, tare=alone, history=history, limits=limits, reach=reach, table=table)
+        self._tables[cloud.stamp_ns] = table
+        while len(self._tables) > _TABLES:
+            del self._tables[next(iter(self._tables))]
         if predictions:
             first = predictions[0]
             self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
@@ -257,6 +264,7 @@ class OnlineAdapter:
                 new_object=new,
                 limits=config.limits,
                 tdc=tdc_of(extra, touch.channels),
+                table=self._tables.get(sample.cloud.stamp_ns),
             )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}

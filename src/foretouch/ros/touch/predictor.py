@@ -55,7 +55,7 @@ class Predictor:
         if self.model is not None:  # predict once, so that the first real cloud does not wait for torch
             pipeline = Pipeline()
             for target in pipeline.segment(warm_up_cloud()).targets:
-                self.model.predict(target.cloud, pipeline.plan(target).grasps)
+                self.model.predict(target, pipeline.plan(target).grasps)
 
     @property
     def sensor(self) -> Sensor | None:
@@ -149,7 +149,7 @@ class Predictor:
             rotations = None
             if grasps.rotations is None:
                 rotations = np.where(posed.ok[:, None, None], posed.grasps.rotation, 0.0)
-            rows = self.predict(target.cloud, posed, config, model)
+            rows = self.predict(target, posed, config, model)
             return TouchAnswer(header, rows.grasps, rows, sensor=sensor, arrays=True, rotations=rotations)
         rows = Predictions.refused(Grasps.unknown(len(grasps)), channels, "bad_grasp", "")
         by_target: dict[int, list[int]] = {}
@@ -160,7 +160,7 @@ class Predictor:
                 rows.reason[i] = str(err)
         for k, members in by_target.items():
             posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing, channels)
-            rows = rows.put(members, self.predict(targets[k].cloud, posed, config, model))
+            rows = rows.put(members, self.predict(targets[k], posed, config, model))
         if posing is not None:
             grasps = [_as_predicted(grasp, rows, k) for k, grasp in enumerate(grasps)]
         return TouchAnswer(header, grasps, rows, sensor=sensor)
@@ -177,7 +177,7 @@ class Predictor:
         return message
 
     def predict(
-        self, cloud: Cloud, posed: Predictions, config: TouchSettings, model: TouchModel | None = None
+        self, target: Object, posed: Predictions, config: TouchSettings, model: TouchModel | None = None
     ) -> Predictions:
         """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
 
@@ -189,13 +189,13 @@ class Predictor:
         usable = posed.ok
         if not usable.any():
             return posed
-        options: dict[str, Any] = {"limits": config.limits, "reach": config}
+        options: dict[str, Any] = {"limits": config.limits, "reach": config, "table": target.plane}
         grasps = posed.grasps.take(usable)
         try:
             if self.adapter is not None:
-                predictions = self.adapter.predict(cloud, grasps, **options, model=model)
+                predictions = self.adapter.predict(target.cloud, grasps, **options, model=model)
             else:
-                predictions = model.predict(cloud, grasps, **options)
+                predictions = model.predict(target.cloud, grasps, **options)
         except (CloudError, ModelError) as err:
             status, reason = refusal_of(err)
             return posed.put(usable, Predictions.refused(grasps, posed.channels, status_name(status), reason))

@@ -70,7 +70,7 @@ def contact_predictor(
     """The default model, which has its own adaptation to touches, with a share of its trees."""
     from foretouch_lab.learning.training.run_config import load_run_config
 
-    config: Any = load_run_config("contact-v2").contact
+    config: Any = load_run_config("contact-v3").contact
     return ContactPredictor(train, labels, config.replace(trees=_share(training_fraction, config.trees), seed=seed))
 
 
@@ -84,6 +84,7 @@ PREDICTORS: Final[dict[str, Callable[[float], Baseline]]] = {
     "object_mean": lambda _: baselines.object_mean,
     "object_time_trees": partial(_trees, baselines.object_time_trees),
     "geometry_trees": partial(_trees, baselines.geometry_trees),
+    "geometry_trees_pose_free": partial(_trees, baselines.geometry_trees_pose_free),
     "clock": lambda _: baselines.clock,
     "contact": _contact,
     **{name: partial(network, name) for name in RECIPES},

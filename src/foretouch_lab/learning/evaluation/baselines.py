@@ -63,6 +63,18 @@ def _spreads(centred: Float64) -> Float64:
     return np.asarray(np.sqrt(np.maximum(values, 0.0)), np.float64)
 
 
+def pose_free_features(sample: GraspSample) -> Float64:
+    """(28,) float64: `geometry_features` without what tells where the camera is.
+
+    Centroid, extents along the camera's axes, rotation and the number of points are left out; places of the contacts, and of
+    the points near them, are in the frame of the hand, x away from the camera.
+    """
+    every, hand = geometry_features(sample), sample.grasp.rotation
+    hand = hand * np.array([-1.0, -1.0, 1.0]) if hand[2, 0] < 0.0 else hand
+    turned = [every[at : at + 3] @ hand for at in (11, 14, 33, 41)]
+    return np.concatenate([every[6:10], *turned[:2], every[17:19], every[28:33], turned[2], every[36:41], turned[3]])
+
+
 TREES: Final = 300
 """Trees of a forest."""
 
@@ -105,6 +117,14 @@ def geometry_trees(
     return _forest(known, labels, asked, seed, trees)
 
 
+def geometry_trees_pose_free(
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+) -> Float64:
+    """Extremely randomised trees on `pose_free_features`: what a model knows that ignores where the camera is."""
+    known, asked = (np.array([pose_free_features(sample) for sample in side]) for side in (train, test))
+    return _forest(known, labels, asked, seed, trees)
+
+
 def clock(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:
     """The level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
 
@@ -130,7 +150,8 @@ def predict_part(baseline: Baseline, samples: Sequence[GraspSample], seed: int, 
 
 
 BASELINES: Final[dict[str, Baseline]] = {
-    one.__name__: one for one in (training_mean, object_mean, object_time_trees, geometry_trees)
+    one.__name__: one
+    for one in (training_mean, object_mean, object_time_trees, geometry_trees, geometry_trees_pose_free)
 }
 
 

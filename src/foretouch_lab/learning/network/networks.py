@@ -34,6 +34,7 @@ from foretouch.models.card import CardCalibration, save_model
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.novelty import Fallback
+from foretouch.types import AnyArray
 from foretouch_lab.learning.network.pointnet import PointNetFeatures, make_layers
 
 
@@ -62,16 +63,16 @@ class TouchNet(nn.Module):
         self.register_buffer("target_scale", torch.ones(config.output_size))
 
     @classmethod
-    def of(cls, config: ModelConfig, tensors: Mapping[str, Tensor]) -> Self:
+    def of(cls, config: ModelConfig, tensors: Mapping[str, AnyArray]) -> Self:
         """The network of a checkpoint, in evaluation mode."""
         with torch.device("meta"):  # no random numbers are drawn for weights that are replaced at once
             net = cls(config)
-        net.load_state_dict(dict(tensors), assign=True)
+        net.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.items()}, assign=True)
         return net.eval()
 
     def folded(self) -> FoldedNetwork:
         """The network for prediction, as of now; see `foretouch.models.network.folding.fold`."""
-        return fold(self.config, self.state_dict())
+        return fold(self.config, _arrays(self))
 
     def forward(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
         """(B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""
@@ -107,9 +108,12 @@ def save_network(
     fallback: Fallback | None = None,
 ) -> Path:
     """Write a network and return the path of its card; see `save_model`."""
-    tensors = {key: value.detach().cpu().numpy() for key, value in net.state_dict().items()}
     facts = {"familiar": None, "config": net.config.to_mapping(), **facts}
-    return save_model(Path(folder) / f"{name}.json", "network", tensors, facts, calibration, fallback)
+    return save_model(Path(folder) / f"{name}.json", "network", _arrays(net), facts, calibration, fallback)
+
+
+def _arrays(net: TouchNet) -> dict[str, AnyArray]:
+    return {key: value.detach().cpu().numpy() for key, value in net.state_dict().items()}
 
 
 _CHANNELS: Final = 6

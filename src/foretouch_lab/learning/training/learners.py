@@ -129,7 +129,7 @@ class ContactLearner(Learner):
         limits = [
             *facts.get("limits", []),
             f"Unfamiliar objects get the mean of the training labels and this share of what the kernel predicts beyond it: {shares}.",
-            "The camera is taken to look along the vertical: grasps that approach from elsewhere than the camera are unfamiliar.",
+            "Without a table the camera is taken to look straight down on it; from a tilted camera the upper side that it does not see is estimated by symmetry.",
         ]
         config = self.config.contact.to_mapping()
         if self.sensor.channels != BIOTAC:

@@ -117,7 +117,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
     """Settings of a run from a YAML file and `key=value` words.
 
     Args:
-        config: A YAML file, the name of a recipe that comes with the package, such as `contact-v2`, or a method, for
+        config: A YAML file, the name of a recipe that comes with the package, such as `contact-v3`, or a method, for
             its defaults. `model` may be the path of a YAML file with the network's settings, relative to the file that
             names it.
         overrides: `key=value`, applied to the file's settings.

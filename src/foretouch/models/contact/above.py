@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An object as a camera straight above the table would see it, from what a camera anywhere has seen.
+
+A camera that looks down steeply sees what the recordings show: its points are only turned into the table's frame. Of any
+other view, the highest point over each cell of the table is kept, since the flanks below are not seen from above; and what
+the object itself hides is taken from the other side, as if it were symmetric about the vertical line through the middle of
+its top (as `grasp.completed` does). A place that the camera sees through stays empty.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from foretouch.types import Float64, Int64, Plane
+
+STEEP: Final = float(np.cos(np.radians(25.0)))
+"""Cosine between line of sight and vertical from which on a view is taken as it is: objects in the recordings reach 20°."""
+
+_CELL_M: Final = 0.003
+_PITCH: Final = 0.004  # of the outline, as a tangent: two pixels of 640 x 480
+_BEHIND_M: Final = 0.006  # what is so far behind a visible point is hidden by it
+_TOP_SHARE, _TOP_M = 0.15, 0.01  # of the visible height, or so much: the top
+
+
+def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Float64, float]:
+    """Turn points into the table's frame, and complete what a tilted camera does not see of their upper side.
+
+    Args:
+        points: (N, 3) float64 [m], finite, camera frame, N > 0.
+        table: The table in that frame; None if the camera looks straight down on it.
+
+    Returns:
+        (M, 3) points [m] in a frame with z downwards; the frame's axes as rows of (3, 3), by which directions and places of the camera's frame are turned; the cosine between
+        line of sight and vertical, 1 without a table.
+    """
+    if table is None:
+        return points, np.eye(3), 1.0
+    sight = points.mean(axis=0)
+    sight = sight / max(float(np.linalg.norm(sight)), 1e-12)
+    down = np.asarray(table.normal, np.float64) / np.linalg.norm(table.normal)
+    down = down if down @ sight > 0.0 else -down
+    steepness = float(down @ sight)
+    across = np.eye(3)[int(abs(down[0]) > 0.8)]
+    across = across - (across @ down) * down
+    across /= np.linalg.norm(across)
+    turn = np.stack([across, np.cross(down, across), down])
+    turned = points @ turn.T
+    if steepness >= STEEP:
+        return turned, turn, steepness
+    seen = _highest(turned)
+    hidden = _mirrored(seen)
+    hidden = hidden[_is_hidden(hidden @ turn, points)]
+    return _highest(np.concatenate([seen, hidden]), first=len(seen)), turn, steepness
+
+
+def _cells(points: Float64) -> Int64:
+    """(N,) number of the cell of the table over which each point is."""
+    column, row = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _CELL_M).astype(np.int64).T
+    return np.asarray(column * (row.max() + 1) + row, np.int64)
+
+
+def _highest(points: Float64, first: int = 0) -> Float64:
+    """The highest point over each cell; one of the `first` points goes before all others."""
+    later = np.arange(len(points)) >= first if first else np.zeros(len(points), np.bool_)
+    cells = _cells(points)
+    order = np.lexsort((points[:, 2], later, cells))
+    begins = np.diff(cells[order], prepend=-1) > 0
+    return points[order[begins]]
+
+
+def _mirrored(points: Float64) -> Float64:
+    """Half a turn about the vertical line through the middle of the top."""
+    height = points[:, 2]
+    low, high = np.quantile(height, (0.03, 0.98))
+    top = points[height < low + max(_TOP_SHARE * (high - low), _TOP_M), :2]
+    twin = points.copy()
+    twin[:, :2] = top.min(axis=0) + top.max(axis=0) - twin[:, :2]
+    return twin
+
+
+def _is_hidden(places: Float64, points: Float64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """(M,) whether points hide places from the camera, both in its frame."""
+    hidden = np.zeros(len(places), np.bool_)
+    front = np.flatnonzero(places[:, 2] > 0.0)
+    ahead = points[points[:, 2] > 0.0]
+    if not len(front) or not len(ahead):
+        return hidden
+    pixel = np.floor(ahead[:, :2] / ahead[:, 2:] / _PITCH).astype(np.int64)
+    low = pixel.min(axis=0)
+    size = pixel.max(axis=0) - low + 1
+    if size.prod() > 1 << 22:  # a camera within the object
+        return hidden
+    nearest = np.full(size, np.inf)
+    np.minimum.at(nearest, tuple((pixel - low).T), ahead[:, 2])
+    at = np.floor(places[front, :2] / places[front, 2:] / _PITCH).astype(np.int64) - low
+    inside = ((at >= 0) & (at < size)).all(axis=1)
+    front, at = front[inside], at[inside]
+    hidden[front] = places[front, 2] > nearest[at[:, 0], at[:, 1]] + _BEHIND_M
+    return hidden
