@@ -210,7 +210,8 @@ class Pipeline:
             return Scene(found.status, found.reason, cloud, found, (), ())
         plane = found.plane
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
-        obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in found.objects])
+        solid = [one for one in found.background if one.background != "floating"]
+        obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in (*found.objects, *solid)])
         objects = {
             one.id: Object(str(one.id), one.cloud, plane, one.pixels if shape else None, shape, (), obstacles)
             for one in found.objects

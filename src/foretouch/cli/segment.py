@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="F.npy",
         help="write the labels of a single input: int32 in the shape of the cloud, 0 = none",
     )
+    parser.add_argument("--all", action="store_true", help="also list what is background, and why")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_single(arguments)
     pipeline = Pipeline(pipeline_config(arguments, {"target.mode": "all"}))
     process = partial(_segment, arguments=arguments, pipeline=pipeline)
-    return process_inputs(arguments, process, _show)
+    return process_inputs(arguments, process, partial(_show, everything=arguments.all))
 
 
 def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Iterator[dict[str, Any]]:
@@ -55,6 +56,11 @@ def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
             {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
             for one in found.objects
         ],
+        "background": [
+            {"reason": one.background, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
+            for one in found.background
+        ],
+        "outline": found.outline,
         "counts": found.counts,
         "ms": found.ms,
         "failed": found.status != "ok",
@@ -72,15 +78,15 @@ def _is_one_object(cloud: Cloud, status: str) -> bool:
     return True
 
 
-def _show(record: dict[str, Any]) -> None:
+def _show(record: dict[str, Any], *, everything: bool) -> None:
     rows = [
         [
-            str(one["id"]),
+            str(one.get("reason", one.get("id"))),
             str(one["n_points"]),
             " ".join(f"{v:.3f}" for v in one["centroid"]),
             " x ".join(f"{1e3 * v:.0f}" for v in np.ptp(one["bounds"], axis=0)),
         ]
-        for one in record["objects"]
+        for one in (*record["objects"], *(record["background"] if everything else ()))
     ]
     title = f"{record['input']}: {record['status']} {record['reason']}".rstrip() + f" ({record['ms']['total']:.1f} ms)"
     print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)

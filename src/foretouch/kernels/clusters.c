@@ -3,7 +3,7 @@
  * states each step in NumPy.
  *
  * `settings` are, in this order, float32 numbers but for the rays: */
-#include "kernels.h"
+#include "sets.h"
 
 enum {
     PLANE_A, /* of the table, its normal towards the camera */
@@ -51,25 +51,6 @@ INLINE int is_beside(const float *p, double row, double column, const double *s)
     const float y = (float)(s[RAY_Y] + s[RAY_Y + 1] * column + s[RAY_Y + 2] * row);
     const float dx = fabsf(p[0] - x * p[2]), dy = fabsf(p[1] - y * p[2]), limit = p[2] * (float)s[DEVIATION];
     return ((dx > limit) | (dy > limit)) & (dx == dx) & (dy == dy) & (p[2] > 0.0f);
-}
-
-/* The first cell of a connected set, with which those of its other cells are numbered. */
-INLINE int32_t root_of(int32_t *parent, int32_t i) {
-    while (parent[i] != i) {
-        parent[i] = parent[parent[i]];
-        i = parent[i];
-    }
-    return i;
-}
-
-INLINE void join(int32_t *parent, int32_t i, int32_t j) {
-    i = root_of(parent, i);
-    j = root_of(parent, j);
-    if (i < j) {
-        parent[j] = i;
-    } else {
-        parent[i] = j;
-    }
 }
 
 /* Numbers the connected sets of the n cells with a number above 0, from 1 in the order of their first cells, 0 for those of fewer

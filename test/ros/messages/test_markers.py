@@ -14,7 +14,7 @@ from foretouch.ros.messages.markers import object_markers, touch_markers
 from foretouch.tactile import P2_RANGES, Ranges, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Grasp, Prediction, Touch
-from foretouch_msgs.msg import ObjectArray
+from foretouch_msgs.msg import ObjectArray, TablePlane
 
 BIOTAC_VIEW = TaxelView(packaged_sensor("biotac_sp"))
 HEADER = Header(frame_id="cam")
@@ -105,7 +105,12 @@ def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest(
 def test_boxes_enclose_their_objects(scene_cloud):
     found = Pipeline().segment(scene_cloud()).segmentation.objects
     message = ObjectArray(header=HEADER, objects=[object_to_msg(one, target=one.id == 1) for one in found])
-    boxes = by_name(object_markers(message))["objects"]
+    outline = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.5, 0.5, 1.0]], np.float32)
+    table = TablePlane(header=HEADER, outline=outline.ravel())
+    markers = by_name(object_markers(message, table))
+    np.testing.assert_allclose(points(markers["table"][0]), [*outline, outline[0]])  # closed
+    assert "table" not in by_name(object_markers(message, TablePlane(header=HEADER)))
+    boxes = markers["objects"]
     for box, one in zip(boxes, found, strict=True):
         centre = np.array([box.pose.position.x, box.pose.position.y, box.pose.position.z])
         half = np.array([box.scale.x, box.scale.y, box.scale.z]) / 2

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The objects on the table: extracted from the clusters, and the selection of those that get grasps."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters
+from foretouch.cloud.segmentation.background import ENTERS, REASONS
+from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, HeightThreshold
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
@@ -34,11 +36,12 @@ _FREE = 0.2  # of the score that others may cost the best grasp of a free object
 class ObjectSegment:
     """One object."""
 
-    id: int  # 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`
+    id: int  # 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`; 0 for background
     cloud: Cloud  # its points, unorganised, all finite, in the order of the input
     pixels: Int64  # (n,) int64, rows of `cloud` as flat indices into the input cloud, ascending
     centroid: Float64  # (3,) float64, mean of the points [m]
     bounds: Float64  # (2, 3) float64, smallest and largest x, y, z [m]
+    background: str = ""  # why it is no object, one of `background.REASONS`; "" for an object
 
     @property
     def n_points(self) -> int:
@@ -52,41 +55,55 @@ class ObjectSegment:
 
 
 def extract_objects(
-    cloud: Cloud, windows: Sequence[Clusters], plane: Plane, config: ClusterConfig, labels: Int32
-) -> tuple[tuple[ObjectSegment, ...], dict[str, int]]:
-    """Extract the clusters of a plausible size as objects.
+    cloud: Cloud,
+    windows: Sequence[Clusters],
+    threshold: HeightThreshold,
+    config: ClusterConfig,
+    labels: Int32,
+    reasons: Sequence[Int64] = (),
+) -> tuple[tuple[ObjectSegment, ...], tuple[ObjectSegment, ...], dict[str, int]]:
+    """Extract the clusters of a plausible size as objects, and those that are background.
 
     Args:
         cloud: The whole cloud, its points contiguous.
         windows: Its labelled windows.
-        plane: The table.
+        threshold: The table, and the noise of the depth.
         config: Limits of the size.
-        labels: (H, W) or (N,) int32, zeros; the ids are written into it.
+        labels: (H, W) or (N,) int32, zeros; the ids of objects are written into it.
+        reasons: Of each window, the index in `REASONS` of each label; all are objects if absent.
 
     Returns:
-        Objects in order of the distance of their centroid from the camera, ties by position in the image; and the
-        counts `objects`, `rejected` and `flying` of points and `n_rejected` of clusters.
+        Objects in order of the distance of their centroid from the camera, ties by position in the image; background in the
+        same order; and the counts `objects`, `rejected` and `flying` of points and `n_rejected` and
+        `n_background`, also by reason, of clusters.
     """
     rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)  # once, not for each window: it may be a copy
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
     found: list[tuple[float, int, int, ObjectSegment]] = []  # distance, window and label, by which they are sorted
-    rejected = []
+    behind, rejected = found.copy(), []
     for number, window in enumerate(windows):
-        for label, segment, top_m in _segments(flat, window, image.shape[1], plane):
-            if _plausible(segment, top_m, config):
+        for label, segment, top_m in _segments(flat, window, image.shape[1], threshold.plane):
+            reason = REASONS[reasons[number][label]] if reasons else ""
+            sized = _plausible(segment, top_m, threshold, config)
+            if reason == ENTERS or (reason and sized):
+                behind.append((segment.distance_m, number, label, replace(segment, background=reason)))
+            elif sized:
                 found.append((segment.distance_m, number, label, segment))
             else:
                 rejected.append(segment.n_points)
     found.sort(key=lambda one: one[:3])
+    behind.sort(key=lambda one: one[:3])
     ids = [np.zeros(window.n_labels + 1, np.int32) for window in windows]
     for k, (_, number, label, _) in enumerate(found, 1):
         ids[number][label] = k
     labelled = sum(_write_ids(image, *one) for one in zip(windows, ids, strict=True))
     objects = tuple(replace(segment, id=k) for k, (*_, segment) in enumerate(found, 1))
+    background = tuple(segment for *_, segment in behind)
     used = sum(segment.n_points for segment in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
-    return objects, counts
+    counts |= {"n_background": len(background)} | Counter(f"n_{one.background}" for one in background)
+    return objects, background, counts
 
 
 def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, ObjectSegment, float]]:
@@ -109,12 +126,13 @@ def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterat
         start = end
 
 
-def _plausible(candidate: ObjectSegment, top_m: float, config: ClusterConfig) -> bool:
-    """Neither speckle nor noise of the table, nor a wall."""
+def _plausible(candidate: ObjectSegment, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
+    """Neither speckle nor noise or waves of the table, nor a wall."""
+    waves_m = 2.0 * threshold.noise_per_m * candidate.centroid[2] ** 2
     return bool(
         candidate.n_points >= config.min_points
         and (candidate.bounds[1] - candidate.bounds[0]).max() <= config.max_extent_m
-        and np.float32(top_m) >= np.float32(config.min_top_m)
+        and np.float32(top_m) >= np.float32(max(config.min_top_m, waves_m))
     )
 
 

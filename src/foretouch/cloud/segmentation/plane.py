@@ -9,10 +9,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal, get_args
 
 import numpy as np
 
 from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Index, Plane
 
@@ -25,10 +27,20 @@ _REFIT = 4096  # points of the final fit
 _BATCH = 64  # hypotheses scored at once
 _Rows = Index | slice
 
+TableMode = Literal["largest", "nearest", "point"]
+
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
 _MIN_PEAK = 0.6  # of the points within three thresholds, within one: a blob has 0.3 to 0.5, a table almost 1
 _MIN_SPREAD_M = 0.02  # least standard deviation of the table's points along its narrow side
 _MAX_TRIALS = 1024  # RANSAC samples
+_FULL_REACH_M = (
+    0.6  # nearer than this the threshold falls with the square of the depth, as the noise of a stereo camera
+)
+_THINNER = (1.0, 0.5, 0.25)  # of the threshold: a table full of things stands out in a thinner slab only
+_LEAST_REACH_M = 0.002  # threshold of all
+_ABOVE_M, _PARALLEL = 0.1, math.cos(math.radians(15.0))  # a table stands above the floor, and level
+_WIDE_M = 0.6 / math.sqrt(12.0)  # standard deviation of points along .6 m, which no object exceeds
+_MOST_PLANES = 6
 _SEED = 0  # of the samples: the same points give the same plane
 
 
@@ -36,8 +48,25 @@ _SEED = 0  # of the samples: the same points give the same plane
 class PlaneConfig(Settings):
     """Settings of the plane fit, and which planes are not a table."""
 
-    threshold_m: float = setting(0.01, "Points closer than this belong to a plane", bounds=(0.001, 0.1))
+    table: TableMode = setting(
+        "largest",
+        "The plane with most points, or a wide one above it that carries things; the nearest to the camera; or the one at a point",
+        choices=get_args(TableMode),
+    )
+    point: tuple[float, ...] = setting((), "x, y, z on the table for table point, in the cloud's frame", unit="m")
+    threshold_m: float = setting(
+        0.01,
+        "Points closer than this belong to a plane; nearer than 0.6 m less, with the square of the depth",
+        bounds=(0.001, 0.1),
+    )
     min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", bounds=(0.01, 1.0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.point) != 3 * (self.table == "point"):
+            raise ConfigError(
+                f"point: {len(self.point)} numbers: table point needs x, y, z, and table {self.table} none"
+            )
 
 
 PlaneFit = tuple[Plane | None, float, str]
@@ -62,10 +91,66 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
     origin = points.mean(axis=0)  # float32 scoring stays exact far from the origin
     points -= origin
     scored = points[some].astype(np.float32)
-    best = _ransac(scored, config, _batches(len(xyz)))
-    if best is None:
-        return None, 0.0, "all points coincide or are collinear"
-    return _refit(points, origin, best, config)
+    near = min(1.0, abs(float(origin[2])) / _FULL_REACH_M)
+    fits: list[PlaneFit] = []
+    for share in _THINNER:
+        reach = max(config.threshold_m * near * near * share, _LEAST_REACH_M)
+        best = _ransac(scored, reach, _batches(len(xyz)))
+        if best is None:
+            return None, 0.0, "all points coincide or are collinear"
+        fits.append(_refit(points, origin, best, reach, config.min_fraction))
+        if fits[-1][0] is not None:
+            return fits[-1]
+    return fits[0]
+
+
+def find_table(xyz: Float32, config: PlaneConfig) -> PlaneFit:
+    """Fit the plane that carries the objects, by the rule of `PlaneConfig.table`.
+
+    Args:
+        xyz: (N, 3) float32 [m], finite, camera optical frame.
+        config: The rule and thresholds; the same input gives bit-equal results.
+
+    Returns:
+        The fit, or the reason why there is none (see `fit_plane`).
+    """
+    first = fit_plane(xyz, config)
+    if first[0] is None:
+        return first
+    if config.table == "largest":
+        return _wide_above(xyz, first, config)
+    fits, rest = [first], xyz
+    while (plane := fits[-1][0]) is not None and len(fits) < _MOST_PLANES:
+        rest = rest[np.abs(rest @ plane.normal + plane.offset) > 2.0 * config.threshold_m]
+        if len(rest) < config.min_fraction * len(xyz):
+            break
+        fits.append(fit_plane(rest, config))
+    if config.table == "point":
+        apart = [
+            abs(float(np.dot(plane.normal, config.point)) + plane.offset) for plane, *_ in fits if plane is not None
+        ]
+    else:
+        apart = [float(np.median(_near_points(xyz, plane, config)[:, 2])) for plane, *_ in fits if plane is not None]
+    return fits[int(np.argmin(apart))]
+
+
+def _wide_above(xyz: Float32, first: PlaneFit, config: PlaneConfig) -> PlaneFit:
+    """A plane above the first one, parallel to it and wider than an object, as a table above the floor; else the first."""
+    low = first[0]
+    if low is None:
+        return first
+    high = xyz[xyz @ low.normal + low.offset > _ABOVE_M]
+    if len(high) < config.min_fraction * len(xyz):
+        return first
+    second = fit_plane(high, config)
+    if second[0] is None or second[0].normal @ low.normal < _PARALLEL:
+        return first
+    wide = np.linalg.eigvalsh(np.cov(_near_points(high, second[0], config).T))[2] > _WIDE_M**2
+    return second if wide else first
+
+
+def _near_points(xyz: Float32, plane: Plane, config: PlaneConfig) -> Float32:
+    return xyz[np.abs(xyz @ plane.normal + plane.offset) < config.threshold_m]
 
 
 def _draw(n: int, rng: np.random.Generator) -> tuple[_Rows, _Rows, Index]:
@@ -96,7 +181,7 @@ def _some(n: int, count: int, rng: np.random.Generator) -> _Rows:
     return np.asarray((np.arange(count) + rng.random(count)) * (n / count), np.intp)
 
 
-def _ransac(points: Float32, config: PlaneConfig, batches: Iterator[Index]) -> Float32 | None:
+def _ransac(points: Float32, reach_m: float, batches: Iterator[Index]) -> Float32 | None:
     """(4,) float32 a, b, c, d of the hypothesis with most points, None if all are degenerate."""
     best, most, trials = None, 0, 0
     needed: float = _MAX_TRIALS
@@ -110,7 +195,7 @@ def _ransac(points: Float32, config: PlaneConfig, batches: Iterator[Index]) -> F
             continue
         normals = normals[usable] / lengths[usable, None]
         offsets = -np.einsum("ij,ij->i", normals, a[usable])
-        counts = _counts(normals @ points.T, offsets, config.threshold_m)
+        counts = _counts(normals @ points.T, offsets, reach_m)
         first = int(counts.argmax())
         if counts[first] > most:
             most = int(counts[first])
@@ -138,16 +223,16 @@ def _trials_needed(fraction: float) -> float:
     return 0.0 if hit >= 1.0 else math.log(_MISS) / math.log1p(-hit)
 
 
-def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig) -> PlaneFit:
+def _refit(points: Float64, origin: Float64, abcd: Float32, reach_m: float, min_fraction: float) -> PlaneFit:
     """Refit in float64, then check the plane against the limits."""
     normal, offset = abcd[:3].astype(np.float64), float(abcd[3])
-    reach, spread = config.threshold_m, 0.0
+    reach, spread = reach_m, 0.0
     for _ in range(2):
         normal, offset, rms, spread = _eigen_plane(_near(points, points @ normal, offset, reach))
-        reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit excludes the base of the objects
-    scaled, wide = _residuals(points, points @ normal, offset, config.threshold_m, float(origin[2]))
+        reach = min(reach_m, max(2.5 * rms, 0.001))  # the second fit excludes the base of the objects
+    scaled, wide = _residuals(points, points @ normal, offset, reach_m, float(origin[2]))
     inliers = len(scaled)
-    reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, config)
+    reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, min_fraction)
     plane = None if reason else _towards_camera(normal, offset - float(normal @ origin))
     return plane, math.sqrt(scaled @ scaled / max(inliers, 1)), reason
 
@@ -176,9 +261,9 @@ def _eigen_plane(points: Float64) -> tuple[Float64, float, float, float]:
     return normal, -float(normal @ centre), float(values[0]), float(values[1])
 
 
-def _fault(fraction: float, peak: float, spread: float, config: PlaneConfig) -> str:
-    if fraction < config.min_fraction:
-        return f"the largest plane holds {fraction:.0%} of the points, less than {config.min_fraction:.0%}"
+def _fault(fraction: float, peak: float, spread: float, least: float) -> str:
+    if fraction < least:
+        return f"the largest plane holds {fraction:.0%} of the points, less than {least:.0%}"
     if spread < _MIN_SPREAD_M:
         return f"the largest plane is {spread * 1e3:.1f} mm narrow, less than {_MIN_SPREAD_M * 1e3:g} mm"
     if peak < _MIN_PEAK:

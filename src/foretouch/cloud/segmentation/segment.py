@@ -13,6 +13,7 @@ import numpy as np
 
 from foretouch.cloud.geometry.frames import TANGENT, not_optical
 from foretouch.cloud.geometry.pixel_grid import listed_image
+from foretouch.cloud.segmentation.background import REASONS, find_background
 from foretouch.cloud.segmentation.clusters import (
     NOISE_FACTOR,
     ClusterConfig,
@@ -25,12 +26,12 @@ from foretouch.cloud.segmentation.clusters import (
 )
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
-from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
+from foretouch.cloud.segmentation.plane import PlaneConfig, find_table
 from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, out_of_view, view_fault
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
-from foretouch.types import Cloud, Float32, Index, Int32, Plane
+from foretouch.types import Cloud, Float32, Float64, Index, Int32, Plane
 
 SegmentationStatus = Literal[
     "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
@@ -79,7 +80,8 @@ class Segmentation:
     Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
     points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
     affect the result are checked, of one whose camera is known none has to be; background is the table, points below it, isolated points and those without x or y;
-    rejected are the points of `n_rejected` implausible clusters. `clusters` are split into `parts`; `joined_small`,
+    rejected are the points of `n_rejected` implausible clusters. The `n_background` clusters that are background for a reason,
+    counted by reason as `n_enters_view` and so on, are within background. `clusters` are split into `parts`; `joined_small`,
     `joined_border` and `joined_hidden` are the fragments that were joined again, by reason (see `parts`), all 0 where nothing
     calls for splitting.
     """
@@ -88,6 +90,8 @@ class Segmentation:
     reason: str  # explanation of the status; "" if ok
     plane: Plane | None  # the table, its normal towards the camera; None if not found
     objects: tuple[ObjectSegment, ...]  # nearest centroid first; ids 1, 2, ...
+    background: tuple[ObjectSegment, ...]  # what is no object, and why; nearest first
+    outline: Float64  # (n, 3) float64, corners of the table's outline [m]; empty if unknown, as in a list of points
     labels: Int32  # (H, W) or (N,) int32, the id of each point's object, 0 for none
     counts: dict[str, int]  # of points
     ms: dict[str, float]  # time of each stage and `total` [ms]
@@ -104,20 +108,22 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
         The segmentation; unusable points are reported in its status, not raised.
     """
     config = SegmentationConfig() if config is None else config
-    names = ("received", *_DROPPED[:3], "background", "rejected", "n_rejected", *_DROPPED[4:], *SPLIT_COUNTS)
+    reasons = (f"n_{reason}" for reason in ("background", *REASONS[1:]))
+    names = ("received", *_DROPPED[:3], "background", "rejected", "n_rejected", *_DROPPED[4:], *reasons, *SPLIT_COUNTS)
     counts = dict.fromkeys(names, 0)
     ms: dict[str, float] = {}
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
-        status, reason, plane, objects, labels = _segment_list(cloud, config, counts, ms)
+        status, reason, plane, objects, background, outline, labels = _segment_list(cloud, config, counts, ms)
         if status != "ok" and cloud.camera is None and (frame := not_optical(cloud.xyz)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
     counts["background"] = cloud.size - sum(counts[name] for name in _DROPPED)
-    return Segmentation(status, reason, plane, objects, labels, counts, ms)
+    return Segmentation(status, reason, plane, objects, background, outline, labels, counts, ms)
 
 
-_Result = tuple[SegmentationStatus, str, Plane | None, tuple[ObjectSegment, ...], Int32]
+_Objects = tuple[ObjectSegment, ...]
+_Result = tuple[SegmentationStatus, str, Plane | None, _Objects, _Objects, Float64, Int32]
 
 
 def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
@@ -128,13 +134,14 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
     # Of a thinned image clusters would fall apart.
     if image is None or image.connected < _CONNECTED * image.n_points or min(image.xyz.shape[:2]) < 2:
         return _segment(cloud, config, counts, ms)
-    status, reason, plane, found, image_labels = _segment(Cloud(image.xyz), config, counts, ms)
+    status, reason, plane, objects, background, outline, image_labels = _segment(Cloud(image.xyz), config, counts, ms)
     finite, usable = _count_depths(cloud.xyz, config.crop)
     counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
     labels = np.zeros(cloud.size, np.int32)
     labelled = np.flatnonzero(image_labels)
     labels[image.place[labelled]] = image_labels.reshape(-1)[labelled]
-    return status, reason, plane, tuple(_listed(one, cloud, image.place) for one in found), labels
+    listed, others = (tuple(_listed(one, cloud, image.place) for one in some) for some in (objects, background))
+    return status, reason, plane, listed, others, outline, labels
 
 
 def _listed(one: ObjectSegment, cloud: Cloud, place: Int32) -> ObjectSegment:
@@ -146,14 +153,14 @@ def _listed(one: ObjectSegment, cloud: Cloud, place: Int32) -> ObjectSegment:
 
 def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
     xyz = cloud.xyz
-    labels = np.zeros(xyz.shape[:-1], np.int32)
+    labels, nothing = np.zeros(xyz.shape[:-1], np.int32), ((), (), np.empty((0, 3)))
     with timed(ms, "crop"):
         finite, usable = _count_depths(xyz, config.crop)
         counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
     if usable == 0:
-        return "empty_cloud", _why_empty(xyz[..., 2], config.crop), None, (), labels
+        return "empty_cloud", _why_empty(xyz[..., 2], config.crop), None, *nothing, labels
     if usable < _MIN_POINTS:
-        return "too_few_points", f"{usable} points in range, fewer than {_MIN_POINTS}", None, (), labels
+        return "too_few_points", f"{usable} points in range, fewer than {_MIN_POINTS}", None, *nothing, labels
     with timed(ms, "plane"):
         image = xyz.ndim == 3 and min(xyz.shape[:2]) > 1  # whose pixels determine rays; a single row is a list
         if not image:
@@ -170,28 +177,30 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         elif not image:
             fault = view_fault(counts["off_ray"], usable)
         if fault:
-            return "bad_cloud", fault, None, (), labels
-        plane, noise_per_m, reason = fit_plane(sample[finite_rows(sample)], config.plane)
+            return "bad_cloud", fault, None, *nothing, labels
+        plane, noise_per_m, reason = find_table(sample[finite_rows(sample)], config.plane)
     if plane is None:
-        return "no_plane", reason, None, (), labels
+        return "no_plane", reason, None, *nothing, labels
     with timed(ms, "clusters"):
         limits = config.clusters
         threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
-            windows, parts = split_clusters(xyz, windows, threshold, pixel_pitch(coarse) / stride, config.split)
+            pitch = pixel_pitch(coarse)
+            windows, parts = split_clusters(xyz, windows, threshold, pitch / stride, config.split)
+            reasons, outline = find_background(coarse, stride, windows, threshold, pitch)
         else:
+            reasons, outline = [], np.empty((0, 3))
             windows = label_unorganised(xyz, config.crop, threshold)
             windows, parts = split_list(xyz, windows, threshold, config.split)
         counts |= parts
         if rays is not None:
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):
-        objects, found = extract_objects(cloud, windows, plane, limits, labels)
+        objects, background, found = extract_objects(cloud, windows, threshold, limits, labels, reasons)
         counts |= found
-    if not objects:
-        return "no_object", _why_no_object(counts["n_rejected"], limits), plane, (), labels
-    return "ok", "", plane, objects, labels
+    reason = "" if objects else _why_no_object(counts["n_rejected"], counts["n_background"], limits)
+    return "ok" if objects else "no_object", reason, plane, objects, background, outline, labels
 
 
 def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -> RayFilter:
@@ -258,7 +267,9 @@ def _why_empty(z: Float32, config: CropConfig) -> str:
     )
 
 
-def _why_no_object(rejected: int, config: ClusterConfig) -> str:
+def _why_no_object(rejected: int, background: int, config: ClusterConfig) -> str:
+    if background:
+        return f"{background} clusters are background, {rejected} have no plausible size: nothing stands within the table's outline"
     if rejected == 0:
         return f"nothing stands more than {config.min_height_m * 1e3:g} mm above the table"
     return (

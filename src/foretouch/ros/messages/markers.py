@@ -17,11 +17,12 @@ from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.conversions import evidence_text, point_to_msg
 from foretouch.tactile import Ranges
 from foretouch.types import Float64, Grasp, Prediction, Touch
-from foretouch_msgs.msg import ObjectArray
+from foretouch_msgs.msg import ObjectArray, TablePlane
 
 _CONTACT_M = 0.012  # diameter of a contact's sphere
 _AXIS_M = 0.06  # length of the hand's axes
 _TAXEL_M = 0.003
+_LINE_M = 0.004  # width of the table's outline
 _TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
 _OTHER = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.25)
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
@@ -31,9 +32,12 @@ _DEAD = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.6)
 _AXES = (ColorRGBA(r=1.0, a=1.0), ColorRGBA(g=1.0, a=1.0), ColorRGBA(b=1.0, a=1.0))
 
 
-def object_markers(message: ObjectArray) -> MarkerArray:
-    """Draw a translucent box around each object, green for targets, and its id."""
-    markers = []
+def object_markers(message: ObjectArray, table: TablePlane) -> MarkerArray:
+    """Draw a translucent box around each object, green for targets, and its id; and the outline of the table."""
+    line = _marker(message.header, "table", 0, Marker.LINE_STRIP, _WHITE)
+    corners = np.asarray(table.outline, np.float64).reshape(-1, 3)
+    line.points, line.scale.x = [point_to_msg(one) for one in (*corners, *corners[:1])], _LINE_M
+    markers = [line] if len(corners) else []
     for number, one in enumerate(message.objects):
         box = _marker(message.header, "objects", number, Marker.CUBE, _TARGET if one.target else _OTHER)
         low, high = (np.array([p.x, p.y, p.z]) for p in (one.minimum, one.maximum))

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cloud -> `objects`, `table`, `object_cloud`: the objects on the table, and which of them to grasp."""
 
+import array
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
@@ -82,9 +84,12 @@ class SegmentationStep(Step):
     def publish(self, header: Header, scene: Scene, shape: tuple[int, ...]) -> None:
         """Publish a scene, found in a cloud of a shape, for those who subscribe."""
         state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
-        if self._table.get_subscription_count():
-            plane = plane_to_msg(scene.segmentation.plane)
-            self._table.publish(TablePlane(plane=plane, **obstacles_to_msg(scene.obstacles), **state))
+        drawn = self._markers.get_subscription_count()
+        if self._table.get_subscription_count() or drawn:
+            outline = array.array("f", scene.segmentation.outline.astype(np.float32).tobytes())
+            plane, obstacles = plane_to_msg(scene.segmentation.plane), obstacles_to_msg(scene.obstacles)
+            table = TablePlane(plane=plane, outline=outline, **obstacles, **state)
+            self._table.publish(table)
         if self._object_cloud.get_subscription_count():
             self._object_cloud.publish(objects_to_msg(scene.targets, header.frame_id, stamp_ns(header.stamp)))
         if not (self._objects.get_subscription_count() or self._markers.get_subscription_count()):
@@ -92,11 +97,12 @@ class SegmentationStep(Step):
         chosen = {target.id for target in scene.targets}
         height, width = shape[:2] if len(shape) == 3 else (1, shape[0])
         objects = [object_to_msg(one, target=str(one.id) in chosen) for one in scene.segmentation.objects]
-        message = ObjectArray(height=height, width=width, objects=objects, **state)
+        background = [one.background for one in scene.segmentation.background]
+        message = ObjectArray(height=height, width=width, objects=objects, background=background, **state)
         self._objects.publish(message)
-        if self._markers.get_subscription_count():  # an error must not refuse the cloud, which is answered
-            draw = self._node.internal_errors.guarded("markers", lambda: self._markers.publish(object_markers(message)))
-            draw()
+        if drawn:  # an error must not refuse the cloud, which is answered
+            markers = self._markers
+            self._node.internal_errors.guarded("markers", lambda: markers.publish(object_markers(message, table)))()
 
     def notes(self) -> dict[str, str]:
         """What the last click selected."""

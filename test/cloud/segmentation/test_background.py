@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is background: against rays that are cast into rooms of boxes with a wall, the edge of a table, an arm and a second table."""
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from foretouch.cloud.segmentation.segment import Segmentation, segment
+from foretouch.pipeline import Pipeline
+from foretouch.types import Cloud
+
+HEIGHT, WIDTH, FOCAL = 240, 320, 300.0
+TABLE, FLOOR = 1, 2  # labels; boxes follow
+SURFACE = ((-0.45, -0.35, -0.02), (0.45, 0.35, 0.0))  # the table's least and largest x, y, z [m]; its top at z = 0
+CAN, PACKET = ((-0.10, -0.05, 0.0), (-0.02, 0.03, 0.10)), ((0.05, 0.0, 0.0), (0.15, 0.06, 0.06))
+
+
+def room(*boxes, tilt_deg: float = 40.0, distance_m: float = 0.8, noise_m: float = 0.0005) -> tuple[Cloud, np.ndarray]:
+    """A cloud of boxes above a table and a floor .7 m below, with noise, and the label of each pixel."""
+    tilt = np.radians(tilt_deg)
+    forward, right = np.array([0.0, np.sin(tilt), -np.cos(tilt)]), np.array([1.0, 0.0, 0.0])
+    axes = np.stack([right, np.cross(forward, right), forward], axis=1)
+    v, u = np.indices((HEIGHT, WIDTH))
+    pixels = np.stack([(u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL, np.ones(u.shape)], axis=-1)
+    rays, eye = pixels @ axes.T, -distance_m * forward
+    depth, labels = (-0.7 - eye[2]) / rays[..., 2], np.full(u.shape, FLOOR)
+    for number, (low, high) in enumerate((SURFACE, *boxes)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.sort([(np.array(low) - eye) / rays, (np.array(high) - eye) / rays], axis=0)
+        near, far = np.nanmax(ends[0], axis=-1), np.nanmin(ends[1], axis=-1)
+        hit = (near < far) & (near > 0) & (near < depth)
+        depth, labels = np.where(hit, near, depth), np.where(hit, (number and number + 2) or TABLE, labels)
+    noise = np.random.default_rng(0).normal(0.0, noise_m, depth.shape)
+    depth = np.where(depth < 0, np.nan, depth + noise * depth**2)
+    return Cloud((pixels * depth[..., None]).astype(np.float32)), labels
+
+
+def labelled(found: Segmentation, labels: np.ndarray) -> list[int]:
+    """The true label of most pixels of each object, sorted."""
+    return sorted(int(np.bincount(labels.ravel()[one.pixels]).argmax()) for one in found.objects)
+
+
+def reasons(found: Segmentation, labels: np.ndarray) -> dict[int, str]:
+    """Why the true label of each background segment is none."""
+    return {int(np.bincount(labels.ravel()[one.pixels]).argmax()): one.background for one in found.background}
+
+
+def test_objects_within_the_outline_stand_on_the_table() -> None:
+    for tilt in (0.0, 25.0, 50.0):
+        cloud, labels = room(CAN, PACKET, tilt_deg=tilt)
+        found = segment(cloud)
+        assert labelled(found, labels) == [3, 4], tilt
+        assert found.background == ()
+        assert found.counts["n_background"] == 0
+
+
+@pytest.mark.parametrize("tilt", [30.0, 45.0])
+def test_an_arm_from_the_border_enters_the_view_and_is_an_obstacle_not_a_target(tilt: float) -> None:
+    arm = ((0.20, -0.9, 0.12), (0.28, -0.02, 0.20))
+    cloud, labels = room(CAN, PACKET, arm, tilt_deg=tilt)
+    scene = Pipeline().segment(cloud)
+    found = scene.segmentation
+    assert labelled(found, labels) == [3, 4]
+    assert reasons(found, labels) == {5: "enters_view"}
+    assert found.counts["n_enters_view"] == len(found.background) == found.counts["n_background"]
+    assert all(str(target.id) in {str(one.id) for one in found.objects} for target in scene.targets)
+    assert scene.obstacles is not None
+    on_arm = scene.obstacles.xyz[scene.obstacles.object_ids == 0]
+    assert len(on_arm) > 50
+    assert set(scene.obstacles.object_ids.tolist()) == {0, 1, 2}
+    assert not (found.labels.ravel()[found.background[0].pixels] > 0).any()
+
+
+def test_what_stands_behind_the_edge_of_the_table_is_beyond_it() -> None:
+    chair = ((-0.15, 0.50, -0.7), (0.10, 0.60, 0.10))  # on the floor, as high as the table and a little more
+    cloud, labels = room(CAN, chair, tilt_deg=45.0, distance_m=1.0)
+    found = segment(cloud)
+    assert labelled(found, labels) == [3]
+    assert reasons(found, labels) == {4: "beyond_table"}
+
+
+def test_an_object_that_hides_the_edge_of_the_table_stands_on_it() -> None:
+    cloud, labels = room(((-0.05, 0.26, 0.0), (0.06, 0.34, 0.25)), tilt_deg=45.0, distance_m=1.0)
+    found = segment(cloud)
+    assert labelled(found, labels) == [3]
+    assert found.background == ()
+
+
+def test_the_outline_is_the_hull_of_the_table_with_its_holes_and_dents_filled() -> None:
+    cloud, labels = room(CAN, PACKET, tilt_deg=45.0, distance_m=1.1, noise_m=0.0)
+    xyz = cloud.xyz.copy()
+    xyz[100:130, 60:120] = np.nan  # a hole in the depth
+    found = segment(Cloud(xyz))
+    on = xyz[labels == TABLE].astype(np.float64)
+    on = on[np.isfinite(on).all(axis=1)]
+    across = np.linalg.svd(found.plane.normal[None])[2][1:]
+    assert np.abs(found.outline @ found.plane.normal + found.plane.offset).max() < 1e-6
+    area = ConvexHull(found.outline @ across.T).volume
+    assert ConvexHull(on @ across.T).volume == pytest.approx(area, rel=0.08)  # it is seen in cells of two pixels
+    assert area > 0.5
+
+
+def test_a_list_of_points_without_an_image_has_no_outline_and_no_background() -> None:
+    cloud, _ = room(CAN, PACKET)
+    rng = np.random.default_rng(3)
+    few = cloud.xyz.reshape(-1, 3)[rng.permutation(cloud.size)[::9]] + rng.normal(0.0, 0.003, (1, 3)).astype(np.float32)
+    found = segment(Cloud(few.astype(np.float32)))
+    assert found.outline.shape == (0, 3)
+    assert found.background == ()
+
+
+def test_why_there_is_no_object_names_the_background() -> None:
+    cloud, labels = room(((0.02, -0.9, 0.12), (0.10, -0.12, 0.20)))
+    found = segment(cloud)
+    assert found.status == "no_object"
+    assert "background" in found.reason
+    assert reasons(found, labels) == {3: "enters_view"}
