@@ -64,7 +64,7 @@ def _spreads(centred: Float64) -> Float64:
 
 
 def pose_free_features(sample: GraspSample) -> Float64:
-    """(28,) float64: `geometry_features` without what tells where the camera is.
+    """(28,) float64: `geometry_features` without the pose of the camera.
 
     Centroid, extents along the camera's axes, rotation and the number of points are left out; places of the contacts, and of
     the points near them, are in the frame of the hand, x away from the camera.
