@@ -19,6 +19,7 @@ from scene_builders import write_scenes
 
 from foretouch.cli import run as run_command
 from foretouch.dataset.recording.verify import verify_dataset
+from foretouch.errors import ModelError
 from foretouch.models.registry import find_card
 from foretouch.ros.nodes.monitor import View
 from foretouch.tactile import BIOTAC
@@ -112,7 +113,9 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     scene = str(tmp_path / "scene.yaml")
     assert model(scene) == model(scene, "--params", str(tmp_path / "none.yaml")) == "simulated"
     assert model(scene, "--params", str(tmp_path / "named.yaml")) is None  # the file's counts
-    assert model(scene, "--model", "simulated_too") == "simulated_too"
+    assert model(scene, "--model", "contact-v3") == "contact-v3"
+    with pytest.raises(ModelError, match="simulated_too: .* did you mean simulated"):
+        model(scene, "--model", "simulated_too")
     assert model("camera") is None
 
 

@@ -58,7 +58,8 @@ def test_places_without_a_taxel_are_no_taxels_and_never_count_as_failed(tmp_path
     again = sensor_of(sensor.to_mapping(), "card")
     assert (again.sha256, again.places.tolist()) == (sensor.sha256, [1, 2, 3, 5])
     assert sensor.sha256 != load_sensor(write_sensor(tmp_path, values)).sha256
-    lines = "".join(f"{k},0.00{k},0,0,0,0,1\n" for k in (1, 2, 3, 5))
+    places = sensor.layout.positions
+    lines = "".join(f"{k},{x},{y},0,0,0,1\n" for k, (x, y, _) in zip((1, 2, 3, 5), places, strict=True))
     csv = write_sensor(
         tmp_path, {**values, "absent": [0, 4], "array": None, "taxels": "taxels.csv"}, "index,x,y,z,nx,ny,nz\n" + lines
     )
