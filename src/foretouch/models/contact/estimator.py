@@ -23,7 +23,6 @@ from scipy.spatial.distance import cdist
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import CardCalibration, card_sensor, load_calibration, save_model
-from foretouch.models.contact.above import STEEP
 from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, OBJECT_FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.files import TensorRecord, file_beside, read_part, read_tensors
@@ -43,7 +42,6 @@ _AROUND: Final = [name.startswith(("g1_", "g2_")) and "_depth" not in name for n
 _USUAL: Final = (0.93, 0.98)  # quantiles of the distances within training between which the score falls from 1 to 0
 _LEAST: Final = 0.05  # variance within objects that a size has at least, over that between all clouds
 _BEYOND: Final = {"spacing": 2.5, "width": 1.5}  # factors beyond them
-_TILTED: Final = 4.0  # factor of the distances where the camera is tilted, whose view of an object is completed: more would hide strangers
 _SIZE: Final = CHECKED.index("spread_3")
 _TURN: Final = 0.05  # what is added to the directions of the hand, which are cosines
 _SIZES: Final = [CHECKED.index(name) for name in OBJECT_FEATURES]
@@ -57,7 +55,7 @@ class NoveltyDetector(TensorRecord):
 
     The sizes of a cloud are compared with those of the nearest of S training clouds, by a distance that counts less what varies
     between clouds of one object: its pose, and what is seen of it. Conditions under which the training data say nothing, `CHECKED`, are
-    unfamiliar too: too few points, another width or direction of the hand. A tilted camera leaves more open, and so the distance may be larger there.
+    unfamiliar too: too few points, another width or direction of the hand.
     """
 
     centre: Float64  # (11,) float64, mean of the sizes
@@ -101,7 +99,6 @@ class NoveltyDetector(TensorRecord):
         """
         moved = ((rows[:, _SIZES] - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
         distance = cdist(moved, self.known).min(axis=1)
-        distance = np.where(rows[:, CHECKED.index("tilt")] < STEEP, distance / _TILTED, distance)
         start, end = self.span
         limited = rows[:, _LIMITED_COLUMNS]
         inside = ((limited >= self.low) & (limited <= self.high))[:, 1:].all(axis=1)  # no view is refused
@@ -113,9 +110,8 @@ class NoveltyDetector(TensorRecord):
             dict(zip(_LIMITED, (rows[:, _LIMITED_COLUMNS] < self.low).T, strict=True)),
             dict(zip(_LIMITED, (rows[:, _LIMITED_COLUMNS] > self.high).T, strict=True)),
         )
-        known = self.known @ np.linalg.inv(self.turn) + self.centre
-        longest, size = known[:, _SIZES.index(_SIZE)], rows[:, _SIZE]
-        larger, smaller = size > longest.max(), size < longest.min()
+        least, most = self._longest
+        larger, smaller = rows[:, _SIZE] > most, rows[:, _SIZE] < least
         turned = below["approach"] | above["approach"] | below["rise"] | above["rise"]
         limited = above["spacing"] | above["width"] | below["width"] | turned
         return {
@@ -127,6 +123,12 @@ class NoveltyDetector(TensorRecord):
             "other_direction": turned,
             "sparse_points": above["spacing"],
         }
+
+    @cached_property
+    def _longest(self) -> tuple[float, float]:
+        """The least and the largest deviation along the longest axis of a training cloud [m]."""
+        sizes = (self.known @ np.linalg.inv(self.turn) + self.centre)[:, _SIZES.index(_SIZE)]
+        return float(sizes.min()), float(sizes.max())
 
     def _check(self) -> None:
         super()._check()
@@ -165,7 +167,8 @@ class ContactEstimator:
         """See `Estimator.estimate`."""
         rows = HandFrameFeatures(cloud.xyz, table).describe(grasps, surroundings=self.surroundings)
         where = rows[:, len(CONDITIONS) :] if self.surroundings else None
-        return Estimate(*self.predict_rows(rows), where, self.novelty.reasons(rows))
+        counts, known = self.predict_rows(rows)
+        return Estimate(counts, known, where, {} if known.all() else self.novelty.reasons(rows))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, Bool]:
         """Predict from (K, F) rows of `HandFrameFeatures.describe`, each of which may be of another object.
