@@ -114,7 +114,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     assert model(scene) == model(scene, "--params", str(tmp_path / "none.yaml")) == "simulated"
     assert model(scene, "--params", str(tmp_path / "named.yaml")) is None  # the file's counts
     assert model(scene, "--model", "contact-v3") == "contact-v3"
-    with pytest.raises(ModelError, match="simulated_too: .* did you mean simulated"):
+    with pytest.raises(ModelError, match=r"simulated_too: .* did you mean simulated"):
         model(scene, "--model", "simulated_too")
     assert model("camera") is None
 
