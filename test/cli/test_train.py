@@ -45,7 +45,13 @@ def test_train_and_evaluate(call, simulated, tmp_path) -> None:
     (record,) = scored.records
     assert record["PDC_TH"] == result["scores"]["model"]["PDC_TH"]
     assert set(record["PDC_TH"]) == {"rmse", "nrmse", "skill", "coverage90"}
-    assert set(record["baselines"]) == {"training_mean", "object_mean", "object_time_trees", "geometry_trees"}
+    assert set(record["baselines"]) == {
+        "training_mean",
+        "object_mean",
+        "object_time_trees",
+        "geometry_trees",
+        "geometry_trees_pose_free",
+    }
     assert (record["same_data"], record["excluded"], record["scored"]) == (False, 0, "held_out")
     again = call(*words)
     assert again.status == 1

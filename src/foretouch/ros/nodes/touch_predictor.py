@@ -14,7 +14,7 @@ from foretouch.ros.messages.requests import (
     check_frames,
     passed_on,
     read_objects,
-    read_plane,
+    read_table,
     read_targets,
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
@@ -56,7 +56,8 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
             raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
         check_frames(GRASPS_TOPIC, grasps.header, item.header)
         table = self._tables.get(stamp_ns(cloud.header.stamp))  # without one, the camera is taken to look straight down
-        targets = read_targets(cloud, read_plane(table) if table else ASSUMED_TABLE, self.config.limits)
+        plane = read_table(table, item.header) if table else ASSUMED_TABLE
+        targets = read_targets(cloud, plane, self.config.limits)
         answer, budget = self._step.answer(targets, grasps.grasps, item.header, None, item.arrived)
         self._step.publish(answer, budget, grasps, lambda: cloud)
         return answer.summary
