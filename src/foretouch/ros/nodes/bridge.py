@@ -26,6 +26,7 @@ from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _DEPTH: Final = 100
 _CLOUD_DEPTH: Final = 10
+_END_S: Final = 2.0  # for clients to be told of the end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +35,7 @@ class BridgeConfig(NodeConfig, TactileInput, read_only=True):
 
     address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too")
     port: int = setting(8765, "Port to listen on; 0 for a free one", bounds=(0, 65535))
-    backlog: int = setting(256, "Messages that may wait for a client; its oldest are dropped", bounds=(1, 100_000))
+    backlog: int = setting(16, "Messages that may wait for a client; its oldest are dropped", bounds=(1, 100_000))
 
 
 class BridgeNode(ForetouchNode[BridgeConfig]):
@@ -82,8 +83,10 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
     def _stop(self) -> None:
         if self._server is not None:
-            self._server.stop()
-            self._server = None
+            server, self._server = self._server, None
+            ending = threading.Thread(target=server.stop, name="bridge-end", daemon=True)
+            ending.start()  # a client that does not read must not hold up the end of the graph
+            ending.join(_END_S)
         with self._lock:
             for one in self._asked.values():
                 one.destroy()
