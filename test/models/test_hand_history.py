@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -215,3 +216,26 @@ def test_readings_ahead_of_a_clock_that_was_set_back_count_as_taken_now(model: T
     assert history.touches == touches
     history.add_tare(now - DAY + 61 * S, biotac_touch(REST))
     assert history.tracker.evidence(now - DAY + 61 * S).reading_age_s == 0.0
+
+
+def test_the_keeper_tells_any_error_and_writes_again_after_it(
+    model: TouchModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    warned: list[str] = []
+    keeper = HistoryKeeper(model, "right", str(tmp_path), info=lambda _: None, warn=warned.append)
+    write = HistoryFile.write
+    failed = threading.Event()
+
+    def fail(*_: object) -> None:
+        failed.set()
+        raise ValueError("odd")
+
+    monkeypatch.setattr(HistoryFile, "write", fail)
+    read(keeper.history, FIRST[:1])
+    keeper.changed()
+    assert failed.wait(5.0)
+    monkeypatch.setattr(HistoryFile, "write", write)
+    keeper.close()
+    assert len(warned) == 1
+    assert "odd" in warned[0]
+    assert read_history(tmp_path / "right.safetensors", model).tracker.evidence(0).readings == 1

@@ -12,6 +12,7 @@ from constant_models import constant_model, counted
 
 pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
 
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import PointCloud2
 from websocket_client import WebSocketClient
@@ -50,7 +51,7 @@ def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, monkeypatch)
     model = constant_model(sensor, counted(sensor))
     monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
     heard = graph.listen(TouchPredictionArray, "touch")
-    _, bridge = graph.add("perception", "bridge", port=0)
+    _, bridge = graph.add("perception", "bridge", port=0, cloud_kb=100_000)  # whole clouds
     publisher = graph.talk(PointCloud2, "points")
     with WebSocketClient(bridge.url) as client:
         subscribed(graph, bridge, client, TOUCH, POINTS, MARKERS)
@@ -114,6 +115,20 @@ def test_it_listens_on_this_machine_alone_serves_again_after_a_stop_and_names_a_
         (bridge,) = graph.add("bridge", port=port)
         assert bridge.state_name == "inactive"
     graph.until(lambda: f"127.0.0.1:{port}: " in capfd.readouterr().err)
+
+
+def test_of_a_large_cloud_every_nth_point_is_served():
+    from foretouch.ros.nodes.bridge import thinned
+
+    rows = np.arange(6 * 10 * 4, dtype=np.float32).reshape(6, 10, 4)  # the last column of a row is padding of 16 bytes
+    cloud = PointCloud2(height=6, width=9, point_step=16, row_step=160, data=rows.tobytes())
+    cloud.header.frame_id = "camera"
+    content = serialize_message(cloud)
+    small = deserialize_message(thinned(content, 300), PointCloud2)  # 54 points of 16 bytes: every third is 288 bytes
+    assert (small.height, small.width, small.row_step, small.header.frame_id) == (1, 18, 288, "camera")
+    kept = np.frombuffer(small.data, np.float32).reshape(-1, 4)
+    assert np.array_equal(kept, rows[:, :9].reshape(-1, 4)[::3])
+    assert thinned(content, 864) == content
 
 
 def test_the_layout_shows_topics_of_the_graph_and_both_fingers():

@@ -49,3 +49,19 @@ def test_a_best_effort_camera_is_heard_and_diagnostics_hold_counts_ages_and_late
     assert (known["received"], known["dropped"], known["answered.ok"]) == ("1", "0", "1")
     assert 0.0 < float(known["latency_ms.p50"]) <= float(known["latency_ms.p95"]) < 20_000
     assert float(known["input_age_ms.p50"]) > 0.0
+
+
+def test_an_invalid_transition_is_no_internal_error_and_a_failing_start_ends_what_it_started(graph, monkeypatch):
+    (node,) = graph.add("segmentation", autostart=False)
+    assert not graph.change("segmentation", "activate")
+    assert (node.state_name, node.internal_errors.counts()) == ("unconfigured", {})
+    assert graph.change("segmentation", "configure")
+    stopped = []
+
+    def fail():
+        raise OSError("no thread")
+
+    monkeypatch.setattr(node, "_start", fail)
+    monkeypatch.setattr(node, "_stop", lambda: stopped.append(True))
+    assert not graph.change("segmentation", "activate")
+    assert (stopped, node.state_name, node.last_failure) == ([True], "inactive", "OSError: no thread")

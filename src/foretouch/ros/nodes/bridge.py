@@ -3,6 +3,7 @@
 
 A topic is subscribed to only while a client asks for it. Callbacks of the executor pass the bytes on as they are; threads of
 the Foxglove SDK send them. Of what a slow client has not fetched, the SDK drops the oldest messages.
+The SDK bounds what waits for a client in messages, not in bytes. So of a large cloud every n-th point is served.
 
 The SDK admits every WebSocket, those of web pages too: a page in a browser of this machine can read the topics.
 """
@@ -11,8 +12,11 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
@@ -26,6 +30,7 @@ from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _DEPTH: Final = 100
 _CLOUD_DEPTH: Final = 10
+_END_S: Final = 2.0  # for clients to be told of the end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +39,8 @@ class BridgeConfig(NodeConfig, TactileInput, read_only=True):
 
     address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too")
     port: int = setting(8765, "Port to listen on; 0 for a free one", bounds=(0, 65535))
-    backlog: int = setting(256, "Messages that may wait for a client; its oldest are dropped", bounds=(1, 100_000))
+    backlog: int = setting(16, "Messages that may wait for a client; its oldest are dropped", bounds=(1, 100_000))
+    cloud_kb: int = setting(500, "Largest cloud served [kB]; of a larger one every n-th point", bounds=(1, 1_000_000))
 
 
 class BridgeNode(ForetouchNode[BridgeConfig]):
@@ -45,6 +51,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self._served: dict[str, tuple[InputTopic, Any]] = {}  # topics with their channels, by full name
         self._asked: dict[str, SerializedInput] = {}  # while a client asks for the topic
         self._server: Any = None
+        self._thinned = 0  # clouds of which every n-th point was served
         self._lock = threading.Lock()
         super().__init__(name, BridgeConfig, **options)
 
@@ -82,8 +89,10 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
     def _stop(self) -> None:
         if self._server is not None:
-            self._server.stop()
-            self._server = None
+            server, self._server = self._server, None
+            ending = threading.Thread(target=server.stop, name="bridge-end", daemon=True)
+            ending.start()  # a client that does not read must not hold up the end of the graph
+            ending.join(_END_S)
         with self._lock:
             for one in self._asked.values():
                 one.destroy()
@@ -100,6 +109,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         return {
             "url": self.url,
             "topics": " ".join(sorted(asked)),
+            "clouds_thinned": str(self._thinned),
             "lost_on_the_way": str(sum(one.losses.count for one in asked.values())),
         }
 
@@ -120,8 +130,34 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         if (one := self._served.get(message.topic)) is None or self._server is None:
             self.statistics.drop("stopped")
             return
-        one[1].log(message.data, log_time=message.received_ns)
+        content = bytes(message.data)
+        if one[0].message is PointCloud2 and len(content) > self.config.cloud_kb * 1000:
+            content = thinned(content, self.config.cloud_kb * 1000)
+            self._thinned += 1
+        one[1].log(content, log_time=message.received_ns)
         self.statistics.use(arrived, 0.0)
+
+
+def thinned(content: bytes, most: int) -> bytes:
+    """Take every n-th point of a cloud, with the smallest n for which the points fit.
+
+    Args:
+        content: A serialised `PointCloud2`.
+        most: Largest size of the points [bytes].
+
+    Returns:
+        The serialised cloud, in one row if points were left out.
+    """
+    cloud = deserialize_message(content, PointCloud2)
+    width = cloud.width * cloud.point_step
+    every = -(-cloud.height * width // most)
+    if every <= 1 or len(cloud.data) != cloud.height * cloud.row_step or cloud.row_step < width:
+        return content  # small, or malformed: shown as it is
+    rows = np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, cloud.row_step)[:, :width]
+    points = rows.reshape(-1, cloud.point_step)[::every]
+    cloud.height, cloud.width, cloud.row_step = 1, len(points), points.size
+    cloud.data = points.tobytes()
+    return bytes(serialize_message(cloud))
 
 
 def foxglove_sdk() -> Any:
