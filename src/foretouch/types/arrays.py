@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of arrays, and classes whose fields are columns: arrays with one row for each of K things."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import Field, dataclass, field, fields
 from dataclasses import replace as replace_fields
 from functools import cache
@@ -114,9 +114,11 @@ class Columns:
         return parts[0].replace(**joined)
 
 
-@cache
-def _columns(kind: type[Any]) -> "tuple[Field[Any], ...]":
+def _find_columns(kind: Any) -> "tuple[Field[Any], ...]":
     return tuple(info for info in fields(kind) if _ROW in info.metadata)
+
+
+_columns: "Callable[[Any], tuple[Field[Any], ...]]" = cache(_find_columns)
 
 
 def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:
