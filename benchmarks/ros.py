@@ -113,7 +113,7 @@ class Client:
         with self.lock:
             for status in message.status:
                 report = Report(now, {pair.key: pair.value for pair in status.values})
-                key = status.name.rpartition("/")[2], report.values["pid"]
+                key = status.name.rpartition("/")[2], report.values.get("pid", "")  # 0.3 names no process
                 self.reported(key[0], self.reports.get(key), report)
                 self.reports[key] = report
 

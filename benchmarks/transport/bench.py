@@ -1,38 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stamp of a cloud to received touch: latency, processor time and losses (see README.md)."""
+"""Stamp of an image or a cloud to received touch, by input, transport and version: latency, processor time and losses (see README.md)."""
 
 import argparse
 import itertools
+import multiprocessing
 import os
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import PointCloud2
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from benchmarks.common import ROOT, OthersLoad, markdown, print_rows, read_csv, replace_marked, write_csv
 from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
 from benchmarks.transport.round_trip import compare
+from foretouch.camera.stream import DepthFrame
 from foretouch.errors import ConfigError
 from foretouch.pipeline import Pipeline
-from foretouch.report.panels import new_figure, save_small
-from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.types import Cloud
+from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
+from foretouch.ros.runtime.environment import profile_variable
+from foretouch.types import CameraModel, Cloud
 from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import TouchPredictionArray
 
 DOMAIN = 87
 RESULTS = Path(__file__).with_name("results.csv")
 REQUESTS = Path(__file__).with_name("requests.csv")
-PICTURE = ROOT / "docs" / "stamp_to_touch.png"
-NODES = ("perception",)
-PERCENTILES = ("p50_ms", "p95_ms", "p99_ms")
-RATES = [1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0]
-REST_S = 3.0  # without clouds
+NOW, BEFORE = ("perception",), ("segmentation", "grasp", "touch_predictor")  # the nodes of both versions
+PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+TOPICS = {"depth": "depth/image", "points": "points"}
+RATES = [30.0, 90.0]
+REST_S = 2.0  # without input
+
+
+class Condition(NamedTuple):
+    """What is compared."""
+
+    version: str  # now, or before: clouds only
+    input: str  # depth or points
+    transport: str  # profile: our shared memory on both sides; shipped: Fast DDS as it is
 
 
 def cpu_s(pid: int) -> float:
@@ -42,41 +54,46 @@ def cpu_s(pid: int) -> float:
 
 
 class Bench(Client):
-    """Publisher of clouds and subscriber of answers."""
+    """Publisher of images or clouds, reliable as realsense2_camera's, and subscriber of answers."""
 
-    def __init__(self) -> None:
+    def __init__(self, condition: Condition) -> None:
         super().__init__("transport_bench", DOMAIN)
         self.answers: dict[int, tuple[int, list[float]]] = {}  # by stamp: time of arrival [ns], predicted pressures
-        self._clouds = self.node.create_publisher(PointCloud2, "points", qos_profile_sensor_data)
+        self._topic, self._nodes = TOPICS[condition.input], NOW if condition.version == "now" else BEFORE
+        kinds = {"depth/image": Image, "depth/camera_info": CameraInfo, "points": PointCloud2}
+        names = {"depth": ("depth/camera_info", "depth/image"), "points": ("points",)}[condition.input]
+        reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        self._publishers = [self.node.create_publisher(kinds[name], name, reliable) for name in names]
         self.node.create_subscription(TouchPredictionArray, "touch", self._hear, self.deep)
         self.serve()
 
     def ready(self) -> None:
         """Wait until all nodes are active and connected."""
-        wanted = {"points": 1, "touch": 1}
 
         def connected() -> bool:
-            return self.is_active(NODES) and all(
-                self.node.count_subscribers(topic) >= count and self.node.count_publishers(topic) >= 1
-                for topic, count in wanted.items()
+            return (
+                self.is_active(self._nodes)
+                and all(publisher.get_subscription_count() for publisher in self._publishers)
+                and self.node.count_publishers("touch") >= 1
             )
 
         if not self.wait(connected, 120.0):
             raise SystemExit("the graph does not come up")
         time.sleep(1.5)
 
-    def send(self, message: Any) -> int:
-        """Publish a cloud with a stamp of this moment, which is returned [ns]."""
-        stamp = stamped(message)
-        self._clouds.publish(message)
+    def send(self, messages: Sequence[Any]) -> int:
+        """Publish an image after its info, or a cloud, with a stamp of this moment, which is returned [ns]."""
+        stamp = stamped(*messages)
+        for publisher, message in zip(self._publishers, messages, strict=True):
+            publisher.publish(message)
         return stamp
 
-    def send_at(self, messages: Sequence[Any], rate_hz: float, seconds: float) -> list[int]:
-        """Publish clouds in turn at a rate; returns their stamps [ns]."""
+    def send_at(self, inputs: Sequence[Sequence[Any]], rate_hz: float, seconds: float) -> list[int]:
+        """Publish inputs in turn at a rate; returns their stamps [ns]."""
         begin, stamps = time.monotonic(), []
         for number in range(round(rate_hz * seconds)):
             time.sleep(max(0.0, begin + number / rate_hz - time.monotonic()))
-            stamps.append(self.send(messages[number % len(messages)]))
+            stamps.append(self.send(inputs[number % len(inputs)]))
         self.wait(lambda: all(stamp in self.answers for stamp in stamps), 3.0)
         return stamps
 
@@ -86,120 +103,126 @@ class Bench(Client):
         self.answers[stamp_ns(message.header.stamp)] = arrived, values
 
 
-def scenes(n_objects: int = 3, count: int = 5) -> list[Cloud]:
-    """Clouds (480, 848) of seeded scenes, with noise and without stamps, in which all objects are found."""
-    clouds: list[Cloud] = []
-    for seed in itertools.takewhile(lambda _: len(clouds) < count, itertools.count()):
+def scenes(n_objects: int = 3, count: int = 5) -> list[DepthFrame]:
+    """Depth images (480, 848) of seeded scenes, with noise and without stamps, in which all objects are found."""
+    frames: list[DepthFrame] = []
+    for seed in itertools.takewhile(lambda _: len(frames) < count, itertools.count()):
         rng = np.random.default_rng(seed)
         try:
             scene = random_scene(rng, width=848, height=480, n_objects=n_objects)
         except ConfigError:  # the objects find no place
             continue
-        cloud = scene.render(rng, noise_m=0.001).cloud(frame_id="camera_depth_optical_frame")
-        if len(Pipeline().segment(cloud).segmentation.objects) >= n_objects:
-            clouds.append(cloud)
-    return clouds
+        k = scene.view.matrix
+        camera = CameraModel(848, 480, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+        depth = scene.render(rng, noise_m=0.001).depth_mm
+        frame = DepthFrame(depth, 0.001, camera, "camera_depth_optical_frame", 0)
+        if len(Pipeline().segment(frame.cloud()).segmentation.objects) >= n_objects:
+            frames.append(frame)
+    return frames
 
 
-def check(bench: Bench, clouds: Sequence[Cloud], messages: Sequence[Any]) -> None:
-    """One cloud at a time: every answer equals that of the command line, before anything is timed."""
+def check(bench: Bench, clouds: Sequence[Cloud], inputs: Sequence[Sequence[Any]]) -> None:
+    """One input at a time: every answer equals that of `Pipeline.run`, before anything is timed."""
     pipeline = Pipeline()
-    for number, (cloud, message) in enumerate(zip(clouds, messages, strict=True)):
+    for number, (cloud, messages) in enumerate(zip(clouds, inputs, strict=True)):
         predicted = [one.value for target in pipeline.run(cloud).targets for one in target.predictions]
         expected = [float(np.float32(v)) for touch in predicted for v in touch.values[:2]]
-        stamp = bench.send(message)
-        bench.wait(lambda stamp=stamp: stamp in bench.answers, 30.0)
-        _, values = bench.answers.get(stamp, (0, None))
+        values: list[float] = []
+        for _ in range(5):  # a transport may lose some
+            stamp = bench.send(messages)
+            if bench.wait(partial(bench.answers.__contains__, stamp), 5.0):
+                _, values = bench.answers[stamp]
+                break
         if values != expected or not values:
-            raise SystemExit(f"cloud {number}: {values} is not {expected}")
-    print(f"equal answers: {len(messages)} of {len(messages)} clouds, bit by bit", flush=True)
+            raise SystemExit(f"input {number}: {values} is not {expected}")
 
 
-def measure(rates: Sequence[float], seconds: float) -> list[dict[str, Any]]:
-    """A row of the results for each rate, of one start of the graph."""
-    clouds, others, rows = scenes(), OthersLoad(), []
-    messages = [cloud_to_msg(cloud) for cloud in clouds]
-    graph = spawn(NODES, {"diagnostics_period_s": 0.5, "grasp_hold": 0.0, "input": "points"})
-    bench = Bench()
+def measure(condition: Condition, source: Path, rates: Sequence[float], seconds: float) -> list[dict[str, Any]]:
+    """A row of the results for each rate, of one start of a version's graph, whose checkout is `source`; in a process alone."""
+    if condition.transport == "shipped":
+        ignored = PROFILES[profile_variable() == PROFILES[0]]  # by this release of Fast DDS
+        os.environ[ignored] = ""  # so that neither version names its profile
+    prepare_domain(DOMAIN)
+    os.environ["PYTHONPATH"] = str(source / "src")  # of the graph
+    frames, others, rows = scenes(), OthersLoad(), []
+    clouds = [one.cloud() for one in frames]
+    inputs: list[tuple[Any, ...]] = [depth_to_msgs(one)[::-1] for one in frames]
+    if condition.input == "points":
+        clouds = [Cloud(one.xyz, frame_id=one.frame_id) for one in clouds]  # whose image and camera are not known
+        inputs = [(cloud_to_msg(one),) for one in clouds]
+    now = condition.version == "now"
+    parameters = {"diagnostics_period_s": 0.5, "grasp_hold": 0.0} | ({"input": condition.input} if now else {})
+    graph = spawn(NOW if now else BEFORE, parameters)
+    bench = Bench(condition)
     try:
         bench.ready()
-        check(bench, clouds, messages)
+        if now:
+            check(bench, clouds, inputs)
         before = cpu_s(graph.pid)
         time.sleep(REST_S)
         rest = (cpu_s(graph.pid) - before) / REST_S
-        bench.send_at(messages, 10.0, 2.0)  # warm
+        bench.send_at(inputs, 10.0, 1.0)  # warm
         for rate in rates:
             before, began = cpu_s(graph.pid), time.monotonic()
-            stamps = bench.send_at(messages, rate, seconds)
+            stamps = bench.send_at(inputs, rate, seconds)
             cpu = cpu_s(graph.pid) - before - rest * (time.monotonic() - began)
             ages = [(bench.answers[one][0] - one) / 1e6 for one in stamps if bench.answers.get(one, (0, []))[1]]
-            p50, p95, p99 = np.percentile(ages, (50, 95, 99))
-            row = {"p50_ms": p50, "p95_ms": p95, "p99_ms": p99, "p95_periods": 1e-3 * p95 * len(ages) / seconds,
-                   "cpu_ms": 1e3 * cpu / len(ages), "rest_percent": 100.0 * rest}  # fmt: skip
-            counts = {"rate_hz": f"{rate:g}", "seconds": seconds, "sent": len(stamps), "lost": len(stamps) - len(ages)}
-            rows.append(counts | {name: f"{value:.4g}" for name, value in row.items()})
+            p50, p95 = np.percentile(ages, (50, 95)) if ages else (np.nan, np.nan)
+            counts = {"rate_hz": f"{rate:g}", "seconds": f"{seconds:g}", "sent": len(stamps), "lost": len(stamps) - len(ages)}  # fmt: skip
+            times = {"p50_ms": p50, "p95_ms": p95, "cpu_ms": 1e3 * cpu / max(1, len(ages)), "rest_percent": 100.0 * rest}  # fmt: skip
+            rows.append(condition._asdict() | counts | {name: f"{value:.4g}" for name, value in times.items()})
     finally:
         end(graph)
         bench.leave()
     return [row | {"other_cores": others.cores()} for row in rows]
 
 
+def in_turns(before: Path | None, rates: Sequence[float], seconds: float, turns: int) -> list[dict[str, Any]]:
+    """Measure all inputs, transports and versions one after the other, `turns` times."""
+    conditions = [Condition(*one) for one in itertools.product(["now"], TOPICS, ["profile", "shipped"])]
+    if before:
+        conditions += [Condition("before", "points", transport) for transport in ("profile", "shipped")]
+    rows = []
+    for turn, condition in itertools.product(range(turns), sorted(conditions, key=lambda one: one.transport)):
+        source = before if before and condition.version == "before" else ROOT
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:  # Fast DDS reads its profile once
+            found = alone.submit(measure, condition, source, rates, seconds).result()
+        rows += [{"turn": turn + 1} | row for row in found]
+        print_rows(rows[-len(found) :])
+    return rows
+
+
 def write_table(rows: Sequence[dict[str, Any]]) -> None:
-    """All runs as a table of the README."""
-    most = max((float(row["rate_hz"]) for row in rows if row["lost"] == "0"), default=0.0)
-    text = (
-        f"The graph in one process answered every 848x480 cloud at up to {most:g} a second ({state(rows)} machine).\n\n"
-    )
-    columns = ["clouds a second", "lost", "p50, p95, p99 [ms]", "p95 in periods of the answers", "CPU a cloud [ms]"]
-    lines = [
-        (row["rate_hz"], f"{row['lost']} of {row['sent']}", ", ".join(f"{float(row[key]):.0f}" for key in PERCENTILES),
-         f"{float(row['p95_periods']):.1f}", f"{float(row['cpu_ms']):.1f}")
-        for row in rows
-    ]  # fmt: skip
-    replace_marked(Path(__file__).with_name("README.md"), text + markdown(columns, lines))
-
-
-def state(rows: Sequence[dict[str, Any]]) -> str:
-    """Whether others used the machine meanwhile."""
-    return "idle" if all(float(row["other_cores"]) < 0.15 for row in rows) else "loaded"
-
-
-def draw(rows: Sequence[dict[str, Any]]) -> None:
-    """Latency and losses of the graph against the rate of the clouds."""
-    figure = new_figure(8.0, 5.0)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
-    rates = [float(row["rate_hz"]) for row in rows]
-    for key in PERCENTILES:
-        top.plot(rates, [float(row[key]) for row in rows], "o-", label=key.removesuffix("_ms"))
-    bottom.plot(rates, [100.0 * int(row["lost"]) / int(row["sent"]) for row in rows], "o-", color="black")
-    top.set(yscale="log", ylabel=f"stamp of a cloud to its touch [ms],\n{state(rows)} machine")
-    top.legend()
-    for one in (top.yaxis.set_major_formatter, top.yaxis.set_minor_formatter):
-        one("{x:g}")
-    bottom.set(xlabel="848x480 clouds a second", ylabel="lost [%]", ylim=(-5.0, 105.0))
-    for one in (top, bottom):
-        one.grid(which="both", alpha=0.3)
-    save_small(figure, PICTURE)
+    """All conditions as a table of the README: what was lost in all turns, and the median of the turns' times."""
+    columns = ["input", "transport", "version", "a second", "lost", "p50, p95 [ms]", "CPU an answer [ms]"]
+    cells: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        cells.setdefault(tuple(row[key] for key in ("input", "transport", "version", "rate_hz")), []).append(row)
+    lines = []
+    for key, group in sorted(cells.items(), key=lambda cell: (float(cell[0][3]), *cell[0][:3])):
+        p50, p95, cpu = (np.median([float(row[name]) for row in group]) for name in ("p50_ms", "p95_ms", "cpu_ms"))
+        lost, sent = (sum(int(row[name]) for row in group) for name in ("lost", "sent"))
+        lines.append((*key, f"{lost} of {sent}", f"{p50:.0f}, {p95:.0f}", f"{cpu:.1f}"))
+    others = [float(row["other_cores"]) for row in rows]
+    load = f"Other processes used {min(others):.2f} to {max(others):.2f} of {os.cpu_count()} cores meanwhile.\n\n"
+    replace_marked(Path(__file__).with_name("README.md"), load + markdown(columns, lines))
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
-    parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="clouds a second, in turn [Hz]")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one)")
-    parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
+    parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="version of 0.3 whose kernels are built, measured in turns with this one")  # fmt: skip
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of each run [s]")
+    parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="inputs a second, in turn [Hz]")
+    parser.add_argument("--turns", type=int, default=1, help="how often all is measured")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one, and the page)")  # fmt: skip
     parser.add_argument("--requests", type=Path, metavar="CHECKOUT", help="only measure predict_touch, in turns with an older checkout that has an environment of its own")  # fmt: skip
     options = parser.parse_args()
     if options.requests:
         write_csv(REQUESTS, compare(options.requests.resolve(), ROOT, DOMAIN + 1))
         return 0
-    prepare_domain(DOMAIN)
-    if not options.draw:
-        rows = measure(options.rates, options.seconds)
-        print_rows(rows)
-        write_csv(options.out, rows)
+    rows = in_turns(options.before and options.before.resolve(), options.rates, options.seconds, options.turns)
+    write_csv(options.out, rows)
     if options.out == RESULTS:
-        draw(read_csv(RESULTS))
         write_table(read_csv(RESULTS))
     return 0
 

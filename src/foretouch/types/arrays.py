@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of arrays, and classes whose fields are columns: arrays with one row for each of K things."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import Field, dataclass, field, fields
 from dataclasses import replace as replace_fields
+from functools import cache
 from typing import Any, ClassVar, Final, Self, TypeAlias
 
 import numpy as np
@@ -59,9 +60,7 @@ class Columns:
 
     def __post_init__(self) -> None:
         count = -1
-        for info in fields(self):
-            if info.name not in self.column_names():
-                continue
+        for info in _columns(type(self)):
             value, (row, dtype) = getattr(self, info.name), info.metadata[_ROW]
             array = value if isinstance(value, Columns) else _array(value, dtype, count, row)
             count = max(count, len(array) if isinstance(array, Columns) or array.ndim else -1)
@@ -77,7 +76,7 @@ class Columns:
     @classmethod
     def column_names(cls) -> tuple[str, ...]:
         """Names of the columns, in order."""
-        return tuple(info.name for info in fields(cls) if _ROW in info.metadata)
+        return tuple(info.name for info in _columns(cls))
 
     def take(self, rows: Rows) -> Self:
         """Select rows by a slice, a mask (K,) or indices."""
@@ -113,6 +112,13 @@ class Columns:
             first = columns[0]
             joined[name] = type(first).join(columns) if isinstance(first, Columns) else np.concatenate(columns)
         return parts[0].replace(**joined)
+
+
+def _find_columns(kind: Any) -> "tuple[Field[Any], ...]":
+    return tuple(info for info in fields(kind) if _ROW in info.metadata)
+
+
+_columns: "Callable[[Any], tuple[Field[Any], ...]]" = cache(_find_columns)
 
 
 def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:
