@@ -30,7 +30,7 @@ from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _DEPTH: Final = 100
 _CLOUD_DEPTH: Final = 10
-_END_S: Final = 2.0  # for clients to be reported of the end
+_END_S: Final = 2.0  # for clients to hear of the end
 
 
 @dataclass(frozen=True, kw_only=True)
