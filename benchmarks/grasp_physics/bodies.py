@@ -6,7 +6,6 @@ A grasp is *reached* if the hand of its description, at the planned pose, is at 
 """
 
 import zlib
-from collections.abc import Callable
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -47,8 +46,6 @@ _LIFT_S, _SHAKE_S, _END_S = 0.5, 1.0, 1.5  # after closing
 _CLOSE_S, _SQUEEZE_S = 1.0, 0.4
 _BEYOND_M: Final = 0.012  # behind the planned contacts, where fingers that meet nothing stop
 
-Watch = Callable[[mujoco.MjModel, mujoco.MjData], None]
-
 
 class Take(NamedTuple):
     """What became of a grasp that a hand executes."""
@@ -65,7 +62,7 @@ class Planned(NamedTuple):
     width_m: float
 
 
-def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None, watch: Watch | None = None) -> Take:  # fmt: skip
+def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None) -> Take:  # fmt: skip
     """Whether a hand reaches a grasp and holds the object, at its pose (4, 4), object to world; the table is z = 0.
 
     Args:
@@ -75,7 +72,6 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
         hand: Name of the description.
         friction: Between the fingers and the object.
         off: Draws by how much the palm is off, by `OFF_M` and `OFF_DEG`; exact without.
-        watch: Called every tenth step.
     """
     body = body_of(item, hand, friction)
     frame = planned.frame.copy()
@@ -89,7 +85,7 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
         mujoco.mju_axisAngle2Quat(turned, turn, np.radians(OFF_DEG))
         mujoco.mju_quat2Mat(rotation, turned)
         frame[:3, :3], frame[:3, 3] = rotation.reshape(3, 3) @ frame[:3, :3], frame[:3, 3] + OFF_M * shift
-    reason = body.grip(pose, planned._replace(frame=frame), FORCES_N[hand], watch)
+    reason = body.grip(pose, planned._replace(frame=frame), FORCES_N[hand])
     return Take(True, reason == HELD, reason)
 
 
@@ -175,7 +171,7 @@ class Body:
         """What is in the way; "" if nothing is."""
         raise NotImplementedError
 
-    def grip(self, pose: Float64, planned: Planned, force_n: float, watch: Watch | None) -> str:
+    def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
         """Close, lift and shake; `HELD`, or what went wrong."""
         raise NotImplementedError
 
@@ -225,7 +221,7 @@ class JawBody(Body):
                 return found
         return ""
 
-    def grip(self, pose: Float64, planned: Planned, force_n: float, watch: Watch | None) -> str:
+    def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
         """See `Body`; both jaws push with the force."""
         self._open(pose, planned, 0.0, opened=True)
         self.data.ctrl[3:5] = force_n
@@ -236,8 +232,6 @@ class JawBody(Body):
             if time >= 0.0:
                 self.lift(time)
             mujoco.mj_step(self.model, self.data)
-            if watch is not None and step % 10 == 0:
-                watch(self.model, self.data)
             if step % 5 == 0 and time < 0.0:
                 both = all(pad in self.touch() for pad in self.pads)
                 touched |= both
@@ -346,7 +340,7 @@ class ShadowBody(Body):
                 return found
         return ""
 
-    def grip(self, pose: Float64, planned: Planned, force_n: float, watch: Watch | None) -> str:
+    def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
         """Each finger moves in until it touches or is `_BEYOND_M` behind its contact; then both push along the line between their tips."""
         model, data = self.model, self.data
         self.reset(pose)
@@ -392,6 +386,4 @@ class ShadowBody(Body):
                     torque += jacobian[:, self._speeds].T @ (sign * along)
             data.qfrc_applied[self._speeds] = np.clip(torque, -np.array(_TORQUES_NM), _TORQUES_NM)
             mujoco.mj_step(model, data)
-            if watch is not None and step % 10 == 0:
-                watch(model, data)
         return self.ending()
