@@ -33,7 +33,7 @@ from foretouch.grasp import (
 )
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_model import History
+from foretouch.models.touch_model import Snapshot
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Int32, Int64, Plane, Predictions, Touch
 
 _ON_TABLE_M = 0.01  # from the plane of the table
@@ -287,7 +287,7 @@ class Pipeline:
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        history: History | None = None,
+        history: Snapshot | None = None,
         model: TouchModel | None = None,
     ) -> Predictions:
         """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once.

@@ -20,7 +20,7 @@ from foretouch.report.panels import new_figure, save
 from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Prediction, Touch, assumed_table
+from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch, assumed_table
 
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _ROW_INCH = 2.2  # height of a grasp
@@ -125,7 +125,7 @@ def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
     return fill(f"{text}; within their 90 % intervals: {', '.join(shares)}", _LINE)
 
 
-def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor: Sensor = BIOTAC_SP) -> Path:
+def save_contact_sheet(path: str | Path, samples: Sequence[Sample], sensor: Sensor = BIOTAC_SP) -> Path:
     """Write one PNG with the contacts and the readings of samples, a row each, as `save_touch_picture` draws them."""
     rows = [
         DrawnGrasp(

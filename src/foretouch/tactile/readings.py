@@ -70,7 +70,7 @@ def tdc_of(values: Mapping[str, float], channels: Channels, prefix: str = "") ->
     """(F,) TDC of the fingers of a touch [counts] among further channels by name; NaN where it is absent or dead.
 
     Args:
-        values: As `GraspSample.extra`.
+        values: As `Sample.extra`.
         channels: Of the touch, for the names of its fingers.
         prefix: Before the names: `tare_` for those of the tare.
     """

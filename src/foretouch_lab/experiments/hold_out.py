@@ -22,7 +22,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.report.panels import Rows
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, contact_predictor
@@ -59,7 +59,7 @@ class HoldOutSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], list[Fold]]:
+def _folds(split: str, data: Dataset, seed: int) -> tuple[list[Sample], list[Fold]]:
     samples = labelled(data)
     if not samples:
         raise DatasetError("experiment: no sample is labelled")

@@ -24,7 +24,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.shared.scores import labelled
 from foretouch_lab.experiments.shared.tables import grouped, pivot, select, unique
@@ -75,7 +75,7 @@ class P1Settings(Settings):
     epochs: int | None = setting(None, "Number of epochs; by default those of the recipe, 50", bounds=(1, 100_000))
 
 
-def _tables(samples: Sequence[GraspSample]) -> dict[str, list[Fold]]:
+def _tables(samples: Sequence[Sample]) -> dict[str, list[Fold]]:
     """Train and test samples by table: five random splits within each type, and one type against the other."""
     from sklearn.model_selection import ShuffleSplit
 

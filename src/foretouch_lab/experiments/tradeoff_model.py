@@ -13,10 +13,10 @@ import numpy as np
 from foretouch.models.budget import PAUSE_S, levels_of
 from foretouch.models.contact.estimator import ContactEstimator, fewer_trees
 from foretouch.models.registry import load_model
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.touch_model import Snapshot, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
-from foretouch.types import Cloud, Float64, Grasp, GraspSample
+from foretouch.types import Cloud, Float64, Grasp, Sample
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area, times_text
 from foretouch_lab.experiments.shared.scores import labelled, skill_rows
@@ -155,7 +155,7 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     return answer
 
 
-def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
+def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     """Predictions right after one more reading of the hand, which is added to the tracker in each call."""
     expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
     reading, tracker = labels_of([sample])[0], model.new_tracker()
@@ -164,12 +164,12 @@ def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Gras
     def answer(count: int) -> Float64:
         now = tracker.copy()
         now.add_touch(1, reading, expected)
-        return History(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
+        return Snapshot(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
 
     return answer
 
 
-def _scene(data: Dataset, count: int) -> tuple[GraspSample, list[Grasp]]:
+def _scene(data: Dataset, count: int) -> tuple[Sample, list[Grasp]]:
     """A sample whose cloud is of median size, with its grasp and others.
 
     The others are between random points of the cloud, with the hand of its own grasp.

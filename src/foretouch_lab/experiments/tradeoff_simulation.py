@@ -18,7 +18,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.tactile import BIOTAC
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.scores import interval_columns
@@ -156,7 +156,7 @@ def _drops(scene: SceneConfig, count: int) -> dict[int, Float64]:
     return found
 
 
-def _samples(scene: SceneConfig, count: int) -> list[GraspSample]:
+def _samples(scene: SceneConfig, count: int) -> list[Sample]:
     return list(Simulation(scene).samples(count))
 
 

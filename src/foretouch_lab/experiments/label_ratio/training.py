@@ -35,7 +35,7 @@ from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import BIOTAC
-from foretouch.types import Float32, Float64, GraspSample, Integer
+from foretouch.types import Float32, Float64, Integer, Sample
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.learning.data import Dataset, labels_of
@@ -153,7 +153,7 @@ def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> 
     )
 
 
-def _one(sample: GraspSample, config: ModelConfig, count: int, rng: np.random.Generator) -> tuple[Float32, Float32]:
+def _one(sample: Sample, config: ModelConfig, count: int, rng: np.random.Generator) -> tuple[Float32, Float32]:
     """Random points of a cloud, with normals and in the unit sphere of the whole cloud; and the grasp."""
     try:
         usable = finite_points(sample.cloud, config)

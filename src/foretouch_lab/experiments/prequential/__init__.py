@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.prequential.results import (
     CONSTANT,
@@ -57,7 +57,7 @@ class PrequentialSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-def ordered(data: Dataset) -> list[GraspSample]:
+def ordered(data: Dataset) -> list[Sample]:
     """Labelled samples in order of time."""
     return sorted(labelled(data), key=lambda sample: sample.stamp_ns)
 
@@ -84,7 +84,7 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     return rows
 
 
-def recording_without(samples: Sequence[GraspSample], target: str, fit: Baseline) -> TimedReadings:
+def recording_without(samples: Sequence[Sample], target: str, fit: Baseline) -> TimedReadings:
     """All readings with predictions that know neither the object of the reading nor the target."""
     names, labels = np.array([sample.object for sample in samples]), labels_of(samples)
     expected = np.empty_like(labels)
@@ -94,13 +94,13 @@ def recording_without(samples: Sequence[GraspSample], target: str, fit: Baseline
     return TimedReadings.of_samples(samples, labels, expected, rest).ordered()
 
 
-def _predicted(samples: Sequence[GraspSample], train: Any, tested: Any, fit: Baseline) -> Float64:
+def _predicted(samples: Sequence[Sample], train: Any, tested: Any, fit: Baseline) -> Float64:
     """(T, 50) predictions of the samples of a mask, by a fit to those of another one."""
     known, asked = (list(compress(samples, mask)) for mask in (train, tested))
     return fit(known, labels_of(known), asked, _SEED)
 
 
-def expected_before(samples: Sequence[GraspSample], shown: Any, past: Any, fit: Baseline) -> Float64:
+def expected_before(samples: Sequence[Sample], shown: Any, past: Any, fit: Baseline) -> Float64:
     """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it.
 
     `shown` and `past` are masks of the samples in order of time: up to the end of the run, and before it.

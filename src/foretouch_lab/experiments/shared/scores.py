@@ -4,7 +4,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from foretouch.tactile import BIOTAC, MODALITIES
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped
 from foretouch_lab.learning.data import Dataset
@@ -18,7 +18,7 @@ from foretouch_lab.learning.evaluation.metrics import (
 )
 
 
-def labelled(data: Dataset) -> list[GraspSample]:
+def labelled(data: Dataset) -> list[Sample]:
     """Samples that have a touch, in order."""
     return [sample for sample in data.samples if sample.touch is not None]
 

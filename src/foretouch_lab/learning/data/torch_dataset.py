@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 
 from foretouch.cloud.geometry.sampling import sample_indices
 from foretouch.errors import DatasetError
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 
 
 class TouchDataset(Dataset[tuple[Tensor, Tensor, Tensor]]):
@@ -29,7 +29,7 @@ class TouchDataset(Dataset[tuple[Tensor, Tensor, Tensor]]):
         DatasetError: If no sample is labelled, or a cloud has no finite point.
     """
 
-    def __init__(self, samples: Iterable[GraspSample], points: int = 1024, seed: int = 0) -> None:
+    def __init__(self, samples: Iterable[Sample], points: int = 1024, seed: int = 0) -> None:
         self._items: list[tuple[Tensor, Tensor, Tensor]] = []
         for one in samples:
             if one.touch is None:

@@ -16,7 +16,7 @@ from foretouch.models.card import card_sensor, read_card
 from foretouch.models.registry import find_card, load_model
 from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
-from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types import Bool, Float64, Sample
 from foretouch_lab.learning.data.dataset import Dataset
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
@@ -138,7 +138,7 @@ _Predictions = tuple[Float64, Float64, int, Ranges]
 """(S, D) predictions, NaN for modalities without; (S, D) half widths of intervals, NaN without [counts]; how many are flagged."""
 
 
-def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
+def _by_model(card_path: Path, samples: Sequence[Sample]) -> _Predictions:
     """Predict as everywhere else, each sample on its own, with its tare where it has one."""
     model = load_model(card_path)
     counts, half = np.full((2, len(samples), model.sensor.channels.size), np.nan)
@@ -155,7 +155,7 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     return counts, half, unfamiliar, model.ranges
 
 
-def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
+def _by_network(card_path: Path, samples: Sequence[Sample]) -> _Predictions:
     """Predict by a network that may cover only some of the modalities, all samples at once."""
     from foretouch.models.network.checkpoint import load_network
     from foretouch_lab.learning.network.networks import TouchNet

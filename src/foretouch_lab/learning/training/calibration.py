@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError
 from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
-from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types import Bool, Float64, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
 from foretouch_lab.learning.data.folds import Fold, HoldOut, make_folds, object_folds, predict_folds
@@ -58,7 +58,7 @@ class HeldOutPredictions:
         return replace(self, **arrays)
 
 
-def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
+def calibration_folds(samples: Sequence[Sample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
     """Folds by which training samples are held out for a calibration.
 
     Where an object has fewer samples than there are blocks of time, random folds of the seed replace these.
@@ -80,7 +80,7 @@ def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tu
     return {"known": (time_folds, blocks.astype(np.str_)), "new": (object_folds(list(objects)), objects)}
 
 
-def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
+def rest_level(samples: Sequence[Sample]) -> tuple[Float64, bool]:
     """Sensor readings without contact, and whether they were measured.
 
     Without any tare they are estimated from the labels, value by value: those that contact raises from their low end,
@@ -102,7 +102,7 @@ def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
     return rest, False
 
 
-def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
+def resting_labels(samples: Sequence[Sample], labels: Float64, rest: Float64) -> Float64:
     """(S, D) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
     shifted = labels.copy()
     for k, sample in enumerate(samples):
@@ -112,7 +112,7 @@ def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float6
 
 
 def calibrate_on_folds(
-    samples: Sequence[GraspSample],
+    samples: Sequence[Sample],
     labels: Float64,
     predict: HoldOut,
     seed: int,
