@@ -35,7 +35,7 @@ from foretouch.camera.config import ScheduleConfig
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
-from foretouch.models.hand_history import HandHistory, read_history
+from foretouch.models.history import History, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
 from foretouch.ros.graph import Graph
@@ -158,7 +158,7 @@ def rest_level(schedule: ScheduleConfig, scene: SceneConfig, model: TouchModel, 
     return log.rows
 
 
-def parts_of(history: HandHistory) -> dict[str, tuple[float, float]]:
+def parts_of(history: History) -> dict[str, tuple[float, float]]:
     """Mean and standard deviation of the state of the sensor and of the object's part, of one value [counts]."""
     tensors, basis = history.tracker.to_tensors(), history.tracker.parameters.basis[VALUE]
     found = {}

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Float64, Grasp, GraspSample
+from foretouch.types import Cloud, Float64, Grasp, Sample
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.training.contact import ContactTrainingConfig, describe_samples, fit_contact
 
@@ -52,7 +52,7 @@ def moved(grasp: Grasp, turn: Float64, shift: Float64) -> Grasp:
     return Grasp(turn @ grasp.g1 + shift, turn @ grasp.g2 + shift, turn @ grasp.rotation, id=grasp.id)
 
 
-def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[GraspSample]:
+def with_tares(samples: list[Sample], drift: float, seed: int = 0) -> list[Sample]:
     """The samples with tares: all channels drift together from object to object, tare and label alike [counts]."""
     rest = np.concatenate([[2600.0, 1700.0], np.full(24, 3200.0), np.full(24, 3300.0)])
     names = sorted({sample.object for sample in samples})

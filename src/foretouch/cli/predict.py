@@ -26,7 +26,7 @@ from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Object, Pipeline
 from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
-from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Prediction, Predictions, Reference, Touch
+from foretouch.types import LATE, REDUCED, Grasp, Prediction, Predictions, Reference, Sample, Touch
 from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def _predict(
     pipeline: Pipeline,
     target: Object,
     grasps: Sequence[Grasp],
-    sample: GraspSample | None,
+    sample: Sample | None,
 ) -> tuple[Predictions, inputs.Record]:
     """Predictions, and what the budget chose for the record."""
     if budget is None or not grasps:

@@ -23,7 +23,7 @@ from foretouch.pipeline import Object, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.tactile.description import require_same
-from foretouch.types import Grasp, GraspSample, Touch
+from foretouch.types import Grasp, Sample, Touch
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -138,6 +138,6 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
     return ViewStep(**shown, **_predicted(view, target, plan.grasps[0], None), candidates=plan.grasps[1:])
 
 
-def _predicted(view: _View, target: Object, grasp: Grasp, sample: GraspSample | None) -> dict[str, Any]:
+def _predicted(view: _View, target: Object, grasp: Grasp, sample: Sample | None) -> dict[str, Any]:
     (prediction,) = view.adaptation.predict(view.pipeline, target, [grasp], sample)
     return {"grasp": prediction.grasp, "prediction": prediction, "model": view.pipeline.model.name}

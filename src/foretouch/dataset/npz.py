@@ -17,7 +17,7 @@ from foretouch.errors import DatasetError, FileError, ForetouchError, none_of
 from foretouch.grasp.messages import grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Grasp, GraspSample
+from foretouch.types import AnyArray, Grasp, Sample
 
 _REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
 _NAMES: Final = {
@@ -84,7 +84,7 @@ def _read(path: Path) -> StoredSample:
     arrays = read_arrays(path, _REQUIRED)
     try:
         cloud = archived_cloud(path, arrays)
-        default = SampleRecord(sample=GraspSample(id="a/1", object="a"))
+        default = SampleRecord(sample=Sample(id="a/1", object="a"))
         fields = vars(sample_fields(default, Identity(), BIOTAC_SP))
         for name in fields.keys() - _NESTED:
             if (found := arrays.get(_NAMES.get(name, name))) is not None:

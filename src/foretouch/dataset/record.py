@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.types import AnyArray, Float32, Grasp, GraspSample, Int64, UInt8
+from foretouch.types import AnyArray, Float32, Grasp, Int64, Sample, UInt8
 
 REST: Final = 0
 APPROACH: Final = 1
@@ -56,7 +56,7 @@ class SampleRecord:
         DatasetError: If the readings are not of the sensor of the touch.
     """
 
-    sample: GraspSample  # if its id is "", the writer assigns `<object>/<number>`
+    sample: Sample  # if its id is "", the writer assigns `<object>/<number>`
     candidates: tuple[Grasp, ...] = ()  # the other grasps planned on the same cloud
     outcome: Outcome = "unknown"  # the operator's verdict
     note: str = ""  # the operator's remark

@@ -20,7 +20,7 @@ from foretouch.laboratory import laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Grasps, GraspSample
+from foretouch.types import AnyArray, Grasps, Sample
 
 _SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
@@ -43,7 +43,7 @@ class SampleSet:
     def __len__(self) -> int:
         return self.size
 
-    def __iter__(self) -> Iterator[GraspSample]:
+    def __iter__(self) -> Iterator[Sample]:
         """The samples in order, without those that the operator discarded."""
         return (record.sample for record in self.records())
 
@@ -160,12 +160,12 @@ def sensor_of_samples(samples: SampleSet) -> Sensor:
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
 
 
-def has_points(sample: GraspSample) -> bool:
+def has_points(sample: Sample) -> bool:
     """Whether a point of the cloud is finite; a recording without a camera has none."""
     return bool(np.isfinite(sample.cloud.xyz).all(axis=-1).any())
 
 
-def only_finite(sample: GraspSample) -> GraspSample:
+def only_finite(sample: Sample) -> Sample:
     """The sample with an unorganised cloud, without points that have no depth."""
     finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)
     return sample if not sample.cloud.organised and finite.all() else replace(sample, cloud=sample.cloud.take(finite))

@@ -19,7 +19,7 @@ from foretouch.dataset.formats import readable_formats
 from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
 from foretouch.errors import FileError
 from foretouch.files import require_existing
-from foretouch.types import Cloud, GraspSample
+from foretouch.types import Cloud, Sample
 
 #: Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise.
 STAMP_STEP_NS = 100_000_000
@@ -30,22 +30,22 @@ class SourceItem:
     """One entry of a source, read on request."""
 
     name: str  # its file or folder, or recording and number of the message
-    load: Callable[[], Cloud | GraspSample]
+    load: Callable[[], Cloud | Sample]
     mask: Path | None = None  # of a depth image in a folder
 
     @cached_property
-    def _value(self) -> Cloud | GraspSample:
+    def _value(self) -> Cloud | Sample:
         return self.load()
 
     @property
     def cloud(self) -> Cloud:
         """The cloud, or that of the sample; a `ForetouchError` if it cannot be read."""
-        return self._value.cloud if isinstance(self._value, GraspSample) else self._value
+        return self._value.cloud if isinstance(self._value, Sample) else self._value
 
     @property
-    def sample(self) -> GraspSample | None:
+    def sample(self) -> Sample | None:
         """The sample; None for a cloud alone (raises as `cloud`)."""
-        return self._value if isinstance(self._value, GraspSample) else None
+        return self._value if isinstance(self._value, Sample) else None
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Source:
     path: Path  # as given
     kind: Literal["clouds", "samples", "recording"]  # what was found there
     count: int  # number of entries, or of messages that the recording declares
-    entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | GraspSample]]]]  # name of each, and what reads it
+    entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | Sample]]]]  # name of each, and what reads it
     frame_id: str = ""  # for clouds without a frame
     topic: str = ""  # of the clouds or depth images of a recording
     info_topic: str = ""  # of the camera infos of depth images; "" for clouds
@@ -71,9 +71,9 @@ class Source:
             stamp_ns = None if self.kind == "recording" else number * STAMP_STEP_NS
             yield SourceItem(name, partial(self._load, load, stamp_ns), self.masks.get(name))
 
-    def _load(self, load: Callable[[], Cloud | GraspSample], stamp_ns: int | None) -> Cloud | GraspSample:
+    def _load(self, load: Callable[[], Cloud | Sample], stamp_ns: int | None) -> Cloud | Sample:
         found = load()
-        if isinstance(found, GraspSample):
+        if isinstance(found, Sample):
             return replace(found, cloud=self._stamped(found.cloud, stamp_ns))
         return self._stamped(found, stamp_ns)
 
@@ -141,7 +141,7 @@ def open_source(
     return Source(path, "clouds", len(clouds), lambda: clouds, frame_id, masks=masks)
 
 
-def _sample(samples: SampleSet, number: int) -> GraspSample:
+def _sample(samples: SampleSet, number: int) -> Sample:
     return samples.record(number).sample
 
 

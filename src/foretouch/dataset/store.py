@@ -31,7 +31,7 @@ from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
 from foretouch.files import COUNT, file_sha256, open_regular, parse_json, require_schema
 from foretouch.tactile.description import sensor_in
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.types import Cloud, Grasp, Sample, Touch
 from foretouch.types.channels import Channels
 
 FORMAT: Final = "foretouch-store"
@@ -92,7 +92,7 @@ class _Part(NamedTuple):
     samples: int
 
 
-class Store(Sequence[GraspSample]):
+class Store(Sequence[Sample]):
     """A training store on disk; `store[k]` reads one sample, whose cloud is a read-only view of its batch.
 
     Opening compares manifest, shards and attached files with their hashes before anything in them is decoded. The latest
@@ -147,7 +147,7 @@ class Store(Sequence[GraspSample]):
         return parts
 
 
-def sample_digest(sample: GraspSample) -> bytes:
+def sample_digest(sample: Sample) -> bytes:
     """SHA-256 over all values of the sample."""
     digest = hashlib.sha256()
     cloud, grasp = sample.cloud, sample.grasp
@@ -161,7 +161,7 @@ def sample_digest(sample: GraspSample) -> bytes:
     return digest.digest()
 
 
-def content_sha256(samples: Iterable[GraspSample]) -> str:
+def content_sha256(samples: Iterable[Sample]) -> str:
     """SHA-256 over some samples in order, hexadecimal."""
     content = hashlib.sha256()
     for sample in samples:
@@ -259,7 +259,7 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
             raise FileError(path, "a cloud is not a whole number of points", field=field)
 
 
-def _sample(batch: Any, row: int, channels: Channels) -> GraspSample:
+def _sample(batch: Any, row: int, channels: Channels) -> Sample:
     """A row of a batch; its cloud is a view, and the rest copied, so that it does not keep the bytes of the batch."""
 
     def vector(name: str) -> Any:
@@ -273,7 +273,7 @@ def _sample(batch: Any, row: int, channels: Channels) -> GraspSample:
     plain = {name: batch.column(name)[row].as_py() for name in names}
     rgb = None if (values := vector("rgb")) is None else values.reshape(-1, 3)
     g1, g2, rotation = (vector(name).copy() for name in ("g1", "g2", "rotation"))
-    return GraspSample(
+    return Sample(
         id=plain["id"],
         object=plain["object"],
         cloud=Cloud(vector("xyz").reshape(-1, 3), rgb, plain["frame_id"], plain["stamp_ns"]),

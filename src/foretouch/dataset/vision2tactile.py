@@ -27,7 +27,7 @@ from foretouch.files import read_bytes
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.tactile import BIOTAC, ELECTRODES, biotac_touch
 from foretouch.tactile.description import require_same
-from foretouch.types import ASSUMED_TABLE, SECOND_NS, Cloud, Float64, Grasp, GraspSample, Touch
+from foretouch.types import ASSUMED_TABLE, SECOND_NS, Cloud, Float64, Grasp, Sample, Touch
 
 CLOUD_FILE: Final = "cloud-object.pcd"
 GRASP_FILE: Final = "best-grasp.txt"
@@ -60,14 +60,14 @@ def folder_sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def _read_sample(folder: Path) -> GraspSample:
+def _read_sample(folder: Path) -> Sample:
     """The sample in a folder `<object>/<name>`, with PAC0, PAC1, TAC and TDC of both fingers as `extra` [counts]."""
     folder = folder.absolute()
     touch, extra = read_touch(folder / TOUCH_FILE)
     cloud = read_cloud(folder / CLOUD_FILE)
     stamp_ns = _stamp_ns(folder.name)
     name = folder.parent.name
-    return GraspSample(
+    return Sample(
         id=f"{name}/{folder.name}",
         object=name,
         cloud=Cloud(cloud.xyz, cloud.rgb, cloud.frame_id, stamp_ns),
@@ -173,7 +173,7 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
         result.lost["id"] += folder.name != sample.id.partition("/")[2]
 
 
-def _fingers(sample: GraspSample, touch: Touch) -> list[float]:
+def _fingers(sample: Sample, touch: Touch) -> list[float]:
     """Middle finger, then thumb: 24 electrodes, PAC0, PAC1, PDC, TAC, TDC; 0 for channels that the sample lacks."""
     values: list[float] = []
     for finger in ("MF", "TH"):

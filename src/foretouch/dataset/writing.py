@@ -36,19 +36,7 @@ from foretouch.files import system_errors
 from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
 from foretouch.tactile.description import Sensor, load_sensor
 from foretouch.tactile.readings import rest_of
-from foretouch.types import (
-    NO_CLOUD,
-    NO_GRASP,
-    SECOND_NS,
-    AnyArray,
-    Bool,
-    Cloud,
-    Float64,
-    Grasp,
-    GraspSample,
-    Int64,
-    Touch,
-)
+from foretouch.types import NO_CLOUD, NO_GRASP, SECOND_NS, AnyArray, Bool, Cloud, Float64, Grasp, Int64, Sample, Touch
 from foretouch.types.channels import Channels
 
 Missing = Literal["refuse", "hold", "mask"]
@@ -72,7 +60,7 @@ class WriteResult:
 
 def write(
     path: str | Path,
-    samples: "SampleSet | Iterable[SampleRecord | GraspSample | Mapping[str, Any]]",
+    samples: "SampleSet | Iterable[SampleRecord | Sample | Mapping[str, Any]]",
     sensor: str | Path | Sensor = "biotac_sp",
     *,
     missing: Missing = "refuse",
@@ -83,7 +71,7 @@ def write(
 
     Args:
         path: Folder of the dataset. A new one appears as a whole or not at all.
-        samples: A dataset, or samples of any source: `GraspSample`, `SampleRecord`, or mappings with the arguments of `sample_of`, such as
+        samples: A dataset, or samples of any source: `Sample`, `SampleRecord`, or mappings with the arguments of `sample_of`, such as
             `{"object": "mug", "values": {"P_left": (T, M), "P_right": (T, M)}, "stamps_s": (T,), "rest": 40}`.
         sensor: Name or file of the description of the sensor. A dataset brings its own.
         missing: What becomes of numbers that are not finite in mappings. "refuse" refuses them by name; "hold" takes the
@@ -98,7 +86,7 @@ def write(
         DatasetError: If a sample breaks a rule. The message names the sample, the field, the rule, and what to do.
         FileError: If the dataset is of another hand, camera or sensor, or cannot be written.
     """
-    records: Iterable[SampleRecord | GraspSample | Mapping[str, Any]]
+    records: Iterable[SampleRecord | Sample | Mapping[str, Any]]
     if isinstance(samples, SampleSet):
         own, facts, records = samples.sensor, samples.identity, samples.records()
     else:
@@ -110,7 +98,7 @@ def write(
 
     def made() -> Iterable[SampleRecord]:
         for number, one in enumerate(records):
-            if isinstance(one, SampleRecord | GraspSample):
+            if isinstance(one, SampleRecord | Sample):
                 yield one if isinstance(one, SampleRecord) else SampleRecord(sample=one)
                 continue
             try:
@@ -271,7 +259,7 @@ def sample_of(
     columns = dict(zip(names, filled.T.astype(np.float32), strict=True))
     found = _outcome(outcome)
     resting = None if tare is None else Touch(_joined(tare, channels, "tare").reshape(-1), channels)
-    sample = GraspSample(id=name, object=object, cloud=cloud, grasp=grasp, tare=resting, stamp_ns=int(stamps[0]))
+    sample = Sample(id=name, object=object, cloud=cloud, grasp=grasp, tare=resting, stamp_ns=int(stamps[0]))
     if single:
         extra = {key: float(one[0]) for key, one in columns.items()}
         sample = replace(sample, touch=Touch(rows[0], channels), extra=extra)

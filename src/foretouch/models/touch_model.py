@@ -58,7 +58,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class History:
+class Snapshot:
     """Readings of one hand up to a time, for predictions at that time."""
 
     tracker: SensorTracker  # of the model's calibration
@@ -194,7 +194,7 @@ class TouchModel:
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        history: History | None = None,
+        history: Snapshot | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
         table: Plane | None = None,
@@ -242,14 +242,14 @@ class TouchModel:
         return Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults).put(usable, predictions)
 
     def _predict(
-        self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: History | None, table: Plane | None
+        self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: Snapshot | None, table: Plane | None
     ) -> Predictions:
         """Predictions for executable grasps."""
         estimate = self.estimator.estimate(cloud, grasps, table)
         if tare is not None:
             tracker = self.new_tracker()
             tracker.add_tare(0, self.tare_offset(tare))
-            history = History(tracker, 0, same_object=False, tare=True)
+            history = Snapshot(tracker, 0, same_object=False, tare=True)
         known = estimate.in_distribution
         if history is not None and history.evidence.readings:
             read = (*history.adapt(estimate), history.reference, history.evidence)

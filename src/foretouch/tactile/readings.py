@@ -70,12 +70,12 @@ def tdc_of(values: Mapping[str, float], channels: Channels, prefix: str = "") ->
     """(F,) TDC of the fingers of a touch [counts] among further channels by name; NaN where it is absent or dead.
 
     Args:
-        values: As `GraspSample.extra`.
+        values: As `Sample.extra`.
         channels: Of the touch, for the names of its fingers.
         prefix: Before the names: `tare_` for those of the tare.
     """
-    found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in channels.fingers], np.float64)
-    return np.where(is_tdc(found), found, np.nan)
+    tdc = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in channels.fingers], np.float64)
+    return np.where(is_tdc(tdc), tdc, np.nan)
 
 
 def is_tdc(values: Float64) -> Bool:

@@ -58,7 +58,6 @@ __all__ = [
     "Float64",
     "Floating",
     "Grasp",
-    "GraspSample",
     "Grasps",
     "Index",
     "Int32",
@@ -71,6 +70,7 @@ __all__ = [
     "Predictions",
     "Reference",
     "Rows",
+    "Sample",
     "Touch",
     "UInt8",
     "WayIn",
@@ -82,7 +82,7 @@ SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class GraspSample:
+class Sample:
     """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>)."""
 
     id: str  # `<object>/<source id>`

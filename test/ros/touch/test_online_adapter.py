@@ -24,7 +24,7 @@ from foretouch.cli.live import live_panel
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
-from foretouch.models.hand_history import HandHistory
+from foretouch.models.history import History
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
@@ -172,7 +172,7 @@ def test_readings_of_a_described_sensor_move_the_predictions_of_its_model():
     (tared, _), tare = hand.ask(), hand.adapter._recent_tare(hand.config)
     assert tare.channels == sensor.channels
     np.testing.assert_allclose(tare.values, hand.rest, atol=2.0)
-    history = HandHistory(model)
+    history = History(model)
     history.add_tare(hand.now, tare)
     assert_equal([tared], expected(hand, history, tare=True)[:1])
     assert np.abs(tared.value.values - hand.rest).mean() < 0.7 * 40.0  # towards what was read
@@ -203,7 +203,7 @@ def test_predictions_are_those_of_the_core_and_forgetting_undoes_it(card):
     for use_tare in (False, True):
         hand, history = DirectHand(card, use_tare=use_tare), None
         assert_equal(hand.ask(), expected(hand, history))
-        history = HandHistory(hand.model)
+        history = History(hand.model)
         for number in range(3):
             cut = hand.cut(hand.grasp(f"g-{number}", number))
             if use_tare:

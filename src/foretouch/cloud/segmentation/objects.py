@@ -29,7 +29,7 @@ _FREE = 0.2  # of the score that others may cost the best grasp of a free object
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectSegment:
+class Segment:
     """One object."""
 
     id: int  # 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`; 0 for background
@@ -57,7 +57,7 @@ def extract_objects(
     config: ClusterConfig,
     labels: Int32,
     reasons: Sequence[Int64] = (),
-) -> tuple[tuple[ObjectSegment, ...], tuple[ObjectSegment, ...], dict[str, int]]:
+) -> tuple[tuple[Segment, ...], tuple[Segment, ...], dict[str, int]]:
     """Extract the clusters of a plausible size as objects, and those that are background.
 
     Args:
@@ -76,7 +76,7 @@ def extract_objects(
     rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)  # once, not for each window: it may be a copy
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
-    found: list[tuple[float, int, int, ObjectSegment]] = []  # distance, window and label, by which they are sorted
+    found: list[tuple[float, int, int, Segment]] = []  # distance, window and label, by which they are sorted
     behind, rejected = found.copy(), []
     for number, window in enumerate(windows):
         for label, segment, top_m in _segments(flat, window, image.shape[1], threshold.plane):
@@ -102,7 +102,7 @@ def extract_objects(
     return objects, background, counts
 
 
-def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, ObjectSegment, float]]:
+def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, Segment, float]]:
     """The clusters of a window with solid points: the label, a segment without an id, and its height [m]."""
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
@@ -118,11 +118,11 @@ def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterat
             part = Cloud(points[start:end], rgb, flat.frame_id, flat.stamp_ns)
             centroid = columns[:, start:end].mean(axis=1)
             box = bounds[cluster].astype(np.float64)
-            yield cluster, ObjectSegment(0, part, pixels[start:end], centroid, box), float(tops[cluster])
+            yield cluster, Segment(0, part, pixels[start:end], centroid, box), float(tops[cluster])
         start = end
 
 
-def _plausible(candidate: ObjectSegment, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
+def _plausible(candidate: Segment, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
     """Neither speckle nor noise or waves of the table, nor a wall."""
     waves_m = 2.0 * threshold.noise_per_m * candidate.centroid[2] ** 2
     return bool(
@@ -164,8 +164,8 @@ class TargetConfig(Settings):
 
 
 def select_targets(
-    objects: Sequence[ObjectSegment], config: TargetConfig, previous: Float64 | None = None
-) -> tuple[list[ObjectSegment], str]:
+    objects: Sequence[Segment], config: TargetConfig, previous: Float64 | None = None
+) -> tuple[list[Segment], str]:
     """Select the objects that get grasps.
 
     Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would
@@ -210,11 +210,11 @@ def select_targets(
 
 
 def select_free(
-    objects: Sequence[ObjectSegment],
+    objects: Sequence[Segment],
     config: TargetConfig,
-    loss: Callable[[ObjectSegment], tuple[float, str]],
+    loss: Callable[[Segment], tuple[float, str]],
     previous: Float64 | None = None,
-) -> tuple[list[ObjectSegment], str]:
+) -> tuple[list[Segment], str]:
     """Select the nearest object whose best grasp is not blocked by another object, for mode `free`.
 
     If there is none, the one that other objects cost least; of several that have no grasp at all, the nearest.
@@ -228,8 +228,8 @@ def select_free(
     Returns:
         The object, and why: which nearer ones are not free, or that none is; "" if the nearest is free.
     """
-    free: list[ObjectSegment] = []
-    blocked: list[tuple[float, ObjectSegment, str]] = []
+    free: list[Segment] = []
+    blocked: list[tuple[float, Segment, str]] = []
     for obj in sorted(objects, key=lambda one: one.distance_m)[: config.max_objects]:
         if free and obj.distance_m - free[0].distance_m >= config.margin_m:
             break
@@ -247,8 +247,8 @@ def select_free(
 
 
 def _one_of(
-    tied: Sequence[ObjectSegment], previous: Float64 | None, how: str, values: Sequence[str], unit: str
-) -> tuple[list[ObjectSegment], str]:
+    tied: Sequence[Segment], previous: Float64 | None, how: str, values: Sequence[str], unit: str
+) -> tuple[list[Segment], str]:
     """The object that is selected of those that tie, and the reason where there are several."""
     if len(tied) == 1:
         return [tied[0]], ""
@@ -258,7 +258,7 @@ def _one_of(
     return [chosen], f"{AMBIGUOUS_TARGET}: objects {ids} are {how}, {numbers}; object {chosen.id} {why}"
 
 
-def _break_tie(tied: Sequence[ObjectSegment], previous: Float64 | None) -> tuple[ObjectSegment, str]:
+def _break_tie(tied: Sequence[Segment], previous: Float64 | None) -> tuple[Segment, str]:
     if previous is not None:
         nearest = min(tied, key=lambda obj: float(np.linalg.norm(obj.centroid - previous)))
         if np.linalg.norm(nearest.centroid - previous) < _SAME_PLACE_M:

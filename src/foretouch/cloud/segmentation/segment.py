@@ -24,7 +24,7 @@ from foretouch.cloud.segmentation.clusters import (
     label_unorganised,
     pixel_pitch,
 )
-from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
+from foretouch.cloud.segmentation.objects import Segment, extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
 from foretouch.cloud.segmentation.plane import PlaneConfig, find_table
 from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, out_of_view, view_fault
@@ -89,8 +89,8 @@ class Segmentation:
     status: SegmentationStatus  # "ok" with at least one object, else what is missing
     reason: str  # explanation of the status; "" if ok
     plane: Plane | None  # the table, its normal towards the camera; None if not found
-    objects: tuple[ObjectSegment, ...]  # nearest centroid first; ids 1, 2, ...
-    background: tuple[ObjectSegment, ...]  # what is no object, and why; nearest first
+    objects: tuple[Segment, ...]  # nearest centroid first; ids 1, 2, ...
+    background: tuple[Segment, ...]  # what is no object, and why; nearest first
     outline: Float64  # (n, 3) float64, corners of the table's outline [m]; empty if unknown, as in a list of points
     labels: Int32  # (H, W) or (N,) int32, the id of each point's object, 0 for none
     counts: dict[str, int]  # of points
@@ -122,7 +122,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     return Segmentation(status, reason, plane, objects, background, outline, labels, counts, ms)
 
 
-_Objects = tuple[ObjectSegment, ...]
+_Objects = tuple[Segment, ...]
 _Result = tuple[SegmentationStatus, str, Plane | None, _Objects, _Objects, Float64, Int32]
 
 
@@ -144,7 +144,7 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
     return status, reason, plane, listed, others, outline, labels
 
 
-def _listed(one: ObjectSegment, cloud: Cloud, place: Int32) -> ObjectSegment:
+def _listed(one: Segment, cloud: Cloud, place: Int32) -> Segment:
     """An object of an image as one of the list of its points, by the row of each pixel in that list."""
     pixels = np.sort(place[one.pixels]).astype(np.int64)
     rgb = None if cloud.rgb is None else cloud.rgb[pixels]

@@ -28,7 +28,7 @@ from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeri
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, GraspSample
+from foretouch.types import Cloud, Float32, Grasp, Sample
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -206,7 +206,7 @@ class SampleAssembler:
     def _labelled(self, match: MatchedGrasp) -> SampleRecord:
         label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
-        sample = GraspSample(
+        sample = Sample(
             id="",
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
             cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp),
@@ -246,7 +246,7 @@ class SampleAssembler:
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
-        sample = GraspSample(
+        sample = Sample(
             id="",
             object=self._object_at(cloud.stamp_ns),
             cloud=_object_cloud(cloud, plan.frame_id, grasp),

@@ -40,7 +40,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.types import Cloud, Grasp, Sample, Touch
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -191,7 +191,7 @@ def _version_in(data: bytes | memoryview) -> int:
 def stored_sample(message: Any) -> StoredSample:
     """The inverse of `sample_fields`; raises any error for values that break a rule."""
     sensor = parse_sensor(message.sensor)
-    sample = GraspSample(
+    sample = Sample(
         id=message.id,
         object=message.object,
         cloud=decode_cloud(message.cloud),

@@ -33,7 +33,7 @@ from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscript
 from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.ros.runtime.subscription import type_name
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
@@ -224,7 +224,7 @@ class RecordingSession:
             self.writer.drop(one.topic, "paused")
         return []
 
-    def _prediction(self, sample: GraspSample) -> TouchPrediction | None:
+    def _prediction(self, sample: Sample) -> TouchPrediction | None:
         """What was predicted for the grasp of a sample, if that was received."""
         data = self._predictions.get(sample.cloud.stamp_ns)
         found: Sequence[Any] = () if data is None else read_serialized(data, TouchPredictionArray).predictions

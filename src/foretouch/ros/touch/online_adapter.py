@@ -5,7 +5,7 @@ Tactile messages give a tare. The touch of an executed grasp is assembled exactl
 added to the history of the hand.
 
 Ids of objects are valid within one cloud only. Therefore the current object is identified by its position and size (see
-`HandHistory.is_current`). A different object that looks the same at the same position cannot be distinguished: after
+`History.is_current`). A different object that looks the same at the same position cannot be distinguished: after
 changing the object, call `forget_touches` or wait for `forget_after_s`.
 
 Threads: callbacks store, under one lock; the thread that predicts first adds the touches that are complete, under
@@ -29,7 +29,7 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.touch_model import Snapshot, TouchModel
 from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
@@ -157,7 +157,7 @@ class OnlineAdapter:
             self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
         return predictions
 
-    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> History | None:
+    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> Snapshot | None:
         """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
         now_ns, others = self._now_ns(), self._others
         tdc = (
