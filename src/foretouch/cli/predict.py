@@ -18,6 +18,7 @@ from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
 from foretouch.cli.answers import modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import laboratory
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from foretouch.models.budget import LatencyBudget
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
     inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument(

@@ -17,6 +17,7 @@ from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import JsonLines, announce, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
@@ -42,7 +43,7 @@ _TOPIC_S = 5.0  # until somebody must publish a topic
 _PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--source",
@@ -80,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
+def add_replay_arguments(parser: CommandParser, default_rate: str) -> None:
     """Declare what is played, and for whom a replay waits before its first cloud."""
     add_options(parser, "--topic", "--namespace")
     parser.add_argument(

@@ -13,15 +13,14 @@ from foretouch.files import PICTURE_SUFFIXES, require_writable
 from foretouch.tactile.description import load_sensor, sensor_files
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """One action each."""
-    actions: Any = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     for name, summary, count in (
         ("list", "List the sensors of the package", 0),
         ("check", "Check descriptions of sensors", "+"),
         ("show", "Draw the taxels of a sensor with their normals", 1),
     ):
-        action: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
+        action = parser.add_command(name, summary)
         action.add_json()
         if count:
             about = "YAML file, or the name of a sensor of the package"
