@@ -28,7 +28,7 @@ _NAMES: Final = {
     "other_names": "series_names",
     "others": "series_others",
 }
-"""Names of arrays that are not those of the fields of a `foretouch_msgs/Sample`."""
+"""Names of arrays that are not those of the fields of a `foretouch_msgs/GraspSample`."""
 _NESTED: Final = ("header", "cloud", "grasp", "candidates", "score", "sha256")
 _TEXTS: Final = ("other_names", "flags", "extra_names")
 _GRASP: Final = {"g1": (3,), "g2": (3,), "rotation": (3, 3), "score": (), "grasp_id": (), "object_id": ()}

@@ -172,7 +172,7 @@ def test_holes_and_pieces_taken_out_cost_the_samples_in_them(file: Path) -> None
     check_repaired(file, {0, 3})
     file.write_bytes(good[: ends[1][0] + 7] + good[ends[1][0] + 100 :])
     check_repaired(file, {0, 2, 3})
-    name = b"foretouch_msgs/msg/Sample"
+    name = b"foretouch_msgs/msg/GraspSample"
     file.write_bytes(good.replace(name, b"x" + name[1:], 1))
     with pytest.raises(FileError, match=r"byte \d+: damaged: a chunk that does not match its checksum"):
         RecordedDataset(file)

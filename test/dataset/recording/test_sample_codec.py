@@ -100,7 +100,7 @@ def test_what_cannot_be_recorded_is_refused() -> None:
 
 
 def test_definitions_are_those_of_the_message_package_with_all_types_in_them() -> None:
-    for name in ("Sample", "Grasp"):
+    for name in ("GraspSample", "Grasp"):
         ours = REPOSITORY / "src/foretouch/dataset/recording/definitions" / f"{name}.msg"
         theirs = REPOSITORY / "foretouch_msgs/msg" / f"{name}.msg"
         assert ours.read_text(encoding="utf-8") == theirs.read_text(encoding="utf-8")

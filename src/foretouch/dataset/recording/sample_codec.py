@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encodes a recorded grasp as a message and decodes it, without ROS.
 
-The message is a `foretouch_msgs/Sample`, which holds the description of its sensor. Foretouch 0.2 wrote samples of
+The message is a `foretouch_msgs/GraspSample`, which holds the description of its sensor. Foretouch 0.2 wrote samples of
 version 1, whose touch is that of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
 
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
@@ -45,7 +45,7 @@ from foretouch.types import Cloud, Grasp, Sample, Touch
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-SAMPLE_TYPE: Final = "foretouch_msgs/msg/Sample"
+SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
 SAMPLE_TYPES: Final = (SAMPLE_TYPE, "foretouch_msgs/msg/TactileSample")  # the second in recordings of version 1
 SAMPLE_TOPIC: Final = "/foretouch/samples"
 ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
