@@ -49,10 +49,10 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> Voxels:
     if len(xyz) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     per_m = np.float32(1.0) / np.float32(leaf_m)
-    cell, counts, found = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
-    _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, found)
-    if found[0] >= 0:
-        return cell, counts[: found[0]].copy()
+    cell, counts, cell_count = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
+    _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, cell_count)
+    if cell_count[0] >= 0:
+        return cell, counts[: cell_count[0]].copy()
     # The grid is too wide for a table of its cells.
     ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
     ijk -= ijk.min(axis=1, keepdims=True)
