@@ -14,9 +14,9 @@ from rich.text import Text
 
 from foretouch.cli.answers import modality_text
 from foretouch.cli.screen import make_table
-from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Touch
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from foretouch.cli.output import print_json, print_table, warn
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import laboratory
+from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Object, Pipeline
-from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
 from foretouch.types import LATE, REDUCED, Grasp, Prediction, Predictions, Reference, Sample, Touch
 from foretouch.types.channels import Channels

@@ -18,8 +18,8 @@ from foretouch.kernels import Kernel
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
 
-_deproject_whole = Kernel("deproject_whole", np.uint16, int, int, float, np.float32, np.float32, int, np.float32)
-_deproject_single = Kernel("deproject_single", np.float32, int, int, float, np.float32, np.float32, int, np.float32)
+_deproject_whole = Kernel("deproject_whole")
+_deproject_single = Kernel("deproject_single")
 
 MODELS: Final = ("plumb_bob", "rational_polynomial")
 """Distortion models of `sensor_msgs/CameraInfo` that are undone."""

@@ -11,8 +11,8 @@ import numpy as np
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64
 
-_centre_points = Kernel("centre_points", np.float64, int, *[np.float64] * 3)
-_bounds = Kernel("bounds", np.float32, int, np.float64, np.float64)
+_centre_points = Kernel("centre_points")
+_bounds = Kernel("bounds")
 
 
 def centred_columns(points: Float64) -> tuple[Float64, Float64, Float64]:

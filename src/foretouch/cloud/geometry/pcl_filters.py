@@ -10,11 +10,11 @@ from foretouch.errors import CloudError
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Float64, Floating, Int64, Integer
 
-_mean_neighbour_distance = Kernel("mean_neighbour_distance", np.float32, int, int, np.float32, np.uint8)
-_moments_within = Kernel("summed_moments", np.float32, int, np.float32, int, float, np.float32, np.float64)
-_fit_planes = Kernel("fit_planes", np.float64, np.float32, int, float, np.float64, np.float64)
-_voxel_cells = Kernel("voxel_cells", np.float32, int, float, np.int64, np.int64, np.int64)
-_cell_means = Kernel("cell_means", np.float64, int, int, np.int64, np.int64, int, np.float64)
+_mean_neighbour_distance = Kernel("mean_neighbour_distance")
+_moments_within = Kernel("summed_moments")
+_fit_planes = Kernel("fit_planes")
+_voxel_cells = Kernel("voxel_cells")
+_cell_means = Kernel("cell_means")
 
 _CUBE = 0.57  # radii: edge of a cube whose diagonal is shorter than the radius
 _MARGIN = 1.001  # radii: far more than float32 rounding

@@ -10,10 +10,8 @@ from foretouch.errors import CloudError
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Int32, Int64, Integer
 
-_ray_cells = Kernel("ray_cells", np.float32, int, *[float] * 4, np.float64, np.int32, np.int64)
-_fill_image = Kernel(
-    "fill_image", *(np.float32, int, float, float, np.int32, *[int] * 4, np.float32, np.int32, np.int64)
-)
+_ray_cells = Kernel("ray_cells")
+_fill_image = Kernel("fill_image")
 
 _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its column or row
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
