@@ -30,10 +30,10 @@ from PIL import Image
 
 from foretouch.grasp.hand import FINGER, THUMB, Hand, load_hand
 from foretouch.pipeline import Pipeline, PipelineResult, Scene
-from foretouch.tactile.taxel_view import TaxelView
 from foretouch.report.touch_figure import draw_taxels, taxel_colours
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch
 
 FOLDER = Path(__file__).parent
