@@ -8,7 +8,6 @@ writes the parts of the pages below docs that stand between `<!-- generated NAME
 
 import argparse
 import dataclasses
-import importlib
 import inspect
 import os
 import re
@@ -279,10 +278,8 @@ def node_configs() -> dict[str, type[Settings]]:
     from foretouch.ros.graph import NODES
 
     configs = {}
-    for name, place in NODES.items():
-        module, _, class_name = place.partition(":")
-        node = getattr(importlib.import_module(module), class_name)
-        (configs[name],) = typing.get_args(node.__orig_bases__[0])
+    for name, load in NODES.items():
+        (configs[name],) = typing.get_args(load().__orig_bases__[0])
     return configs
 
 

@@ -21,7 +21,7 @@ from foretouch.dataset.samples import export_samples, has_points, only_finite, o
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.messages.table import TactileConfig
 
 _SHEET_SAMPLES = 12
@@ -271,7 +271,10 @@ def _edit(arguments: argparse.Namespace) -> int:
 
 
 def _build(arguments: argparse.Namespace) -> int:
-    return int(laboratory("cli.build", "dataset build").run(arguments))
+    with needs_laboratory("dataset build"):
+        from foretouch_lab.cli.build import run as build
+
+        return build(arguments)
 
 
 def _import(arguments: argparse.Namespace) -> int:

@@ -18,11 +18,11 @@ from foretouch import __version__
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
-from foretouch.laboratory import laboratory, needs_laboratory
+from foretouch.laboratory import needs_laboratory
 
 COMMANDS = {
     "segment": "Segment the table and the objects of each cloud",
-    "grasp": "Plan two-finger grasps on each object (GeoGrasp)",
+    "grasp": "Plan two-finger grasps on each object",
     "predict": "Predict the tactile readings of grasps on each object",
     "simulate": "Simulate grasps in a scene and write them to a dataset",
     "dataset": "Inspect, verify, repair, edit and convert datasets",
@@ -105,10 +105,9 @@ def _run(arguments: list[str]) -> int:
 
 
 def command_module(command: str) -> ModuleType:
-    """The module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
-    if command in LABORATORY:
-        return laboratory(f"cli.{command}", command)
-    return importlib.import_module(f"foretouch.cli.{command}")
+    """Import the module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
+    with needs_laboratory(command):
+        return importlib.import_module(f"{'foretouch_lab' if command in LABORATORY else 'foretouch'}.cli.{command}")
 
 
 def _parse(parser: CommandParser, arguments: list[str]) -> argparse.Namespace:

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, cast
 from rich.panel import Panel
 
 from foretouch.cli.answers import answer_record
-from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
+from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import JsonLines, announce, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
@@ -83,7 +83,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def add_replay_arguments(parser: CommandParser, default_rate: str) -> None:
     """Declare what is played, and for whom a replay waits before its first cloud."""
-    add_options(parser, "--topic", "--namespace")
+    add_options(parser, "--topic", *CAMERA, "--namespace")
     parser.add_argument(
         "--rate", type=positive_value, metavar="HZ", help=f"clouds per second (default: {default_rate})"
     )
@@ -146,6 +146,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
+    from foretouch.cloud.io.depth_files import DepthCamera
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
     from foretouch.models.card import read_card
@@ -167,13 +168,17 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     live = scene or arguments.source == "camera" or _is_topic(arguments.source)
     if not live:
-        source = open_source(arguments.source, arguments.topic)
+        source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
         if not any("late_after_s" in parameters for parameters in given):
             perception["late_after_s"] = 0.0  # the stamps are those of the recording
         perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
         if source.info_topic:
             arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
         return nodes | {"replay": _replay_parameters(arguments, source)}
+    if depth_camera(arguments) != DepthCamera():
+        raise ConfigError(
+            f"--intrinsics, --camera-info, --depth-scale: {arguments.source} is no file with depth images"
+        )
     if arguments.wait_for or arguments.wait_limit is not None:
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
     if _is_topic(arguments.source):
@@ -221,12 +226,13 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
     from foretouch.camera.config import ScheduleConfig
 
-    simulation = laboratory("simulation.scene", f"--source {arguments.source}")
+    with needs_laboratory(f"--source {arguments.source}"):
+        from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
 
     show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    scene = simulation.scheduled_scene(show)  # so that an error in it is reported before anything starts
+    scene = scheduled_scene(show)  # so that an error in it is reported before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     # Few, so that a small computer has time for the rest of the graph.
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
@@ -240,7 +246,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes.setdefault("perception", {}).update(
             {
                 "target.mode": "point",
-                "target.point": simulation.centre_of_objects(scene).tolist(),
+                "target.point": centre_of_objects(scene).tolist(),
                 "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
             }
         )
@@ -255,10 +261,13 @@ def _replay_parameters(arguments: argparse.Namespace, source: Source) -> dict[st
 
 
 def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
-    """Parameters of the replay for the options `--topic`, `--rate`, `--plane` and those of the wait."""
+    """Parameters of the replay for the options of `add_replay_arguments`."""
     given = {
         "path": path,
         "topic": arguments.topic or None,
+        "intrinsics": arguments.intrinsics,
+        "camera_info": None if arguments.camera_info is None else str(arguments.camera_info.resolve()),
+        "depth_scale": arguments.depth_scale,
         "rate_hz": arguments.rate,
         "table": arguments.plane,
         "wait_for": arguments.wait_for or None,
@@ -279,7 +288,9 @@ def report_conflicts(graph: Graph) -> list[str]:
     """Print the signs of a second graph in the namespace, and return them."""
     found = graph.conflicts()
     if found:
-        warn(f"a second graph or source runs in the namespace: {'; '.join(found)}")
+        warn(
+            f"a second graph or source runs in the namespace: {'; '.join(found)}; end one, or set another --namespace or ROS_DOMAIN_ID"
+        )
     return found
 
 
@@ -335,9 +346,9 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         _print_end(arguments.lines, counts)
     else:
-        terminal().print(
-            live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
-        )
+        answers = f"{answered} of {played} clouds answered"
+        unanswered = f", {played - answered} dropped or under way" if complete and played > answered else ""
+        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}{unanswered}"))
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
