@@ -15,8 +15,8 @@ import numpy as np
 
 from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile import ELECTRODES
-from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Float32
+from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading
+from foretouch.types import Float32, stamp_ns
 
 FINGERS: Final = ("TH", "MF")
 FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")  # order of the fingers in `BiotacAll.tactiles`

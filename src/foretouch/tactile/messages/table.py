@@ -16,7 +16,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, load_sensor, require_two
-from foretouch.types import SECOND_NS, Float32
+from foretouch.types import Float32
 from foretouch.types.channels import Channels
 
 #: Message type to the module that decodes it.
@@ -117,8 +117,3 @@ def make_reader(config: TactileConfig) -> TactileReader:
     module = "foretouch.tactile.messages.described" if config.sensor else TACTILE_TYPES[config.type]
     reader: TactileReader = import_module(module).make_reader(config)
     return reader
-
-
-def stamp_ns(stamp: Any) -> int:
-    """A `builtin_interfaces/Time` or `Duration` in integer nanoseconds."""
-    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from foretouch.camera import bounded_queue
-from foretouch.camera.bounded_queue import BoundedQueue
+from foretouch import bounded_queue
+from foretouch.bounded_queue import BoundedQueue
 
 
 def test_a_full_queue_drops_its_oldest_items_or_rejects_new_ones_and_one_without_a_capacity_none() -> None:
