@@ -17,7 +17,7 @@ from sensor_builders import XELA_TYPES
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, SHORT, run, scene
 
-from foretouch.dataset.samples import open_samples
+from foretouch.dataset.formats import open_samples
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.tactile.description import packaged_sensor

@@ -30,7 +30,8 @@ from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.table import TactileConfig, make_reader
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import ASSUMED_TABLE, Cloud, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray

@@ -27,7 +27,8 @@ from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.tactile.messages.table import TactileReader, make_reader
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileReader
 from foretouch.topics import GRASPS_TOPIC
 from foretouch.types import stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold

@@ -34,7 +34,7 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.description import require_same
-from foretouch.tactile.messages.table import make_reader
+from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.topics import EXECUTED_TOPIC
 from foretouch.types import Grasp, Predictions, stamp_ns

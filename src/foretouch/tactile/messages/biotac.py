@@ -27,11 +27,6 @@ _PER_SENSOR: Final = 54
 _FIELDS: Final = 1 + len(_SENSORS) * _PER_SENSOR
 
 
-def default_fingers(kind: str) -> tuple[str, str]:
-    """Names of thumb and middle finger in messages of a type."""
-    return ("0", "1") if kind == "std_msgs/String" else FINGERS
-
-
 def make_reader(config: TactileConfig) -> TactileReader:
     """The decoder for the chosen fingers; a `ConfigError` for a name that the type does not have."""
     read, known, others = {
