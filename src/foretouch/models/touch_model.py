@@ -316,25 +316,27 @@ class TouchModel:
         half = np.full(counts.shape, np.nan) if half is None else half
         half = half if self._widen is None else half * self._widen
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
+        outside = self.ranges.outside(counts).any(axis=1) & finite
+        unknown = ~estimate.in_distribution & finite
+        marks = {"out_of_range": outside, "unfamiliar": unknown}
+        marks |= {flag: rows & unknown for flag, rows in estimate.reasons.items()}
+        marked = {flag: rows.tolist() for flag, rows in marks.items() if rows.any()}
+        flags = [tuple(flag for flag, rows in marked.items() if rows[k]) for k in range(len(grasps))]
         predictions = Predictions(
             counts,
             grasps,
             self.sensor.channels,
             counts - half,
             counts + half,
+            flags=objects(flags),
             reference=objects([reference] * len(grasps)),
             evidence=objects([evidence] * len(grasps)),
         )
-        if not finite.all():
-            reason = "the model gives a value that is not finite"
-            refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
-            predictions = predictions.put(~finite, refused)
-        outside = np.asarray(self.ranges.outside(counts).any(axis=1) & finite, np.bool_)
-        unknown = ~estimate.in_distribution & finite
-        predictions = predictions.flagged("out_of_range", outside).flagged("unfamiliar", unknown)
-        for flag, rows in estimate.reasons.items():
-            predictions = predictions.flagged(flag, np.asarray(rows & unknown, np.bool_))
-        return predictions
+        if finite.all():
+            return predictions
+        reason = "the model gives a value that is not finite"
+        refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
+        return predictions.put(~finite, refused)
 
 
 def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
