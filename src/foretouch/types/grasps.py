@@ -64,17 +64,23 @@ class Grasp:
 
 def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
     """Say why (K, 3) contacts and (K, 3, 3) rotations are no grasps: not finite, or both contacts at one place; else ""."""
+    count = len(g1)
     apart = (g1 != g2).any(axis=1)
-    finite = np.stack([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in (g1, g2, rotation)])
-    faults = [""] * len(g1)
-    for k in np.flatnonzero(~(apart & finite.all(axis=0))).tolist():
+    finite = {
+        name: np.isfinite(array.reshape(count, -1)).all(axis=1)
+        for name, array in (("g1", g1), ("g2", g2), ("rotation", rotation))
+    }
+    fine = apart & finite["g1"] & finite["g2"] & finite["rotation"]
+    faults = [""] * count
+    if fine.all():
+        return faults
+    for k in np.flatnonzero(~fine).tolist():
         arrays = {"g1": g1[k], "g2": g2[k], "rotation": rotation[k]}
-        wrong = next((name for name, fine in zip(arrays, finite, strict=True) if not fine[k]), "")
-        faults[k] = (
-            f"{wrong}: {arrays[wrong].tolist()} is not finite"
-            if wrong
-            else f"g1, g2: both contacts are at {g1[k].tolist()}"
-        )
+        wrong = next((name for name in arrays if not finite[name][k]), "")
+        if wrong:
+            faults[k] = f"{wrong}: {arrays[wrong].tolist()} is not finite"
+        else:
+            faults[k] = f"g1, g2: both contacts are at {g1[k].tolist()}"
     return faults
 
 

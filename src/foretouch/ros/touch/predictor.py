@@ -190,7 +190,7 @@ class Predictor:
         if not usable.any():
             return posed
         options: dict[str, Any] = {"limits": config.limits, "reach": config, "table": target.plane}
-        grasps = posed.grasps.take(usable)
+        grasps = posed.grasps if usable.all() else posed.grasps.take(usable)
         try:
             if self.adapter is not None:
                 predictions = self.adapter.predict(target.cloud, grasps, **options, model=model)
@@ -206,7 +206,7 @@ class Predictor:
             reasons = [fault for fault, refused in zip(faults, tilted.tolist(), strict=True) if refused]
             refused = Predictions.refused(grasps.take(tilted), posed.channels, "bad_grasp", reasons)
             predictions = predictions.put(tilted, refused)
-        return posed.put(usable, predictions)
+        return predictions if usable.all() else posed.put(usable, predictions)
 
 
 def _as_predicted(message: GraspMsg, predictions: Predictions, k: int) -> GraspMsg:
