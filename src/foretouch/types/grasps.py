@@ -64,14 +64,14 @@ class Grasp:
 
 def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
     """Say why (K, 3) contacts and (K, 3, 3) rotations are no grasps: not finite, or both contacts at one place; else ""."""
-    count = len(g1)
     apart = (g1 != g2).any(axis=1)
     finite = {
-        name: np.isfinite(array.reshape(count, -1)).all(axis=1)
-        for name, array in (("g1", g1), ("g2", g2), ("rotation", rotation))
+        "g1": np.isfinite(g1).all(axis=1),
+        "g2": np.isfinite(g2).all(axis=1),
+        "rotation": np.isfinite(rotation).all(axis=(1, 2)),
     }
     fine = apart & finite["g1"] & finite["g2"] & finite["rotation"]
-    faults = [""] * count
+    faults = [""] * len(g1)
     if fine.all():
         return faults
     for k in np.flatnonzero(~fine).tolist():
