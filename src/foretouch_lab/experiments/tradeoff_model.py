@@ -74,7 +74,9 @@ def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str
     for fold in folds:
         train, test = fold.sides(samples)
         for name, predicted in _predictions(data, folds, fold):
-            rows = error_rows([one.object for one in test], predicted, labels_of(test), labels_of(train).mean(axis=0))
+            rows = error_rows(
+                [sample.object for sample in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
+            )
             errors.setdefault(name, []).extend({"part": fold.name, **row} for row in rows)
     return skill_rows(split, errors, settings.bootstrap)
 
@@ -95,7 +97,7 @@ def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[t
         yield _OBJECT, object_mean(train, labels[fold.train], test, 0)
     # A tracker of all readings before each grasp compares them with what was expected without them: by the mean of the
     # labels or by the shipped recipe, fitted without the part that is predicted. It is fitted to the training side.
-    names, sessions = np.array([one.object for one in samples]), np.empty(len(samples), "U99")
+    names, sessions = np.array([sample.object for sample in samples]), np.empty(len(samples), "U99")
     plain, seen = np.tile(labels[fold.train].mean(axis=0), (2, len(samples), 1))
     for part in folds:
         sessions[part.test] = [f"{name}/{part.name}" for name in names[part.test]]
@@ -124,7 +126,7 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
     if variant.name == _PAPERS:
         return _papers(sample.cloud, grasps), 1.0
     if variant.name in (_MEAN, _OBJECT):
-        own = [one for one in labelled(data) if variant.name == _MEAN or one.object == sample.object]
+        own = [other for other in labelled(data) if variant.name == _MEAN or other.object == sample.object]
         mean = labels_of(own).mean(axis=0)
         return lambda count: np.tile(mean, (count, 1)), 1.0
     if readings:
@@ -174,7 +176,7 @@ def _scene(data: Dataset, count: int) -> tuple[Sample, list[Grasp]]:
 
     The others are between random points of the cloud, with the hand of its own grasp.
     """
-    samples = sorted(labelled(data), key=lambda one: one.cloud.size)
+    samples = sorted(labelled(data), key=lambda sample: sample.cloud.size)
     sample = samples[len(samples) // 2]
     xyz = sample.cloud.xyz.reshape(-1, 3)
     xyz = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
@@ -192,11 +194,11 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     texts = [times_text(row, rows).split(", ") for row in shipped]
     if len(texts[0]) == 1:
         loaded = "the machine was loaded, so that nothing is promised of the time of an answer"
-        times = ", ".join(one for (one,) in texts)
+        times = ", ".join(number for (number,) in texts)
         text = f"{name}, the default model, takes {times} ms of processor time for {sizes}; {loaded}."
     else:
         most = max((row["request"] for row in shipped if row["ms_p95"] <= _BUDGET_MS), default=0)
-        _, p95, p99 = (", ".join(one) for one in zip(*texts, strict=True))
+        _, p95, p99 = (", ".join(column) for column in zip(*texts, strict=True))
         answer = f"In {_BUDGET_MS:g} ms you get the default model, {name}, for up to {most} grasps"
         text = f"{answer}: {sizes} take {p95} ms in 95 of 100 calls and {p99} ms in 99 (idle machine)."
     return [Table("In short", [], [], [text])]

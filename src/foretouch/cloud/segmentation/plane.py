@@ -18,9 +18,9 @@ from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Index, Plane
 
-_count_near = Kernel("count_near", np.float32, np.float32, int, int, float, np.int64)
-_points_near = Kernel("points_near", np.float64, np.float64, int, float, float, np.float64, np.int64)
-_residuals_near = Kernel("residuals_near", *(np.float64, np.float64, int, float, float, float, np.float64, np.int64))
+_count_near = Kernel("count_near")
+_points_near = Kernel("points_near")
+_residuals_near = Kernel("residuals_near")
 
 _SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit
