@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Self, overload
 import numpy as np
 
 from foretouch.errors import ForetouchError, GraspError
-from foretouch.types.arrays import Columns, Float64, Objects, Rows, column
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +62,15 @@ class Grasp:
         return float(np.linalg.norm(self.g1 - self.g2))
 
 
+def _all_finite(rows: Float64) -> Bool:
+    """Say which of K rows (K, ...) are finite: (K,) bool."""
+    return np.asarray(np.isfinite(rows).all(axis=tuple(range(1, rows.ndim))), np.bool_)
+
+
 def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
     """Say why (K, 3) contacts and (K, 3, 3) rotations are no grasps: not finite, or both contacts at one place; else ""."""
     apart = (g1 != g2).any(axis=1)
-    finite = {
-        "g1": np.isfinite(g1).all(axis=1),
-        "g2": np.isfinite(g2).all(axis=1),
-        "rotation": np.isfinite(rotation).all(axis=(1, 2)),
-    }
+    finite = {"g1": _all_finite(g1), "g2": _all_finite(g2), "rotation": _all_finite(rotation)}
     fine = apart & finite["g1"] & finite["g2"] & finite["rotation"]
     faults = [""] * len(g1)
     if fine.all():

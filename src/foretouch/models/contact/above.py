@@ -74,12 +74,13 @@ def _highest(points: Float64, first: int) -> Float64:
     height = points[:, 2]
     chosen = np.full(count, -1)  # index of the point of each cell
     for part in (np.arange(first), np.arange(first, len(points))):
-        part = part[chosen[cells[part]] < 0]
+        free = part[chosen[cells[part]] < 0]
         highest = np.full(count, np.inf)
-        np.minimum.at(highest, cells[part], height[part])
-        part = part[height[part] == highest[cells[part]]][::-1]  # of equal ones, the first is written last
-        chosen[cells[part]] = part
-    return points[chosen[chosen >= 0]]
+        np.minimum.at(highest, cells[free], height[free])
+        best = free[height[free] == highest[cells[free]]]
+        chosen[cells[best[::-1]]] = best[::-1]  # of equal ones, the first is written last
+    result: Float64 = points[chosen[chosen >= 0]]
+    return result
 
 
 def _mirrored(points: Float64) -> Float64:
