@@ -16,15 +16,15 @@ import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
-from foretouch.cli.answers import modality_text, prediction_record
+from foretouch.cli.answers import contacts_text, modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import laboratory
+from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Object, Pipeline
-from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
 from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=partial(inputs.numbers, count=6),
         action="append",
         metavar="x1,y1,z1,x2,y2,z2",
-        help="contacts [m] (default: the sample's own, or those that GeoGrasp plans)",
+        help="contacts [m] (default: the sample's own, or planned ones)",
     )
     inputs.add_options(parser, "--model", *inputs.ADAPTED)
     parser.add_argument(
@@ -141,7 +141,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
 def _grasps(
     item: SourceItem, target: Object, arguments: argparse.Namespace, pipeline: Pipeline
 ) -> tuple[list[Grasp], str]:
-    """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned by GeoGrasp."""
+    """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned."""
     if arguments.grasp:
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
@@ -162,14 +162,16 @@ def _named(model: TouchModel) -> inputs.Record:
 
 
 def _show(record: dict[str, Any], *, channels: Channels) -> None:
-    rows = []
-    for one in record["predictions"]:
+    rows, contacts = [], []
+    for number, one in enumerate(record["predictions"], 1):
         counts = {"touches": f" {record['touched']}", "history": f" {one['evidence']['readings']}"}
         reference = f"{one['reference']}{counts.get(one['reference'], '')}"
+        contacts.append(f"\ngrasp {number}: {contacts_text(one['grasp'])}")
         rows.append([
-            "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
+            str(number),
             *(modality_text(**one[name], text=channel.text) for name, channel in channels.channel_of.items()),
-            "\n".join([reference, *(flag.replace("_", " ") for flag in one["flags"])]),
+            reference,
+            "\n".join(flag.replace("_", " ") for flag in one["flags"]) or "–",
         ])  # fmt: skip
     title = inputs.heading(record, f" by {record['model']['name']}")
-    print_table(title, ["g1, g2 [m]", *channels.modalities, "adapted to"], rows)
+    print_table(title + "".join(contacts), ["#", *channels.modalities, "based on", "flags"], rows)

@@ -21,9 +21,9 @@ import numpy as np
 from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.files import open_own
 from foretouch.grasp.pose import fingertip_rotation
-from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Prediction, Touch
 
 _COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2

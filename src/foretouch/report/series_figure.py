@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 
 from foretouch.dataset.record import REST, SampleRecord, TouchSeries, readings
 from foretouch.report.panels import new_figure, save
-from foretouch.report.taxel_view import TaxelView
 from foretouch.report.touch_figure import draw_taxels, taxel_colours, taxel_label
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import SECOND_NS, Float64, Touch
 
 _OUTCOMES: Final = {"success": "#1a7f37", "failure": "#c9252d", "unknown": "#404040"}

@@ -17,9 +17,9 @@ from matplotlib.axes import Axes
 
 from foretouch.pipeline import Object
 from foretouch.report.panels import new_figure, save
-from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch, assumed_table
 
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded

@@ -20,8 +20,8 @@ from std_srvs.srv import Trigger
 
 from foretouch.errors import quoted
 from foretouch.grasp import GeoGraspConfig
+from foretouch.models.equal_pressure import predicted_pressures
 from foretouch.pipeline import Object
-from foretouch.report.equal_pressure import predicted_pressures
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.requests import Latest, RefusalError, read_arrays, requested_targets, status_name
 from foretouch.ros.runtime.lifecycle_node import REQUESTS, ForetouchNode

@@ -20,9 +20,8 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.dataset.topics import EXECUTED_TOPIC
 from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig, GraspPlan
+from foretouch.models.equal_pressure import scale_of
 from foretouch.pipeline import Object
-from foretouch.report.equal_pressure import scale_of
-from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import GraspArrays, Latest
@@ -37,6 +36,7 @@ from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.table import make_reader, stamp_ns
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Grasp, Predictions
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
 

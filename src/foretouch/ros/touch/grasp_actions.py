@@ -17,8 +17,8 @@ from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
 from foretouch.errors import described
+from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
-from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import Latest, RefusalError, no_latest_cloud
 from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchSettings

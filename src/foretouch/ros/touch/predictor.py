@@ -11,8 +11,8 @@ from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
 from foretouch.grasp import GeoGraspConfig, closing_faults
 from foretouch.grasp.messages import has_orientation
 from foretouch.models import TouchModel, load_model
+from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.pipeline import Object, Pipeline
-from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
 from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
