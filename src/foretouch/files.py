@@ -137,12 +137,12 @@ class FileBytes:
         start, end, _ = part.indices(self._size)
         try:
             self._file.seek(start)
-            found = self._file.read(max(0, end - start))
+            content = self._file.read(max(0, end - start))
         except OSError as err:  # as `system_errors`, which takes longer than a short read
             raise FileError(self.path, err.strerror or str(err)) from err
-        if len(found) < end - start:
-            raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(found)}")
-        return found
+        if len(content) < end - start:
+            raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(content)}")
+        return content
 
     def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
         """The bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
@@ -278,8 +278,8 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError(f"more than {_DEPTH} nested levels") from None
     level = [document] if isinstance(document, dict | list) else []
     for _ in range(_DEPTH + 1):
-        groups = (one.values() if isinstance(one, dict) else one for one in level)
-        level = [one for group in groups for one in group if isinstance(one, dict | list)]
+        groups = (entry.values() if isinstance(entry, dict) else entry for entry in level)
+        level = [entry for group in groups for entry in group if isinstance(entry, dict | list)]
         if not level:
             break
     else:
@@ -323,7 +323,7 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
     """
     if isinstance(schema, list):
         items = require_schema(path, value, list, field)
-        return [require_schema(path, one, schema[0], f"{field}[{number}]") for number, one in enumerate(items)]
+        return [require_schema(path, item, schema[0], f"{field}[{number}]") for number, item in enumerate(items)]
     if isinstance(schema, Number):
         if value is None and schema.optional:
             return value
@@ -333,21 +333,21 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
             raise FileError(path, rule, field=field or None)
         return value
     if isinstance(schema, Mapping):
-        found = require_schema(path, value, dict, field)
+        mapping = require_schema(path, value, dict, field)
         if "*" in schema:
-            others = dict.fromkeys(found, schema["*"])
+            others = dict.fromkeys(mapping, schema["*"])
             schema = others | {key: inner for key, inner in schema.items() if key != "*"}
         for key, inner in schema.items():
             name = key.removesuffix("?")
             where = f"{field}.{name}" if field else name
-            if name in found:
-                require_schema(path, found[name], inner, where)
+            if name in mapping:
+                require_schema(path, mapping[name], inner, where)
             elif name == key:
                 raise FileError(path, "is missing", field=where)
-        return found
+        return mapping
     types = schema if isinstance(schema, tuple) else (schema,)
     if type(value) not in types and not (float in types and type(value) is int):
-        names = " or ".join(_JSON_WORDS.get(one, one.__name__) for one in types)
+        names = " or ".join(_JSON_WORDS.get(kind, kind.__name__) for kind in types)
         raise FileError(path, f"{quoted(value)} is not {names}", field=field or None)
     if (type(value) is int and not -(2**63) <= value < 2**63) or (type(value) is float and not math.isfinite(value)):
         raise FileError(path, f"{shown(value, 40)} is not a number that can be used", field=field or None)

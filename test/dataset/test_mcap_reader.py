@@ -185,6 +185,10 @@ def test_of_a_split_recording_the_cut_file_is_named_and_the_others_are_read(tmp_
     ]
     for k, content in enumerate((b"", b"\x89MCAP0\r\n")):
         (tmp_path / f"y_{k}.mcap").write_bytes(content)
+    kept, error = read(tmp_path)  # what is cut off within its first bytes costs no other file
+    assert kept == TEXTS[:8] + [text for text in TEXTS[8:16] if text in texts] + TEXTS[16:]
+    assert error.startswith(f"{tmp_path / 'y_0.mcap'}: byte 0: is empty")
+    assert error.endswith("; also damaged: y_1.mcap")
     reports = repair_dataset(tmp_path)[3:]
     assert [report.refusal.partition(": ")[2] for report in reports] == [
         "holds no message that could be kept, and stays as it is: is empty",

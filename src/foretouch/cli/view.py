@@ -34,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds or samples (default: all)"
     )
-    inputs.add_options(parser, "--topic", "--config", "--set", "--model", *inputs.PLANNED, *inputs.ADAPTED)
+    inputs.add_options(
+        parser, "--topic", *inputs.CAMERA, "--config", "--set", "--model", *inputs.PLANNED, *inputs.ADAPTED
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -88,7 +90,9 @@ def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterat
     """A step for each cloud, or sample that was not discarded, with the touch that the model predicts now; names of others are kept."""
     made: Iterator[tuple[str, Callable[[], ViewStep | None]]]
     if samples is None:
-        source = open_source(view.arguments.path, topic=view.arguments.topic)
+        source = open_source(
+            view.arguments.path, topic=view.arguments.topic, camera=inputs.depth_camera(view.arguments)
+        )
         for note in source.notes:
             warn(note)
         made = ((item.name, partial(_of_cloud, view, item, stamped=source.kind == "recording")) for item in source)

@@ -112,9 +112,9 @@ def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
     """Each label with its points, in the order of their first points."""
     if (labels == labels[0]).all():  # the usual case
         return [(labels[0], np.arange(len(labels)))]
-    found, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
+    present, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
     members = np.split(np.argsort(inverse, kind="stable"), np.cumsum(counts)[:-1])
-    return [(found[k], members[k]) for k in np.argsort(first)]
+    return [(present[k], members[k]) for k in np.argsort(first)]
 
 
 def _integer_field(message: Any, name: str) -> AnyArray | None:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import load_yaml
-from foretouch.dataset.mcap_reader import MAGIC, Damage, McapReader
+from foretouch.dataset.mcap_reader import Damage, McapReader
 from foretouch.errors import CloudError, FileError, ForetouchError
 from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud
@@ -159,15 +159,20 @@ class Recording:
             else ""
         )
 
+    def first_info(self, topic: str) -> CameraInfos:
+        """Read the first camera info of a topic of depth images, which is for the images before it; of clouds there are none."""
+        infos, beside = CameraInfos(topic), self.info_topic(topic)
+        for message in islice(self.messages([beside]), 1) if beside else ():
+            infos.add(self.content(message), message.bag_time_ns * 1e-9)
+        return infos
+
     def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
         """Read the messages of a topic of clouds or depth images, each with what decodes it.
 
         A depth image has the camera of the last info before it, the first ones that of the first info. What decodes a
         message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
         """
-        beside, infos = self.info_topic(topic), CameraInfos(topic)
-        for first in islice(self.messages([beside]), 1):
-            infos.add(self.content(first), first.bag_time_ns * 1e-9)
+        beside, infos = self.info_topic(topic), self.first_info(topic)
         for message in self.messages({topic, beside}):
             if message.topic == topic:
                 yield message, partial(self.decode_cloud, message, infos)
@@ -244,8 +249,6 @@ class _McapFile:
         self.fault: FileError | None = None
         self._shown = shown
         self._file = McapReader(path)
-        if self._file.data[: len(MAGIC)] != MAGIC:
-            raise next(one for one in self._file.messages() if isinstance(one, Damage)).error(shown)
         counts = self._file.count_messages()
         self.connections: list[Connection] = []
         formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros1msg": MessageDefinitionFormat.MSG}

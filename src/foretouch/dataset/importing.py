@@ -11,7 +11,6 @@ from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
@@ -135,9 +134,7 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
         AssemblerConfig(pairing=_PAIRING, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
     )
     now_s = 0.0
-    infos, beside = CameraInfos(topics.clouds), bag.info_topic(topics.clouds)
-    for first in islice(bag.messages([beside]), 1):
-        infos.add(bag.content(first), first.bag_time_ns * 1e-9)
+    infos, beside = bag.first_info(topics.clouds), bag.info_topic(topics.clouds)
     for message in bag.messages({*roles, beside}):
         if message.topic == beside:
             infos = deepcopy(infos)  # images before it are decoded later

@@ -32,17 +32,9 @@ from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane, WayIn
 
-_closing_lines = Kernel(
-    "closing_lines",
-    *(np.float64, np.float64, int, np.float64, int, int, np.float64, np.float64, np.float32, np.float32, int, int),
-    *(np.float64, int, np.float64, int, int, np.float64),
-)
-_outline = Kernel("outline", np.float64, int, np.float64, int, int, np.float32, np.float32)
-_complete_object = Kernel(
-    "complete_object",
-    *(np.float64, np.float64, int, float, np.float64, np.float64, np.float32, np.float32, int, int),
-    *(np.float64, np.float64, np.float64),
-)
+_closing_lines = Kernel("closing_lines")
+_outline = Kernel("outline")
+_complete_object = Kernel("complete_object")
 
 _ANGLES = 24  # directions in half a turn
 _LINES = 17  # in each direction, next to the centre
@@ -434,4 +426,4 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
         "n_too_deep": f"without a way in for hand.name {hand.name}: the object is deeper than its fingers",
     }
     found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
-    return f"none of {counts['n_lines']} closing lines can be executed: {'; '.join(found)}"
+    return f"none of {counts['n_lines']} grasps can be executed: {'; '.join(found)}"

@@ -65,7 +65,7 @@ class Ranges:
     @classmethod
     def of_sensor(cls, channels: Channels) -> Self:
         """Those of a working sensor."""
-        return cls(channels, tuple((one.low, one.high) for one in channels.channel_of.values()))
+        return cls(channels, tuple((channel.low, channel.high) for channel in channels.channel_of.values()))
 
     def of(self, modality: str) -> tuple[float, float]:
         """(low, high) of one modality; a `TactileError` if there is no such modality."""
@@ -84,8 +84,8 @@ class Ranges:
 
     def outside(self, values: npt.ArrayLike) -> Bool:
         """Which of (..., D) values are outside their range; NaN is outside."""
-        found = np.asarray(values, np.float64)
-        return np.asarray(~((found >= self.low) & (found <= self.high)), np.bool_)
+        numbers = np.asarray(values, np.float64)
+        return np.asarray(~((numbers >= self.low) & (numbers <= self.high)), np.bool_)
 
     def to_mapping(self) -> dict[str, Any]:
         """By name of the modality in lower case, for a card."""
@@ -104,15 +104,15 @@ class Ranges:
         return cls(channels, tuple((float(mapping[name][0]), float(mapping[name][1])) for name in names))
 
     def _vector(self, end: int) -> Float64:
-        found = np.asarray(self.channels.by_modality([limits[end] for limits in self.limits]), np.float64)
-        found.flags.writeable = False  # it is kept
-        return found
+        vector = np.asarray(self.channels.by_modality([limits[end] for limits in self.limits]), np.float64)
+        vector.flags.writeable = False  # it is kept
+        return vector
 
 
 def _check_range(name: str, limits: Any) -> None:
     shown = f"{name}: {list(limits) if isinstance(limits, list | tuple) else limits}"
     pair = isinstance(limits, list | tuple) and len(limits) == 2
-    usable = pair and all(type(one) in (int, float) and abs(one) <= _WIDEST for one in limits)
+    usable = pair and all(type(limit) in (int, float) and abs(limit) <= _WIDEST for limit in limits)
     if not usable or limits[0] >= limits[1]:
         raise ConfigError(f"{shown} is not [low, high] with low < high")
     if not _NARROWEST <= limits[1] - limits[0] <= _WIDEST:

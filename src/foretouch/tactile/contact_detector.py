@@ -148,7 +148,7 @@ class ContactDetector:
 def _resting_noise(readings: Float64, channels: Channels) -> Float64:
     """(M,) standard deviation of each value in (T, M) readings of a finger without contact, at least what is stated."""
     spread = 1.4826 * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
-    stated = [value for one in channels.channels for value in [one.noise or one.resolution] * one.size]
+    stated = [value for channel in channels.channels for value in [channel.noise or channel.resolution] * channel.size]
     return np.asarray(np.maximum(spread, stated), np.float64)
 
 
@@ -185,9 +185,9 @@ def find_contact(
 def _scores(change: Float64, channels: Channels) -> Float64:
     """(...) scores of (..., M) changes of a finger in units of each value's noise."""
     scores, first = [], 0
-    for one in channels.channels:
-        part, first = change[..., first : first + one.size], first + one.size
-        if one.size == 1:
+    for channel in channels.channels:
+        part, first = change[..., first : first + channel.size], first + channel.size
+        if channel.size == 1:
             scores.append(np.abs(part[..., 0]) / SINGLE_LIMIT)
         else:
             scores.append(np.sqrt(np.mean(np.square(part), axis=-1)) / TAXEL_LIMIT)

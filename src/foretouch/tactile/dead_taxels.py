@@ -39,7 +39,7 @@ def dead_taxels(sensor: Sensor, readings: Float64) -> Bool:
     channels, values = sensor.channels, usable(readings, sensor.channels)
     spread = np.fmax.reduce(values) - np.fmin.reduce(values)  # NaN where none is usable
     at_limit = ~((values > channels.low) & (values < channels.high)).any(axis=0)
-    noisy = channels.tared | channels.by_modality([one.noise > 0.0 for one in channels.channel_of.values()])
+    noisy = channels.tared | channels.by_modality([channel.noise > 0.0 for channel in channels.channel_of.values()])
     failed = np.isnan(spread) | (noisy & ((spread == 0.0) | at_limit))
     dead: Bool = failed[sensor.taxel_columns].any(axis=-1)
     dead[2 * dead.sum(axis=1) >= sensor.size] = False
@@ -58,17 +58,17 @@ def filled(readings: Float64, sensor: Sensor) -> Float64:
     A dead taxel has the mean of the nearest valid ones, as a dead pixel of a camera has. One that was not read once has its mean over the
     other readings, moved as the valid taxels of its finger are.
     """
-    found = usable(readings, sensor.channels, sensor.valid_values)
-    if not np.isnan(found).any():
-        return found
-    count = (~np.isnan(found)).sum(axis=0)
-    mean = np.nansum(found, axis=0) / np.maximum(count, 1)
+    result = usable(readings, sensor.channels, sensor.valid_values)
+    if not np.isnan(result).any():
+        return result
+    count = (~np.isnan(result)).sum(axis=0)
+    mean = np.nansum(result, axis=0) / np.maximum(count, 1)
     for own in sensor.channels.modality_columns.values():
-        moved = found[:, own] - mean[own]
+        moved = result[:, own] - mean[own]
         shift = np.nansum(moved, axis=1) / np.maximum((~np.isnan(moved)).sum(axis=1), 1)
-        found[:, own] = np.where(np.isnan(moved), mean[own] + shift[:, None], found[:, own])
+        result[:, own] = np.where(np.isnan(moved), mean[own] + shift[:, None], result[:, own])
     for columns, valid in zip(sensor.taxel_columns, sensor.valid, strict=True):
-        part = found.T[columns]  # (N, C, S)
+        part = result.T[columns]  # (N, C, S)
         sensor.layout.fill(part, valid)
-        found.T[columns] = part
-    return found
+        result.T[columns] = part
+    return result

@@ -210,7 +210,7 @@ class Sensor:
         """
         stated = {key: value for key, value in self.to_mapping().items() if key not in _OF_A_HAND}
         for key in ("values", "scalars"):
-            stated[key] = [{k: v for k, v in one.items() if k not in _OF_A_HAND} for one in stated.get(key, [])]
+            stated[key] = [{k: v for k, v in finger.items() if k not in _OF_A_HAND} for finger in stated.get(key, [])]
         stated["grasp"] = self._grasping
         return hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()
 
@@ -228,14 +228,14 @@ class Sensor:
         """
         if len(self._grasping) < 2:
             raise ConfigError(f"sensor: {self.config.name} has one finger, and a grasp two")
-        predicted = tuple(one.channel(size) for one, size in self.predicted)
+        predicted = tuple(value.channel(size) for value, size in self.predicted)
         return Channels(self.config.name, self.sha256, tuple(self._grasping), predicted)
 
     @property
     def predicted(self) -> list[tuple[ChannelConfig, int]]:
         """Description of each of `channels`, and its numbers of a finger."""
-        both = [(one, 1) for one in self.config.scalars] + [(one, self.size) for one in self.config.values]
-        return [(one, size) for one, size in both if one.predicted]
+        both = [(scalar, 1) for scalar in self.config.scalars] + [(value, self.size) for value in self.config.values]
+        return [(channel, size) for channel, size in both if channel.predicted]
 
     @property
     def is_biotac(self) -> bool:
@@ -245,7 +245,7 @@ class Sensor:
     @property
     def scalar_channels(self) -> tuple[Channel, ...]:
         """S of `channels` that are of the whole finger."""
-        return self.channels.channels[: sum(one.predicted for one in self.config.scalars)]
+        return self.channels.channels[: sum(scalar.predicted for scalar in self.config.scalars)]
 
     @property
     def taxel_channels(self) -> tuple[Channel, ...]:
@@ -273,9 +273,9 @@ class Sensor:
     @cached_property
     def valid_values(self) -> Bool:
         """(D,) values of a touch that are not of taxels declared dead."""
-        found = np.ones(self.channels.size, np.bool_)
-        found[self.taxel_columns[~self.valid]] = False
-        return found
+        valid = np.ones(self.channels.size, np.bool_)
+        valid[self.taxel_columns[~self.valid]] = False
+        return valid
 
     @property
     def dead(self) -> dict[str, list[int]]:
@@ -290,10 +290,12 @@ class Sensor:
     def with_dead(self, dead: Bool) -> "Sensor":
         """The same sensor with further taxels declared dead, by an (F, N) mask."""
         failed: Bool = np.logical_or(dead, ~self.valid)
-        found = dict(zip((one.name for one in self.config.chosen_fingers()), failed, strict=True))
+        failed_of = dict(zip((finger.name for finger in self.config.chosen_fingers()), failed, strict=True))
         fingers = [
-            one.replace(dead=tuple(np.flatnonzero(found[one.name]).tolist())) if one.name in found else one
-            for one in self.config.fingers
+            finger.replace(dead=tuple(np.flatnonzero(failed_of[finger.name]).tolist()))
+            if finger.name in failed_of
+            else finger
+            for finger in self.config.fingers
         ]
         return Sensor(self.config.replace(fingers=tuple(fingers)), self.layout)
 
@@ -403,12 +405,12 @@ def require_two(sensor: Sensor) -> Sensor:
     return sensor
 
 
-def require_same(found: Channels, wanted: Channels, what: str) -> None:
+def require_same(given: Channels, wanted: Channels, what: str) -> None:
     """Refuse `what` is of another sensor, or of another description of the same, by a `TactileError` that names both."""
-    if found is wanted or found.sha256 == wanted.sha256:
+    if given is wanted or given.sha256 == wanted.sha256:
         return
-    rule = f"the description of {found.sensor} has changed" if found.sensor == wanted.sensor else f"not {wanted.sensor}"
-    raise TactileError(f"{what}: is of {found.sensor} ({found.sha256[:8]}): {rule} ({wanted.sha256[:8]} is expected)")
+    rule = f"the description of {given.sensor} has changed" if given.sensor == wanted.sensor else f"not {wanted.sensor}"
+    raise TactileError(f"{what}: is of {given.sensor} ({given.sha256[:8]}): {rule} ({wanted.sha256[:8]} is expected)")
 
 
 packaged_sensor = cache(load_sensor)
@@ -436,6 +438,6 @@ def _check_list(what: str, names: Sequence[str]) -> None:
 def _stated(value: Any) -> Any:
     """A mapping without what is left out: empty texts, lists and groups, and None."""
     if isinstance(value, dict):
-        found = {key: _stated(one) for key, one in value.items()}
-        return {key: one for key, one in found.items() if one not in (None, "", [], {})}
-    return [_stated(one) for one in value] if isinstance(value, list) else value
+        stated = {key: _stated(part) for key, part in value.items()}
+        return {key: part for key, part in stated.items() if part not in (None, "", [], {})}
+    return [_stated(part) for part in value] if isinstance(value, list) else value

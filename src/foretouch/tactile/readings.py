@@ -74,8 +74,8 @@ def tdc_of(values: Mapping[str, float], channels: Channels, prefix: str = "") ->
         channels: Of the touch, for the names of its fingers.
         prefix: Before the names: `tare_` for those of the tare.
     """
-    found = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in channels.fingers], np.float64)
-    return np.where(is_tdc(found), found, np.nan)
+    tdc = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in channels.fingers], np.float64)
+    return np.where(is_tdc(tdc), tdc, np.nan)
 
 
 def is_tdc(values: Float64) -> Bool:

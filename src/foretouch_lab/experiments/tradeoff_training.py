@@ -74,13 +74,13 @@ def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str
             rows += [
                 {"part": fold.name, **row}
                 for row in error_rows(
-                    [one.object for one in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
+                    [sample.object for sample in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
                 )
             ]
         errors[variant.name] = rows
     hours = _robot_seconds(samples) / 3600.0
-    found = skill_rows(skill, errors, settings.bootstrap)
-    return {name: row | {f"robot_h_{skill}": hours * float(np.mean(counts[name]))} for name, row in found.items()}
+    scored = skill_rows(skill, errors, settings.bootstrap)
+    return {name: row | {f"robot_h_{skill}": hours * float(np.mean(counts[name]))} for name, row in scored.items()}
 
 
 def _by_object(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
@@ -91,7 +91,7 @@ def _by_object(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
 
 def _robot_seconds(samples: Sequence[Sample]) -> float:
     """Median time from one grasp of an object to the next, as they were recorded [s]."""
-    gaps = [np.diff(sorted(one.stamp_ns for one in own)) for own in _by_object(samples).values()]
+    gaps = [np.diff(sorted(sample.stamp_ns for sample in own)) for own in _by_object(samples).values()]
     return float(np.median(np.concatenate(gaps))) / 1e9
 
 

@@ -43,8 +43,10 @@ class TimedReadings:
         tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-        read_as = [(one.extra, one.touch.channels) for one in samples if one.touch is not None]  # all of them
-        tdc, tare_tdc = (np.array([tdc_of(*one, prefix) for one in read_as]) for prefix in ("", "tare_"))
+        read_as = [
+            (sample.extra, sample.touch.channels) for sample in samples if sample.touch is not None
+        ]  # all of them
+        tdc, tare_tdc = (np.array([tdc_of(*reading, prefix) for reading in read_as]) for prefix in ("", "tare_"))
         read = {"tares": tares, "tdc": tdc, "tare_tdc": tare_tdc}
         some = {name: None if np.isnan(rows).all() else rows for name, rows in read.items()}
         return cls(stamps, objects, labels, expected, known=known, **some)
@@ -218,13 +220,13 @@ def replay_model(model: TouchModel, samples: Sequence[Sample], history: Sequence
             tare = Touch(model.usable_values(sample.tare, sample.id), sample.tare.channels)
             ordered[k] = with_readings(sample, tare=tare)
         try:
-            one = model.estimate_executed(sample.cloud, [sample.grasp])
+            estimate = model.estimate_executed(sample.cloud, [sample.grasp])
         except GraspError as err:
             raise ModelError(f"{sample.id}: {err}") from err
-        expected[k], known[k] = one.counts[0], one.in_distribution[0]
-        where.append(one.where)
+        expected[k], known[k] = estimate.counts[0], estimate.in_distribution[0]
+        where.append(estimate.where)
     recording = TimedReadings.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
-    described = [one for one in where if one is not None]
+    described = [features for features in where if features is not None]
     recording = replace(recording, where=np.concatenate(described)) if len(described) == len(where) else recording
     played = replay(SensorTracker(model.calibration.tracker_parameters), recording)
     return ModelReplay(ordered, recording, played, np.array([mine for _, mine in flagged], np.bool_))

@@ -111,7 +111,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._sensor = sensor = self._hand.sensor
         kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
         self._solver: Worker[tuple[GraspArray, float]] = Worker(
-            "hand-contact", lambda one: self._solve(*one), lambda _, why: self._drop(why), depth=4
+            "hand-contact", lambda job: self._solve(*job), lambda _, why: self._drop(why), depth=4
         )
         self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
         self._message_class: Any = kind

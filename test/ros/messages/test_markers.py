@@ -8,11 +8,11 @@ from std_msgs.msg import Header
 
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.pipeline import Pipeline
-from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.clouds import object_to_msg
 from foretouch.ros.messages.markers import object_markers, touch_markers
 from foretouch.tactile import P2_RANGES, Ranges, biotac_touch
 from foretouch.tactile.description import packaged_sensor
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Grasp, Prediction, Touch
 from foretouch_msgs.msg import ObjectArray, TablePlane
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read depth images from files, and the cameras that they are of, as drivers, Open3D, RealSense and GraspNet write them.
 
-Depth: PNG of 16 bits, TIFF of 16 bits or floats, `.npy` with (H, W) numbers, `.npz` with `depth` and perhaps `K`. Cameras: YAML
+Depth: PNG of 16 bits, TIFF of 16 bits or floats, `.npy` with (H, W) numbers, `.npz` with `depth`, `depth_mm` or `depth_m`, and perhaps `K`. Cameras: YAML
 of ROS (`camera_info`, or what `ros2 topic echo` prints), JSON of Open3D and RealSense, `meta.mat` of GraspNet, and (3, 3)
 matrices as text.
 """

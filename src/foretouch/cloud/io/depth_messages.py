@@ -20,7 +20,7 @@ from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import AnyArray, Cloud, Float32, UInt8
 from foretouch.types.camera import MODELS, CameraModel
 
-_decode_rvl = Kernel("decode_rvl", np.uint8, int, int, np.uint16, np.int64)
+_decode_rvl = Kernel("decode_rvl")
 
 ENCODINGS: Final = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 """Encodings of depth images, with the type of a pixel."""

@@ -18,9 +18,7 @@ from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Int64
 
-_find = Kernel(
-    "find_background", *(np.float32, int, int, np.int32, int, float, np.float64, np.int64, np.float32, np.int64)
-)
+_find = Kernel("find_background")
 
 ENTERS = "enters_view"
 REASONS = ("", ENTERS, "beyond_table", "floating", "wall")

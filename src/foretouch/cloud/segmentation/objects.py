@@ -15,12 +15,8 @@ from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float64, Int32, Int64, Plane
 
-_collect_members = Kernel(
-    "collect_members",
-    *(np.int32, np.uint8, int, int, int, int, np.float32, int, np.float32, int),
-    *(np.int64, np.int64, np.float32, np.float64, np.float32, np.float32),
-)
-_write = Kernel("write_ids", np.int32, int, int, int, int, np.int32, int, np.int32, np.int64)
+_collect_members = Kernel("collect_members")
+_write = Kernel("write_ids")
 
 AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a rule had to choose between equal objects
 

@@ -27,12 +27,8 @@ from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Int64
 
-_split = Kernel(
-    "split_clusters",
-    *(np.float32, int, int, int, int, np.float64, np.uint8, np.int32, np.int64),
-    *(np.float32, int, int, np.float64, int),
-)
-_concave = Kernel("concave_nodes", *(np.float32, int, int, int, int, int, float, float), np.int32, np.int64)
+_split = Kernel("split_clusters")
+_concave = Kernel("concave_nodes")
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_border", "joined_hidden")
 TREES = Path(__file__).with_name("same_object.safetensors")

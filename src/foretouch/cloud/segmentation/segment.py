@@ -37,8 +37,8 @@ SegmentationStatus = Literal[
     "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
 ]
 
-_count_range = Kernel("count_range", np.float32, int, float, float, np.int64)
-_coarse_grid = Kernel("coarse_grid", np.float32, int, int, int, float, float, np.float32, np.int64, np.int64)
+_count_range = Kernel("count_range")
+_coarse_grid = Kernel("coarse_grid")
 
 _MIN_POINTS = 100  # in range
 _PLANE_POINTS = 2048  # sampled to fit the plane

@@ -14,9 +14,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.grasp.pose import taxels_at
 from foretouch.report.hand_figure import COLOURS, hand_lines
-from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.conversions import evidence_text, point_to_msg
 from foretouch.tactile import Ranges
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Float64, Grasp, Prediction, Touch
 from foretouch_msgs.msg import ObjectArray, TablePlane
 

@@ -28,9 +28,9 @@ from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
+from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
-from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.ros.runtime.subscription import type_name
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Sample

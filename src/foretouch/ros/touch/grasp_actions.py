@@ -18,8 +18,8 @@ from std_msgs.msg import Header
 
 from foretouch.errors import described
 from foretouch.grasp.hand import tool_of
+from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
-from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.requests import Latest, RefusalError, no_latest_cloud
 from foretouch.ros.touch.config import COSTS, HARDER_FINGER, SCORE, TouchSettings

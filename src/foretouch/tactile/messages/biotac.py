@@ -64,13 +64,13 @@ def finger_counts(message: Any, finger: str) -> Float32:
 
 
 def _biotac_all(message: Any, fingers: Sequence[str]) -> list[Float32]:
-    found = []
+    rows = []
     for finger in fingers:
         counts, tactile = finger_counts(message, finger), message.tactiles[FINGER_ORDER.index(finger)]
         if len(counts) != 1 + ELECTRODES:
             raise TactileError(f"{finger}: {len(counts) - 1} electrodes, a BioTac SP has {ELECTRODES}")
-        found.append(np.append(counts, [np.float32(getattr(tactile, name.lower())) for name in OTHERS]))
-    return found
+        rows.append(np.append(counts, [np.float32(getattr(tactile, name.lower())) for name in OTHERS]))
+    return rows
 
 
 def _tactile_state(message: Any, fingers: Sequence[str]) -> list[Float32]:
@@ -91,5 +91,5 @@ def _csv(message: Any, fingers: Sequence[str]) -> list[Float32]:
         values = np.array(fields[1:], np.float32).reshape(len(_SENSORS), _PER_SENSOR)[:, ::2]  # every second is PAC
     except ValueError as err:
         raise TactileError(f"CSV: {err}") from err
-    found = [values[int(finger)] for finger in fingers]
-    return [np.r_[one[ELECTRODES], one[:ELECTRODES], one[ELECTRODES + 1 :]] for one in found]
+    rows = [values[int(finger)] for finger in fingers]
+    return [np.r_[row[ELECTRODES], row[:ELECTRODES], row[ELECTRODES + 1 :]] for row in rows]

@@ -101,7 +101,7 @@ class TactileReader:
     @property
     def temperatures(self) -> frozenset[str]:
         """Those of `others` that contact does not change, such as `TDC_TH`, which samples state besides the touch."""
-        names = [one.name for one in self.sensor.config.scalars if one.contact == "none"]
+        names = [scalar.name for scalar in self.sensor.config.scalars if scalar.contact == "none"]
         return frozenset(f"{name}_{finger}" for name in names for finger in self.channels.fingers)
 
 

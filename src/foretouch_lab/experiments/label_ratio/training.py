@@ -71,7 +71,9 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {**_RECIPES, "P2": {"batch_norm": "per_source", "batch_size": 32, "epochs": 50}},
     SRGAN: {
         **{
-            f"{one}, {name}": _reading(one, name) for one in ("batch_means", "as_printed", "srgan") for name in _RECIPES
+            f"{statistics}, {name}": _reading(statistics, name)
+            for statistics in ("batch_means", "as_printed", "srgan")
+            for name in _RECIPES
         },
         "batch_means w_U 0.1 w_F 0.01, batch 0.001": _reading(
             "batch_means", "batch 0.001", weight_unlabeled=0.1, weight_fake=0.01
@@ -227,8 +229,8 @@ def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Flo
     actual, mean = labels_of(test)[:, own], labels_of(train)[:, own].mean(axis=0)
     both = {"squared": ((predicted - actual) ** 2).mean(axis=1), "reference": ((mean - actual) ** 2).mean(axis=1)}
     names = np.array([sample.object for sample in test])
-    found = {
+    errors = {
         str(name): {what: values[names == name].round(3).tolist() for what, values in both.items()}
         for name in np.unique(names)
     }
-    return {"labelled": len(split.train), "objects": found}
+    return {"labelled": len(split.train), "objects": errors}

@@ -65,7 +65,11 @@ def ordered(data: Dataset) -> list[Sample]:
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
     """A cell for each predictor and object."""
     objects = sorted({sample.object for sample in labelled(data)})
-    return [Cell(f"{one}+{name}", {"predictor": one, "name": name}) for one in settings.predictors for name in objects]
+    return [
+        Cell(f"{predictor}+{name}", {"predictor": predictor, "name": name})
+        for predictor in settings.predictors
+        for name in objects
+    ]
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
@@ -78,8 +82,8 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
         row: Row = {"run": run, "runs": int(runs[-1]) + 1, "readings": whole.readings[runs == run].tolist()}
         if run > 0:
             shown = replace(whole.take(runs <= run), expected=expected_before(samples, runs <= run, runs < run, fit))
-            found = predict_run(shown, *parameters)
-            row |= {what: {name: one.tolist() for name, one in own.items()} for what, own in found.items()}
+            predicted = predict_run(shown, *parameters)
+            row |= {what: {name: values.tolist() for name, values in own.items()} for what, own in predicted.items()}
         rows.append(row)
     return rows
 
@@ -107,12 +111,12 @@ def expected_before(samples: Sequence[Sample], shown: Any, past: Any, fit: Basel
     """
     names = np.array([sample.object for sample in samples])
     target, count = names[shown][-1], int(shown.sum())
-    found = np.tile(labels_of(list(compress(samples, past))).mean(axis=0), (count, 1))
+    expected = np.tile(labels_of(list(compress(samples, past))).mean(axis=0), (count, 1))
     for name in np.unique(names[shown]):
         train = past & ~np.isin(names, [name, target])
         if len(np.unique(names[train])) >= _FEWEST_OBJECTS:
-            found[names[shown] == name] = _predicted(samples, train, shown & (names == name), fit)
-    return found
+            expected[names[shown] == name] = _predicted(samples, train, shown & (names == name), fit)
+    return expected
 
 
 def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:

@@ -45,7 +45,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         train_index, test_index = np.arange(len(train)), np.arange(len(train), len(data))
         predicted = np.empty((len(test), TOUCH_SIZE))
         together = model.outputs == MODALITIES
-        for outputs in [MODALITIES] if together else [(one,) for one in MODALITIES]:
+        for outputs in [MODALITIES] if together else [(modality,) for modality in MODALITIES]:
             part = replace(data, config=model.replace(outputs=outputs))
             predicted[:, BIOTAC.columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
         if not together:

@@ -71,7 +71,7 @@ class Dataset:
     def _with(self, change: Callable[[Float64], Float64]) -> tuple[Sample, ...]:
         samples = list(self.samples)
         for name in ("touch", "tare"):
-            read = [(k, touch) for k, one in enumerate(samples) if (touch := getattr(one, name)) is not None]
+            read = [(k, touch) for k, sample in enumerate(samples) if (touch := getattr(sample, name)) is not None]
             values = np.array([touch.values for _, touch in read]).reshape(len(read), self.sensor.channels.size)
             for (k, touch), old, new in zip(read, values, change(values), strict=True):
                 if not np.array_equal(old, new):
@@ -207,7 +207,7 @@ def dataset_of(
         raise DatasetError(f"{name}: holds no sample")
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path or name}: two samples have one id")
-    labels = [one.touch for one in samples if one.touch is not None]
+    labels = [sample.touch for sample in samples if sample.touch is not None]
     if sensor is None:
         known = labels[0].channels.sensor if labels else BIOTAC_SP.config.name
         sensor = packaged_sensor(known) if known in sensor_files() else BIOTAC_SP
@@ -219,7 +219,7 @@ def dataset_of(
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
     stored = path is not None and (path / SPLITS_FILE).is_file()
     parts, omitted = read_splits(path) if stored and path else parse_splits(make_splits(facts).encode())
-    places = {one.id: k for k, one in enumerate(samples)}
+    places = {sample.id: k for k, sample in enumerate(samples)}
     splits = {kind: [_fold(part, places) for part in parts[kind]] for kind in parts}
     values = [touch.values for touch in labels if touch.channels == sensor.channels]
     sensor = with_dead_taxels(sensor, np.array(values)) if values else sensor
@@ -228,9 +228,11 @@ def dataset_of(
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
     """A part of `splits.json`, from the place of each sample by its id."""
-    if unknown := [one for side in SIDES for one in part.get(side, ()) if one not in places]:
+    if unknown := [sample_id for side in SIDES for sample_id in part.get(side, ()) if sample_id not in places]:
         raise DatasetError(f"split {part['name']}: {unknown[0]}: is not among the samples")
-    train, test, unlabelled = (np.array([places[one] for one in part.get(side, ())], np.intp) for side in SIDES)
+    train, test, unlabelled = (
+        np.array([places[sample_id] for sample_id in part.get(side, ())], np.intp) for side in SIDES
+    )
     return Fold(np.sort(train), test, part["name"], unlabelled)
 
 

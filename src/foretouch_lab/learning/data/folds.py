@@ -60,10 +60,10 @@ def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: i
     """
     parts = zip(*[(predict, fold) for predict, folds in jobs.values() for fold in folds], strict=True)
     with process_pool(workers, _one_thread) if workers > 1 else nullcontext() as pool:
-        found = iter(list(map(_predict, *parts) if pool is None else pool.map(_predict, *parts)))
+        predicted = iter(list(map(_predict, *parts) if pool is None else pool.map(_predict, *parts)))
     result = {}
     for name, (_, folds) in jobs.items():
-        rows = np.concatenate(list(islice(found, len(folds))))
+        rows = np.concatenate(list(islice(predicted, len(folds))))
         result[name] = np.empty_like(rows)
         result[name][np.concatenate([fold.test for fold in folds])] = rows
     return result

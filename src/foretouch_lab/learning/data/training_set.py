@@ -175,9 +175,9 @@ def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
     grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
     rows = []
     for i in index:
-        one = np.array([i])
-        points = torch.from_numpy(data.points(one, np.random.default_rng(SAMPLER_SEED))).to(device)
-        grasp = None if grasps is None else grasps[one]
+        row = np.array([i])
+        points = torch.from_numpy(data.points(row, np.random.default_rng(SAMPLER_SEED))).to(device)
+        grasp = None if grasps is None else grasps[row]
         with torch.inference_mode():
             rows.append(net.counts(points, grasp))
     return torch.cat(rows).cpu().numpy().astype(np.float64)

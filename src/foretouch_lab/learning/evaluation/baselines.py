@@ -139,8 +139,8 @@ def clock(train: Sequence[Sample], labels: Float64, test: Sequence[Sample], _see
     return np.asarray(mean + _level(wanted, known) @ weight, np.float64)
 
 
-def _level(one: Float64, other: Float64) -> Float64:
-    return np.asarray(np.exp(-np.abs(one[:, None] - other) / _MEMORY_DAYS), np.float64)
+def _level(days: Float64, other: Float64) -> Float64:
+    return np.asarray(np.exp(-np.abs(days[:, None] - other) / _MEMORY_DAYS), np.float64)
 
 
 def predict_part(baseline: Baseline, samples: Sequence[Sample], seed: int, fold: Fold) -> Float64:
@@ -150,8 +150,8 @@ def predict_part(baseline: Baseline, samples: Sequence[Sample], seed: int, fold:
 
 
 BASELINES: Final[dict[str, Baseline]] = {
-    one.__name__: one
-    for one in (training_mean, object_mean, object_time_trees, geometry_trees, geometry_trees_pose_free)
+    predict.__name__: predict
+    for predict in (training_mean, object_mean, object_time_trees, geometry_trees, geometry_trees_pose_free)
 }
 
 

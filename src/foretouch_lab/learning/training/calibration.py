@@ -143,11 +143,11 @@ def calibrate_on_folds(
     channels = channels_of(samples)
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])
-    found = {
+    held_out = {
         name: HeldOutPredictions(predicted[name], labels, objects, sessions, channels)
         for name, (_, sessions) in conditions.items()
     }
-    calibration, facts = make_calibration(rest, found)
+    calibration, facts = make_calibration(rest, held_out)
     if all(sample.stamp_ns > 0 for sample in samples):
         recording = replace(TimedReadings.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
@@ -286,15 +286,15 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
         The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out
         of the calibration, by modality and by object.
     """
-    regimes = {name: fit_group(one, new=name == "new") for name, one in held_out.items()}
+    regimes = {name: fit_group(predictions, new=name == "new") for name, predictions in held_out.items()}
     facts = {
         name: {
-            "objects": len(np.unique(one.objects)),
-            "samples": len(one.labels),
-            "cut": round(conformal_level(len(np.unique(one.objects))), 4),
-            "coverage": coverage_by_object(one),
+            "objects": len(np.unique(predictions.objects)),
+            "samples": len(predictions.labels),
+            "cut": round(conformal_level(len(np.unique(predictions.objects))), 4),
+            "coverage": coverage_by_object(predictions),
         }
-        for name, one in held_out.items()
+        for name, predictions in held_out.items()
     }
     return Calibration(held_out["new"].channels, rest, regimes), {"level": COVERAGE, "regimes": facts}
 
@@ -303,11 +303,11 @@ def guarantee(calibration: Mapping[str, Any]) -> str:
     """One line for a card, from the facts of `make_calibration`: the coverage that this many objects can guarantee."""
     new = calibration["regimes"]["new"]
     objects = new["objects"]
-    found = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
+    coverage = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
     least = min(min(table.values()) for table in new["coverage"].values())
     return (
         f"Intervals of {calibration['level']:.0%}: from {objects} objects, a distribution-free guarantee for one more cannot exceed "
-        f"{objects / (objects + 1):.0%}. Mean coverage of objects left out: {found}; of the worst of them {least:.2f}."
+        f"{objects / (objects + 1):.0%}. Mean coverage of objects left out: {coverage}; of the worst of them {least:.2f}."
     )
 
 
@@ -316,15 +316,15 @@ def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, floa
 
     Empty for a single object, which leaves none to calibrate on.
     """
-    found: dict[str, dict[str, float]] = {modality: {} for modality in held_out.channels.modalities}
+    by_modality: dict[str, dict[str, float]] = {modality: {} for modality in held_out.channels.modalities}
     names = np.unique(held_out.objects)
     for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
         inside = np.abs(mine.labels - mine.predicted) <= _half_widths(held_out.take(held_out.objects != name))
-        for modality, shares in found.items():
+        for modality, shares in by_modality.items():
             shares[str(name)] = round(float(inside[:, held_out.channels.modality_columns[modality]].mean()), 3)
     return {
         modality: {"mean": round(float(np.mean(list(shares.values()))), 3), **shares}
-        for modality, shares in found.items()
+        for modality, shares in by_modality.items()
         if shares
     }

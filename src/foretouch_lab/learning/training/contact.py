@@ -64,7 +64,7 @@ def choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], channel
         return max(_RIDGES), np.zeros(len(channels.modalities))
     products, powers = _held_out(rows, scaled, np.asarray(objects), channels)
     best = int(np.argmin((powers - 2.0 * products).sum(axis=(1, 2))))
-    return _RIDGES[best], np.array([shrunken_slope(*one) for one in zip(products[best], powers[best], strict=True)])
+    return _RIDGES[best], np.array([shrunken_slope(*terms) for terms in zip(products[best], powers[best], strict=True)])
 
 
 def _held_out(
@@ -131,13 +131,13 @@ class ContactTrainingConfig(Settings):
 def describe_samples(samples: Sequence[Sample]) -> Float64:
     """(S, F) float64 features of each sample's grasp; raises `DatasetError` if a cloud cannot be used."""
     return np.concatenate(
-        [_of(sample, lambda one: HandFrameFeatures(one.cloud.xyz).describe([one.grasp])) for sample in samples]
+        [_of(sample, lambda shown: HandFrameFeatures(shown.cloud.xyz).describe([shown.grasp])) for sample in samples]
     )
 
 
 def describe_objects(samples: Sequence[Sample]) -> Float64:
     """(S, 8) float64 `object_sizes` of each sample's cloud; raises as `describe_samples`."""
-    return np.array([_of(sample, lambda one: object_sizes(one.cloud.xyz)) for sample in samples])
+    return np.array([_of(sample, lambda shown: object_sizes(shown.cloud.xyz)) for sample in samples])
 
 
 def _of(sample: Sample, describe: Callable[[Sample], Float64]) -> Float64:
@@ -198,7 +198,9 @@ def fit_contact(
     # Of a value that never changes, such as the force of a taxel beyond all contacts.
     deviation = np.where(deviation > 0.0, deviation, channels.resolution)
     same = np.ptp(labels, axis=0) == 0.0
-    noisy = channels.by_modality([one.noise > 0.0 for one in channels.channel_of.values()])  # and so never the same
+    noisy = channels.by_modality(
+        [channel.noise > 0.0 for channel in channels.channel_of.values()]
+    )  # and so never the same
     if (constant := same & (noisy | same.all())).any():
         raise DatasetError(f"contact model: value {int(np.argmax(constant))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
@@ -305,6 +307,6 @@ class ContactPredictor:
         if new:
             pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)
             self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
-        found = [self._predicted[sample.id] for sample in samples]
-        counts = np.array([counts for counts, _ in found]).reshape(len(found), self._channels.size)
-        return counts, np.array([familiar for _, familiar in found], np.bool_)
+        predictions = [self._predicted[sample.id] for sample in samples]
+        counts = np.array([counts for counts, _ in predictions]).reshape(len(predictions), self._channels.size)
+        return counts, np.array([familiar for _, familiar in predictions], np.bool_)
