@@ -34,7 +34,7 @@ from foretouch.ros.nodes.touch_predictor import TouchPredictorConfig
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile.messages.table import make_reader
+from foretouch.tactile.messages.readers import make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
@@ -177,7 +177,7 @@ def predicted() -> Reader:
         posing = config.grasp if table else None
         arrays = len(request.contacts) or len(request.rotations)
         grasps = read_arrays(request) if arrays else request.grasps
-        answer = predictor.finish(predictor.answer(targets, grasps, request.cloud.header, config, posing), 1.0, 0.5)
+        answer = predictor.answer(targets, grasps, request.cloud.header, config, posing)
         (check_batch if arrays else check_predictions)(answer.reply)
 
     return [touch_request(), array_request()], read
