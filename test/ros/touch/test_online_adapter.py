@@ -25,18 +25,18 @@ from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.history import History
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
-from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, stamp_ns
 
 pytestmark = pytest.mark.ros
 
