@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,7 @@ import numpy as np
 from foretouch.errors import ForetouchError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp, Prediction
+from foretouch.types import Grasp, Prediction, stamp_ns
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -51,6 +50,12 @@ def prediction_record(prediction: Prediction) -> dict[str, Any]:
     }
 
 
+def contacts_text(grasp: Mapping[str, Any]) -> str:
+    """Format the contacts of a grasp record in one line, with their distance."""
+    g1, g2 = (" ".join(f"{value:.3f}" for value in grasp[name]) for name in ("g1", "g2"))
+    return f"g1 {g1}, g2 {g2} m, {1e3 * math.dist(grasp['g1'], grasp['g2']):.0f} mm wide"
+
+
 def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> dict[str, Any]:
     """A `touch` message of a sensor as `run --json` prints it."""
     from foretouch.ros.messages.requests import status_name
@@ -79,11 +84,12 @@ def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, An
 def modality_text(
     value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None, text: Callable[[float], str] = "{:.0f}".format
 ) -> str:
-    """Value and half width of a single number; of several, least and largest value and mean half width."""
+    """Format a single number with its half width; of several, the least and largest value, and the mean half width of each."""
     if value is None:
         return "refused"
     values = np.atleast_1d(value)
     found = f"{text(values.min())}–{text(values.max())}" if values.size > 1 else text(values[0])
     if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
         return found
-    return f"{found} ±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
+    half = f"±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
+    return f"{found}\neach {half}" if values.size > 1 else f"{found} {half}"

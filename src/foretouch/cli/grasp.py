@@ -4,6 +4,7 @@
 import argparse
 from collections.abc import Iterator
 from functools import partial
+from math import dist
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from foretouch.pipeline import Pipeline
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The common inputs and the settings of GeoGrasp."""
+    """Declare the common inputs and the settings of the planner."""
     inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument("--tip-mm", type=float, metavar="MM", help="size of the gripper's fingertip [mm] (default: 25)")
     parser.add_argument("--count", type=int, metavar="K", help="maximum number of grasps (default: 1)")
@@ -63,10 +64,16 @@ def _plan(
 
 def _show(record: dict[str, Any]) -> None:
     rows = [
-        [str(rank), _point(grasp["g1"]), _point(grasp["g2"]), f"{grasp['score']:.3f}".replace("nan", "–")]
+        [
+            str(rank),
+            _point(grasp["g1"]),
+            _point(grasp["g2"]),
+            f"{1e3 * dist(grasp['g1'], grasp['g2']):.0f}",
+            f"{grasp['score']:.3f}".replace("nan", "–"),
+        ]
         for rank, grasp in enumerate(record["grasps"], 1)
     ]
-    print_table(inputs.heading(record), ["rank", "g1 [m]", "g2 [m]", "score (higher is better)"], rows)
+    print_table(inputs.heading(record), ["rank", "g1 [m]", "g2 [m]", "width [mm]", "score"], rows)
 
 
 def _point(xyz: Any) -> str:

@@ -445,4 +445,4 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
         "n_too_deep": f"without a way in for hand.name {hand.name}: the object is deeper than its fingers",
     }
     found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
-    return f"none of {counts['n_lines']} closing lines can be executed: {'; '.join(found)}"
+    return f"none of {counts['n_lines']} grasps can be executed: {'; '.join(found)}"
