@@ -16,6 +16,7 @@ import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, nearest, shown
+from foretouch.grasp.pose import cross
 from foretouch.types import Float32, Float64, Floating, Int32
 
 FINGER, THUMB, PALM = "finger", "thumb", "palm"
@@ -33,7 +34,7 @@ _FREE_STEP_M: Final = 0.005
 _WIDER_M: Final = 0.002  # on either side of a line, where the object is not seen to end
 _CELL_M: Final = 0.0025
 _WIDTH_STEP_M: Final = 0.0025
-_PALM_CELLS, _FINGER_CELLS = 1, 2  # around a part of the hand that it takes, too, since widths are estimated
+_PALM_CELLS, _FINGER_CELLS = 3, 2  # around a part of the hand that it takes, too, since widths are estimated
 _CELLS: Final = 200  # of the grid over a hand, in either direction
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _SIDES: Final = {FINGER: -0.5, PALM: 0.0, THUMB: 0.5}  # of the width, where the origin of such a box is
@@ -192,6 +193,31 @@ class Hand:
         below = np.outer(np.cos(TILTS), np.minimum(corners[:, 2], self.config.tip_radius_m))
         beside = np.outer(np.sin(TILTS), corners[:, 1])
         return np.stack([(sign * beside - below).min(axis=1, initial=_UNLIMITED_M) for sign in (1.0, -1.0)])
+
+    def fingertip(self, part: str, width_m: float) -> Float64:
+        """Orient a fingertip at a grasp as the last box of its finger.
+
+        Args:
+            part: `FINGER` or `THUMB`.
+            width_m: Of the grasp.
+
+        Returns:
+            (3, 3) float64, proper rotation, columns in the frame of the grasp: x along the longest edge to the tip; z away from
+            the pad, which is the face that looks most to the other contact.
+        """
+        last = len(self.parts) - 1 - self.parts[::-1].index(part)
+        corners = self.at(width_m).corners[last]
+        edges = corners[[4, 2, 1]] - corners[0]
+        lengths = np.linalg.norm(edges, axis=1)
+        axes = edges / lengths[:, None]
+        x = axes[np.argmax(lengths)]
+        if x @ (np.array([self._sides[last] * width_m, 0.0, 0.0]) - corners.mean(axis=0)) < 0.0:
+            x = -x
+        faces = np.delete(axes, np.argmax(lengths), axis=0)
+        z = faces[np.argmax(np.abs(faces[:, 0]))]
+        if z[0] * self._sides[last] < 0.0:
+            z = -z
+        return np.column_stack([x, cross(z, x), z])
 
     def opened(self, width_m: float, share: float = 1.0) -> Float64:
         """(B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
