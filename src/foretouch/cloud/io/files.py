@@ -160,10 +160,10 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
         if math.prod(shape) * dtype.itemsize > len(content):  # NumPy would take the memory first
             raise ValueError(f"shape {shown(shape)} of {dtype} needs more bytes than there are")
         stream.seek(0)
-        found: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
+        array: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
     except _DAMAGE as err:
         raise FileError(path, f"is damaged or contains objects: {described(err)}", field=field) from err
-    return found
+    return array
 
 
 def _coordinates(path: Path, xyz: AnyArray) -> Float32:
