@@ -286,7 +286,9 @@ def report_conflicts(graph: Graph) -> list[str]:
     """Print the signs of a second graph in the namespace, and return them."""
     found = graph.conflicts()
     if found:
-        warn(f"a second graph or source runs in the namespace: {'; '.join(found)}")
+        warn(
+            f"a second graph or source runs in the namespace: {'; '.join(found)}; end one, or set another --namespace or ROS_DOMAIN_ID"
+        )
     return found
 
 
@@ -337,14 +339,14 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     conflicts = report_conflicts(graph)
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": view.answers, "reasons": view.reasons}
+        counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
         if "hand" in graph.nodes:
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         _print_end(arguments.lines, counts)
     else:
-        terminal().print(
-            live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
-        )
+        answers = f"{answered} of {played} clouds answered"
+        unanswered = f", {played - answered} dropped or under way" if complete and played > answered else ""
+        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}{unanswered}"))
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:

@@ -143,11 +143,6 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             "path": str(arguments.out),
         })  # fmt: skip
         return
-    ran = sorted((seconds_of[name] / count, name) for name in calls)
-    slowest = ", ".join(f"{name} {1e3 * seconds:.1f}" for seconds, name in reversed(ran[-3:]))
-    print(
-        f"{len(ran)} of {len(plans)} effects ran, as the scene needs them (--explain lists all); slowest: {slowest} ms a sample"
-    )
     failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
     print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")
     print(f"sha256 {sha256}")

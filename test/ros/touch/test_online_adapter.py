@@ -25,18 +25,18 @@ from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.history import History
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
-from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, stamp_ns
 
 pytestmark = pytest.mark.ros
 
@@ -299,3 +299,15 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
         done = subprocess.run(command, env=graph.environment(), capture_output=True, text=True, timeout=60, check=False)
         assert (done.returncode, done.stdout) == (status, text), done.stderr
     assert done.stderr == "foretouch: /no/forget_history: no such service within 0.2 s: is the graph running?\n"
+
+
+def test_the_memory_for_clouds_is_bounded_and_named(card) -> None:
+    hand = DirectHand(str(card), pairing=PAIRING | {"kept_mb": 1.0})
+    hand.see("first")
+    assert hand.notes()["clouds.kept"] == "1"
+    for number in range(200):
+        hand.now += MS
+        hand.see(f"cloud {number}")
+    notes = hand.notes()
+    assert 0.9 <= float(notes["clouds.kept_mb"]) <= 1.0
+    assert 20 <= int(notes["clouds.kept"]) < 200

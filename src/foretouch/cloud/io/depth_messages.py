@@ -16,8 +16,7 @@ import numpy as np
 
 from foretouch.errors import CalibrationError, CloudError, shown
 from foretouch.kernels import Kernel
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import AnyArray, Cloud, Float32, UInt8
+from foretouch.types import AnyArray, Cloud, Float32, UInt8, stamp_ns
 from foretouch.types.camera import MODELS, CameraModel
 
 _decode_rvl = Kernel("decode_rvl")
@@ -283,7 +282,7 @@ class CameraInfos:
             self._missing_s = now_s
         info, image = info_topic(self.topic), f"an image of {_named(place)}"
         for reason, same in (("other_size", slice(0, 1)), ("other_frame", slice(1, 3))):
-            others = [_named(one) for one in self._known if one[same] == place[same]]
+            others = [_named(other) for other in self._known if other[same] == place[same]]
             if others:
                 return CalibrationError(f"{info}: is of {', '.join(others)}, not of {image}", reason)
         reason = "awaits_camera_info" if now_s - self._missing_s < _PATIENCE_S else "no_camera_info"

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -25,16 +25,10 @@ from foretouch.files import read_bytes, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
 
 _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
-_DEPTH_NAMES: Final = (
-    "depth",
-    "K",
-    "intrinsics",
-    "intrinsic_matrix",
-    "camera_matrix",
-    "D",
-    "depth_scale",
-    "factor_depth",
-)
+_PER_METRE: Final = {"depth": None, "depth_mm": 1000.0, "depth_m": 1.0}
+"""Names of depth images in archives, with their units per metre; `depth` is of the unit that `DepthCamera` says."""
+
+_DEPTH_FACTS: Final = ("K", "intrinsics", "intrinsic_matrix", "camera_matrix", "D", "depth_scale", "factor_depth")
 _POINT_WIDTH: Final = 8  # numbers of a point in a table
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 _NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
@@ -125,10 +119,12 @@ def _read_numbers(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
         array = _array(path, read_bytes(path, SIZE_LIMIT))
         depth = array.ndim in (2, 3) and array.shape[1] > _POINT_WIDTH and array.shape[-1] != 3  # else a list of points
         return camera.cloud(path, array) if depth else Cloud(_coordinates(path, array))
-    arrays = read_arrays(path, (), ("xyz", *_OPTIONAL, *_DEPTH_NAMES))
-    if "depth" in arrays and "xyz" not in arrays:
-        depth = arrays.pop("depth")
-        return camera.cloud(path, depth, arrays)
+    arrays: dict[str, Any] = read_arrays(path, (), ("xyz", *_OPTIONAL, *_PER_METRE, *_DEPTH_FACTS))
+    name = next((name for name in _PER_METRE if name in arrays), None)
+    if name is not None and "xyz" not in arrays:
+        if (per_metre := _PER_METRE[name]) is not None:
+            arrays.setdefault("factor_depth", per_metre)
+        return camera.cloud(path, arrays[name], arrays)
     return archived_cloud(path, read_arrays(path, ["xyz"], _OPTIONAL))
 
 
@@ -164,10 +160,10 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
         if math.prod(shape) * dtype.itemsize > len(content):  # NumPy would take the memory first
             raise ValueError(f"shape {shown(shape)} of {dtype} needs more bytes than there are")
         stream.seek(0)
-        found: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
+        array: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
     except _DAMAGE as err:
         raise FileError(path, f"is damaged or contains objects: {described(err)}", field=field) from err
-    return found
+    return array
 
 
 def _coordinates(path: Path, xyz: AnyArray) -> Float32:

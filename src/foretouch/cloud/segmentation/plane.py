@@ -265,7 +265,7 @@ def _fault(fraction: float, peak: float, spread: float, least: float) -> str:
     if fraction < least:
         return f"the largest plane holds {fraction:.0%} of the points, less than {least:.0%}"
     if spread < _MIN_SPREAD_M:
-        return f"the largest plane is {spread * 1e3:.1f} mm narrow, less than {_MIN_SPREAD_M * 1e3:g} mm"
+        return f"the largest plane is {spread * 1e3:.1f} mm wide, less than {_MIN_SPREAD_M * 1e3:g} mm"
     if peak < _MIN_PEAK:
         return f"the largest plane holds {peak:.0%} of the points around it, less than {_MIN_PEAK:.0%}: a blob"
     return ""

@@ -29,14 +29,14 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import Snapshot, TouchModel
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
-from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
-from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch
+from foretouch.tactile.live_tare import LiveTare
+from foretouch.tactile.messages.table import TactileReader
+from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -139,11 +139,10 @@ class OnlineAdapter:
         *,
         limits: ObjectLimits,
         reach: ReachConfig,
-        model: TouchModel | None = None,
         table: Plane | None = None,
     ) -> Predictions:
-        """Predict as `TouchModel.predict`, adapted to the readings so far; `model` may be a reduced form of the model."""
-        config, model = self._config(), model or self._model
+        """Predict as `TouchModel.predict`, adapted to the readings so far."""
+        config, model = self._config(), self._model
         self.process_touches()
         tare = self._recent_tare(config)
         history = self._history_for(cloud, tare, config) if config.use_touches else None
