@@ -31,7 +31,6 @@ PAIRING: Final = (
 """The rule of folders, for help texts."""
 
 _LIMIT: Final = 1_000_000  # bytes of a file of intrinsics
-_IMAGE_LIMIT: Final = 500_000_000  # bytes of an image
 _DEPTH: Final = re.compile(r"(.+)[-_]depth|depth[-_](.+)", re.IGNORECASE)
 _MASKS: Final = ("mask", "label", "labels", "seg", "segmap")
 _INFOS: Final = ("info", "camera", "camera_info", "camera-info", "intrinsics", "meta")
@@ -81,22 +80,6 @@ class DepthCamera:
         if not np.isfinite(cloud.xyz[..., 2]).any():
             raise FileError(path, f"no pixel of {depth.size} has a depth", field="depth")
         return cloud
-
-
-def read_image(path: Path) -> AnyArray:
-    """Read the pixels of an image as they are stored, (H, W) or with colours (H, W, C); a `FileError` if it cannot be read."""
-    from PIL import Image, UnidentifiedImageError
-
-    if path.stat().st_size > _IMAGE_LIMIT:
-        raise FileError(path, f"has more than {_IMAGE_LIMIT} bytes")
-    try:
-        with Image.open(path) as image:
-            count = int(getattr(image, "n_frames", 1))
-            if count > 1:
-                raise FileError(path, f"holds {count} images, not one", field="depth")
-            return np.asarray(image)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as err:
-        raise FileError(path, f"depth: cannot be read: {described(err)}") from err
 
 
 def _as_depth(depth: AnyArray) -> AnyArray:

@@ -41,11 +41,23 @@ def decode_depth(message: Any) -> AnyArray:
     Raises:
         CloudError: If it is no depth image, or damaged. The message names the field and the rule.
     """
-    return _raw(message) if hasattr(message, "encoding") else _compressed(message)
+    return image_pixels(message, _pixel(message.encoding)) if hasattr(message, "encoding") else _compressed(message)
 
 
-def _raw(message: Any) -> AnyArray:
-    kind = np.dtype(_pixel(message.encoding)).newbyteorder(">" if message.is_bigendian else "<")
+def image_pixels(message: Any, pixel: str) -> AnyArray:
+    """View the pixels of a `sensor_msgs/Image` with one number each.
+
+    Args:
+        message: The image.
+        pixel: Type of a pixel in NumPy's letters, such as `u2`.
+
+    Returns:
+        (H, W) in the byte order of the message, which must stay unchanged as long as they are used.
+
+    Raises:
+        CloudError: If sizes and bytes do not fit together.
+    """
+    kind = np.dtype(pixel).newbyteorder(">" if message.is_bigendian else "<")
     height, width, step = message.height, message.width, message.step
     _check_size(height, width)
     if step < width * kind.itemsize:
