@@ -218,6 +218,8 @@ class Hand:
         z = faces[np.argmax(np.abs(faces[:, 0]))]
         if z[0] * self._sides[last] < 0.0:
             z = -z
+        z = z - (z @ x) * x  # boxes that are interpolated are a little skewed
+        z /= np.linalg.norm(z)
         return np.column_stack([x, cross(z, x), z])
 
     def opened(self, width_m: float, share: float = 1.0) -> Float64:

@@ -65,14 +65,14 @@ def _fingers(job: Job, state: SampleState) -> None:
     lower = job.scene.grasps.insertion_m * _UP
     g1, g2 = world.view.to_world(grasp.g1) - lower, world.view.to_world(grasp.g2) - lower
     rotation = world.view.R_world_camera
-    state.fingers, state.leans, state.turn = (
+    state.fingers, state.pad_angles, state.turn = (
         _finger_frames(g1, g2, rotation @ grasp.rotation, _UP),
         np.zeros((2, 2)),
         np.eye(3),
     )
     if job.scene.hand:
         approach = -_UP if grasp.way is None else rotation @ grasp.way.approach
-        state.fingers, state.leans = _described_frames(load_hand(job.scene.hand), g1, g2, approach)
+        state.fingers, state.pad_angles = _described_frames(load_hand(job.scene.hand), g1, g2, approach)
 
 
 def _finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tuple[ContactFrame, ContactFrame]:
@@ -109,14 +109,14 @@ def _described_frames(
     z = approach - (approach @ x) * x
     z /= np.linalg.norm(z)
     axes = np.column_stack([x, np.cross(z, x), z])
-    frames, leans = [], []
+    frames, angles = [], []
     for part, origin, closing in ((THUMB, g1, -x), (FINGER, g2, x)):
         tip = axes @ hand.fingertip(part, width_m)
-        lean, aside, behind = (closing @ tip).tolist()
-        across = (tip[:, 0] - lean * closing) / math.sqrt(1.0 - lean * lean)
+        ahead, aside, behind = (closing @ tip).tolist()
+        across = (tip[:, 0] - ahead * closing) / math.sqrt(1.0 - ahead * ahead)
         frames.append(ContactFrame(origin, np.column_stack([across, np.cross(closing, across), closing])))
-        leans.append((math.asin(lean), math.atan2(aside, -behind)))
-    return (frames[0], frames[1]), np.array(leans)
+        angles.append((math.asin(ahead), math.atan2(aside, -behind)))
+    return (frames[0], frames[1]), np.array(angles)
 
 
 def _execution_error(job: Job, state: SampleState) -> None:
@@ -157,9 +157,9 @@ def _posture(job: Job, state: SampleState) -> None:
     fingers, rng, array = job.scene.fingers, job.rng(), job.world.array
     postures = []
     chosen = (fingers.thumb_posture, fingers.middle_posture)
-    for finger, frame, lean in zip(chosen, state.fingers, state.leans, strict=True):
+    for finger, frame, posture in zip(chosen, state.fingers, state.pad_angles, strict=True):
         drawn = [np.radians(draw(rng, limits)) for limits in (finger.pitch_deg, finger.roll_deg)]
-        pitch, roll = drawn + lean
+        pitch, roll = drawn + posture
         pad = array.aimed(pitch, roll) if array else contact_frame(fingers.pad, pad_direction(pitch, roll))
         postures.append((pad, frame.rotation @ pad.rotation.T))
     state.postures = postures[0], postures[1]

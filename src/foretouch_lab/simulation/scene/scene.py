@@ -107,12 +107,12 @@ class SceneConfig(Settings):
     clutter: ClutterConfig | None = None
     camera: CameraConfig = CameraConfig()
     grasps: GraspsConfig = GraspsConfig()
-    hand: str = setting(
-        "", "Hand whose posture turns the fingertips: name or YAML file of a description; empty: they face each other"
-    )
     fingers: FingersConfig = FingersConfig()
     gravity: Switch | None = None
     campaign: CampaignConfig | None = None
+    hand: str = setting(
+        "", "Hand whose posture turns the fingertips: name or YAML file of a description; empty: they face each other"
+    )
     fidelity: str = setting(
         "auto", "Contact solver; auto: springs on rigid objects, elastic layers on soft ones", choices=("auto", *LEVELS)
     )
