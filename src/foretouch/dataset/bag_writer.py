@@ -91,7 +91,7 @@ def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOP
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """See `foretouch.dataset.formats`."""
+    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
     with BagWriter(out) as writer:
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
         for record in samples.records(discarded=True):

@@ -70,14 +70,14 @@ class StoredSample(NamedTuple):
 
 
 def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | None = None) -> bytes:
-    """A record as the CDR of a `SAMPLE_TYPE` with encapsulation header (see `sample_fields`)."""
+    """Return a record as the CDR of a `SAMPLE_TYPE` with encapsulation header (see `sample_fields`)."""
     message = sample_fields(record, identity, sensor or BIOTAC_SP)
     body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
 
 
 def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> SimpleNamespace:
-    """A record, whose id is set, as the fields of a `SAMPLE_TYPE`.
+    """Return a record, whose id is set, as the fields of a `SAMPLE_TYPE`.
 
     Args:
         record: The sample.
@@ -143,7 +143,7 @@ def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> S
 
 
 def serialize_cloud(cloud: Cloud) -> bytes:
-    """A cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
+    """Return a cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
     return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
@@ -184,14 +184,14 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None) -> Sto
 
 
 def _version_in(data: bytes | memoryview) -> int:
-    """The schema version of a serialised sample; a `struct.error` if the bytes end before."""
+    """Return the schema version of a serialised sample; a `struct.error` if the bytes end before."""
     (frame,) = struct.unpack_from("<I", data, 12)  # length of the frame, after the stamp
     offset = 12 + frame
     return int(struct.unpack_from("<H", data, 4 + offset + offset % 2)[0])
 
 
 def stored_sample(message: Any) -> StoredSample:
-    """The inverse of `sample_fields`; raises any error for values that break a rule."""
+    """Make the sample of a decoded message, of which `sample_fields` are the fields; raises any error for values that break a rule."""
     sensor = parse_sensor(message.sensor)
     sample = Sample(
         id=message.id,
@@ -219,7 +219,7 @@ def stored_sample(message: Any) -> StoredSample:
 
 
 def parse_properties(text: str) -> dict[str, str]:
-    """The inverse of `properties_text`; a `DatasetError` if the text is none."""
+    """Read the properties of a hand or a camera from JSON; a `DatasetError` if the text is none."""
     facts = parse_json(text)
     if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
         raise DatasetError("hand, camera: is not a list of named texts")
@@ -228,36 +228,36 @@ def parse_properties(text: str) -> dict[str, str]:
 
 @functools.cache
 def sample_types() -> Definitions:
-    """The definitions of samples, of all types in them, and of those that were looked up since."""
+    """Return the definitions of samples, of all types in them, and of those that were looked up since."""
     definitions = Definitions()
     definitions.text(SAMPLE_TYPE)
     return definitions
 
 
 def properties_text(facts: Mapping[str, str]) -> str:
-    """The properties of a hand or a camera as JSON; equal ones give equal text."""
+    """Return the properties of a hand or a camera as JSON; equal ones give equal text."""
     return json.dumps(dict(sorted(facts.items())), ensure_ascii=False)
 
 
 def _grasp_of(message: Any, score: float) -> Grasp:
-    """The grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
+    """Return the grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
     return replace(decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3)), score=score)
 
 
 @functools.lru_cache(maxsize=16)
 def sensor_text(sensor: Sensor) -> str:
-    """The description of a sensor as JSON."""
+    """Return the description of a sensor as JSON."""
     return json.dumps(sensor.to_mapping(), ensure_ascii=False, sort_keys=True)
 
 
 @functools.lru_cache(maxsize=16)
 def parse_sensor(text: str) -> Sensor:
-    """The inverse of `sensor_text`; a `DatasetError` or a `ConfigError` if the text is none."""
+    """Read the description of a sensor from JSON; a `DatasetError` or a `ConfigError` if the text is none."""
     return sensor_of(parse_json(text), "sensor")
 
 
 def _series_of(message: Any, sensor: Sensor) -> TouchSeries | None:
-    """The series in a sample as views of the message; None if it is empty."""
+    """Return the series in a sample as views of the message; None if it is empty."""
     length = len(message.series_stamps)
     if length == 0:
         return None
@@ -291,7 +291,7 @@ class Definitions:
             raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
 
     def text(self, type_name: str) -> str:
-        """The definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
+        """Return the definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
         self._require(type_name)
         return self.store.generate_msgdef(type_name, ros_version=2)[0]
 
