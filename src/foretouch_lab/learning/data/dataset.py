@@ -245,11 +245,9 @@ def _simulated(store: Store) -> dict[str, Any]:
     scene = about.get("scene_file", "a scene")
     hand = about.get("scene", {}).get("hand", "")
     touched = f"the posture of {hand} turns its pads" if hand else "its pads face each other"
+    known = f"it knows no real fingertip or camera, and no other objects than {scene} has."
     return {
         "source": f"foretouch simulate {scene} -n {len(store)}",
         "scene_sha256": about["scene_sha256"],
-        "limits": [
-            f"For the simulated hand only, at whose contacts {touched}: it knows no real fingertip or camera, "
-            f"and no other objects than {scene} has."
-        ],
+        "limits": [f"For the simulated hand only, at whose contacts {touched}: {known}"],
     }
