@@ -29,7 +29,7 @@ test test-ros test-portable check coverage: export MALLOC_PERTURB_ ?= 170
 runtime: $(VENV)/.runtime
 setup: $(VENV)/.installed
 
-$(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
+$(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) src/foretouch/kernels/build.py $(MESSAGE_FILES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
 	@test ! -e $@ || test "$$(cat $@)" = $(ROS) || { echo "setup: $(VENV) holds another ROS 2: it is made anew"; rm -rf $(VENV); }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

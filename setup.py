@@ -2,7 +2,6 @@
 """Metadata and requirements stand in setup.cfg; here is what has to be listed by code."""
 
 import sys
-from hashlib import sha256
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -10,24 +9,6 @@ from setuptools.command.build_ext import build_ext
 from setuptools.errors import CCompilerError, ExecError
 
 NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "recorder", "bridge", "perception")
-
-KERNEL_FILES = sorted(Path("src/foretouch/kernels").glob("*.[ch]"))
-KERNELS = Extension(
-    "foretouch.kernels._kernels",
-    sources=[str(path) for path in KERNEL_FILES if path.suffix == ".c"],
-    depends=[str(path) for path in KERNEL_FILES if path.suffix == ".h"],
-    define_macros=[("SOURCES", f'"{sha256(b"".join(path.read_bytes() for path in KERNEL_FILES)).hexdigest()}"')],
-    # -Wno-psabi: vectors are only passed between functions that are inlined.
-    extra_compile_args=[
-        "-std=gnu11",
-        "-O3",
-        "-ffp-contract=off",
-        "-fno-math-errno",
-        "-fno-trapping-math",
-        "-Wno-psabi",
-    ],
-    libraries=["m"],
-)
 
 
 class BuildKernels(build_ext):
@@ -47,7 +28,7 @@ REQUIRED_PYTHON = {} if "--dry-run" in sys.argv else {"python_requires": ">=3.11
 
 setup(
     **REQUIRED_PYTHON,
-    ext_modules=[KERNELS],
+    cffi_modules=["src/foretouch/kernels/build.py:builder"],
     cmdclass={"build_ext": BuildKernels},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/foretouch"]),

@@ -35,12 +35,13 @@ from foretouch.camera.config import ScheduleConfig
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
-from foretouch.models.hand_history import HandHistory, read_history
+from foretouch.models.history import History, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
 from foretouch.ros.graph import Graph
 from foretouch.tactile import BIOTAC
-from foretouch.tactile.messages.table import TactileConfig, stamp_ns
+from foretouch.tactile.messages.table import TactileConfig
+from foretouch.types import stamp_ns
 from foretouch_lab.simulation.execution import SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.world import object_index
@@ -158,7 +159,7 @@ def rest_level(schedule: ScheduleConfig, scene: SceneConfig, model: TouchModel, 
     return log.rows
 
 
-def parts_of(history: HandHistory) -> dict[str, tuple[float, float]]:
+def parts_of(history: History) -> dict[str, tuple[float, float]]:
     """Mean and standard deviation of the state of the sensor and of the object's part, of one value [counts]."""
     tensors, basis = history.tracker.to_tensors(), history.tracker.parameters.basis[VALUE]
     found = {}

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Float64, Grasp, GraspSample
+from foretouch.types import Cloud, Float64, Grasp, Sample
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.training.contact import ContactTrainingConfig, describe_samples, fit_contact
 
@@ -52,7 +52,7 @@ def moved(grasp: Grasp, turn: Float64, shift: Float64) -> Grasp:
     return Grasp(turn @ grasp.g1 + shift, turn @ grasp.g2 + shift, turn @ grasp.rotation, id=grasp.id)
 
 
-def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[GraspSample]:
+def with_tares(samples: list[Sample], drift: float, seed: int = 0) -> list[Sample]:
     """The samples with tares: all channels drift together from object to object, tare and label alike [counts]."""
     rest = np.concatenate([[2600.0, 1700.0], np.full(24, 3200.0), np.full(24, 3300.0)])
     names = sorted({sample.object for sample in samples})
@@ -97,3 +97,14 @@ def edit_card(card: Path, **changes: Any) -> None:
     """Replace fields of a model card, or remove those whose value is `...`."""
     document = json.loads(card.read_text()) | changes
     card.write_text(json.dumps({key: value for key, value in document.items() if value is not ...}))
+
+
+def can_with_grasps(count: int) -> tuple[Cloud, list[Grasp]]:
+    """Make a can of 3000 points on a table below the camera, and grasps across it."""
+    rng = np.random.default_rng(0)
+    angle, along = rng.uniform(0.0, np.pi, 3000), rng.uniform(-0.055, 0.055, 3000)
+    xyz = np.column_stack([along, 0.035 * np.cos(angle), 1.15 - 0.035 * np.sin(angle)])
+    cloud = Cloud((xyz + rng.normal(0.0, 5e-4, xyz.shape)).astype(np.float32))
+    across = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # z across the can
+    places = rng.uniform(-0.04, 0.04, count)
+    return cloud, [Grasp(np.array([x, 0.034, 1.148]), np.array([x, -0.034, 1.148]), across) for x in places]

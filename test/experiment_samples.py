@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch.types import Cloud, Grasp, Sample
 from foretouch_lab.experiments import Row, find_experiment
 from foretouch_lab.learning.data import Dataset
 
 OBJECTS = ("campbells", "cheezit", "coffee", "pringles", "rugby", "spam", "train", "wood")
 
 
-def make_samples(objects: int = 8, each: int = 12, seed: int = 0) -> list[GraspSample]:
+def make_samples(objects: int = 8, each: int = 12, seed: int = 0) -> list[Sample]:
     """Ordered by object and time."""
     rng = np.random.default_rng(seed)
     return [_sample(rng, OBJECTS[k], k, number) for k in range(objects) for number in range(each)]
@@ -26,7 +26,7 @@ def make_collection(objects: int = 8, each: int = 12) -> Dataset:
     return Dataset("made-up", tuple(samples), f"{objects}x{each}", {})
 
 
-def _sample(rng: np.random.Generator, name: str, place: int, number: int) -> GraspSample:
+def _sample(rng: np.random.Generator, name: str, place: int, number: int) -> Sample:
     size = np.array([0.05, 0.08, 0.1])
     xyz = rng.uniform(-0.5, 0.5, (90, 3)) * size + [0.0, 0.0, 1.2]
     along = rng.uniform(-0.4, 0.4) * size[1]
@@ -43,7 +43,7 @@ def _sample(rng: np.random.Generator, name: str, place: int, number: int) -> Gra
         )
     )
     stamp = (1_562_000_000 + 86_400 * place + 60 * number) * 1_000_000_000
-    return GraspSample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)
+    return Sample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)
 
 
 def cell_rows(name: str, data: Any, **changes: Any) -> tuple[list[Row], Any]:

@@ -11,7 +11,7 @@ import yaml
 from experiment_samples import make_samples
 
 from foretouch.tactile.description import Sensor, load_sensor, packaged_sensor, sensor_files
-from foretouch.types import GraspSample, Touch
+from foretouch.types import Sample, Touch
 from foretouch.types.channels import Channels
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.learning.data import load_dataset
@@ -28,7 +28,7 @@ def changed_sensor(folder: Path, name: str = "xela_uskin_4x4", **changes: Any) -
     return load_sensor(path)
 
 
-def readings(samples: list[GraspSample], channels: Channels, seed: int = 0) -> list[GraspSample]:
+def readings(samples: list[Sample], channels: Channels, seed: int = 0) -> list[Sample]:
     """The samples with touches that follow from the place of the grasp, and tares of fingers that drift with the object."""
     rng, middle = np.random.default_rng(seed), (channels.low + channels.high) / 2.0
     unit = np.minimum(1000.0, (channels.high - channels.low) / 64.0)

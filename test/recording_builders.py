@@ -12,16 +12,16 @@ import pytest
 from experiment_samples import make_samples
 
 from foretouch.cloud.io.files import write_cloud
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import APPROACH, DISCARDED, HOLD, REST, Identity, SampleRecord, TouchSeries
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.samples import open_samples
 from foretouch.dataset.source import Source
 from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.types import Cloud, Grasp, Sample, Touch
 
 IDENTITY = Identity(
     hand={"name": "shadow-rh", "serial": "1234", "thumb": "TH", "middle": "MF"},
@@ -53,7 +53,7 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
         others={"PAC0_TH": rng.integers(0, 4096, length).astype(np.float32), "TDC_MF": np.ones(length, np.float32)},
     )
     cloud = Cloud(xyz, rgb, "camera", 1_700_000_000_000_000_000 + number)
-    sample = GraspSample(
+    sample = Sample(
         id="",
         object=name,
         cloud=cloud,
@@ -122,12 +122,12 @@ def ids(path: Path) -> list[str]:
     return [stored.record.sample.id for stored in RecordedDataset(path)]
 
 
-def read_folder(path: Path) -> list[GraspSample]:
+def read_folder(path: Path) -> list[Sample]:
     """All samples of a dataset, such as folders of vision2tactile."""
     return [record.sample for record in open_samples(path).records()]
 
 
-def readable(source: Source, refuse: Callable[[str, ForetouchError], Any]) -> Iterator[tuple[str, Cloud | GraspSample]]:
+def readable(source: Source, refuse: Callable[[str, ForetouchError], Any]) -> Iterator[tuple[str, Cloud | Sample]]:
     """The clouds or samples that can be read, with their names; `refuse` is called with name and error of each other."""
     items = iter(source)
     while True:
@@ -144,7 +144,7 @@ def readable(source: Source, refuse: Callable[[str, ForetouchError], Any]) -> It
         yield name, value
 
 
-def assert_same_sample(a: GraspSample, b: GraspSample) -> None:
+def assert_same_sample(a: Sample, b: Sample) -> None:
     """Compare everything except the ids."""
     assert (a.object, a.stamp_ns, dict(a.extra)) == (b.object, b.stamp_ns, dict(b.extra))
     np.testing.assert_array_equal(a.cloud.xyz, b.cloud.xyz)

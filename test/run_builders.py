@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.dataset.store_writer import SampleFacts, StoreWriter
 from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch_lab.learning.training.run_config import GROUPS, RunConfig
@@ -26,7 +26,7 @@ def run_config(**changes: Any) -> RunConfig:
     return RunConfig.from_mapping({key: value for key, value in given.items() if key not in unused})
 
 
-def write_store(path: Path, samples: Iterable[GraspSample]) -> Path:
+def write_store(path: Path, samples: Iterable[Sample]) -> Path:
     """A store of labelled samples with their splits."""
     facts = []
     with StoreWriter(path, {}) as writer:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine, SampleState
 from foretouch_lab.simulation.scene import SceneConfig
@@ -33,7 +33,7 @@ def run(config: SceneConfig, until: str = "", *, slot: int = 0, repeat: int = 0)
     return _engine(config, until).run(SampleKey(config.seed, slot, 0, repeat))
 
 
-def made(config: SceneConfig, count: int) -> list[GraspSample]:
+def made(config: SceneConfig, count: int) -> list[Sample]:
     """The first samples of a scene."""
     return list(Simulation(config).samples(count))
 

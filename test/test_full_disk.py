@@ -19,7 +19,7 @@ from run_builders import quiet, run_config, stop_after, write_store
 from foretouch.cli.main import main
 from foretouch.dataset.formats import FORMATS
 from foretouch.errors import FileError
-from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.history import History, HistoryFile
 from foretouch.models.touch_model import TouchModel
 from foretouch_lab.learning.data import load_dataset
 from foretouch_lab.learning.training.run import train_run
@@ -61,7 +61,7 @@ def files_of(folder: Path) -> dict[Path, bytes]:
 def test_a_hand_history_keeps_what_was_written(disk: Path) -> None:
     samples = make_samples(3, 3)
     model = TouchModel(small_estimator(), CARD, make_tracked_calibration())
-    history, file = HandHistory(model), HistoryFile(disk / "right.safetensors", "right")
+    history, file = History(model), HistoryFile(disk / "right.safetensors", "right")
 
     def read(count: int) -> None:
         for one in samples[:count]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands of README and tutorials, run in order in a fresh folder; what the pages quote of their outputs must appear.
+"""The commands of README, inputs and tutorials, run in order in a fresh folder; what the pages quote of their outputs must appear.
 
 Fenced blocks: `sh` is run by one bash for the whole page, `text` holds lines of the output of the `sh` block before it, `python` with a first
 line `# NAME.py` is saved under that name. `sh robot` needs a robot or a full installation of ROS 2 and is reported as not run; `sh public-data` is run
@@ -17,7 +17,7 @@ import pytest
 from process_domain import process_environment
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "docs" / "inputs.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
 BLOCK = re.compile(r"^```(sh|text|python)( robot| public-data)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SAVED = re.compile(r"# (\w+\.py)\n")
 NUMBER = r"[+-]?\d*\.?\d+"
@@ -148,6 +148,7 @@ def test_a_quoted_line_stands_for_numbers_that_are_near() -> None:
 def test_there_is_a_tutorial_for_each_user_and_each_quotes_an_output() -> None:
     assert [page.stem for page in PAGES] == [
         "README",
+        "inputs",
         "collector",
         "operator",
         "other_recordings",
@@ -162,4 +163,6 @@ def test_there_is_a_tutorial_for_each_user_and_each_quotes_an_output() -> None:
 
 
 def test_the_readme_is_short() -> None:
-    assert len(PAGES[0].read_text(encoding="utf-8").splitlines()) <= 100
+    lines = PAGES[0].read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 100
+    assert [line for line in lines if len(line) > 200 and not line.startswith("[![")] == []

@@ -25,7 +25,7 @@ from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch.types import Cloud, Grasp, Sample
 
 IDENTITY = Identity(hand={"name": "campaign"}, camera={"name": "campaign"})
 POINTS = 5000
@@ -34,14 +34,14 @@ ROUNDS_A_DATASET = 5
 TOPIC = "/rh/tactile"
 
 
-def made_sample(number: int, points: int = POINTS) -> GraspSample:
+def made_sample(number: int, points: int = POINTS) -> Sample:
     """A sample whose content is determined by its number."""
     rng = np.random.default_rng(number)
     xyz = rng.normal(size=(points, 3)).astype(np.float32)
     rgb = rng.integers(0, 256, (points, 3), dtype=np.uint8)
     touch = biotac_touch(rng.integers(100, 3000, 50).astype(float))
     grasp = Grasp(xyz[0].astype(float), xyz[1].astype(float), np.eye(3), float(number), str(number))
-    return GraspSample("", "ball", Cloud(xyz, rgb, "camera", number), grasp, touch, None, number)
+    return Sample("", "ball", Cloud(xyz, rgb, "camera", number), grasp, touch, None, number)
 
 
 def contents(folder: Path) -> dict[str, int]:

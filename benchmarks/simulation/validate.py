@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from benchmarks.common import print_rows, scene
 from foretouch.errors import SimulationError
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig
@@ -102,7 +102,7 @@ def sensor() -> Iterator[Row]:
     yield "electrode noise, lag-1 correlation", noise.lag1, 0.30, 0.46
 
 
-def counts(samples: list[GraspSample]) -> Iterator[Row]:
+def counts(samples: list[Sample]) -> Iterator[Row]:
     """Spread of the counts over grasps of rigid objects."""
     touches = np.array([s.touch.values for s in samples if s.touch is not None])
     for name, columns, pdc, median, most in _TH_MF:

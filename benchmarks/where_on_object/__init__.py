@@ -23,7 +23,7 @@ from foretouch.config import Settings
 from foretouch.models.contact.features import CONDITIONS
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.shared.scores import interval_columns, labelled
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, SIGNS, grouped, select, short, with_notes
@@ -51,7 +51,7 @@ class WhereSettings(Settings):
 class Grasps:
     """Labelled grasps."""
 
-    samples: list[GraspSample]  # in order of time
+    samples: list[Sample]  # in order of time
     sha256: str
 
 
@@ -60,7 +60,7 @@ def _load(_settings: WhereSettings, path: Path) -> Grasps:
     return Grasps(in_order(labelled(data)), data.sha256)
 
 
-def in_order(samples: Sequence[GraspSample]) -> list[GraspSample]:
+def in_order(samples: Sequence[Sample]) -> list[Sample]:
     """Samples in order of time; object by object, a minute apart, where none has a stamp."""
     if any(sample.stamp_ns for sample in samples):
         return sorted(samples, key=lambda sample: sample.stamp_ns)
@@ -68,12 +68,12 @@ def in_order(samples: Sequence[GraspSample]) -> list[GraspSample]:
     return [replace(sample, stamp_ns=(k + 1) * _MINUTE_NS) for k, sample in enumerate(samples)]
 
 
-def features_of(samples: Sequence[GraspSample]) -> Float64:
+def features_of(samples: Sequence[Sample]) -> Float64:
     """(S, P) what is compared of the grasps: the features of `models.contact` without distance and density of the cloud."""
     return describe_samples(samples)[:, len(CONDITIONS) :]
 
 
-def recorded(samples: Sequence[GraspSample]) -> TimedReadings:
+def recorded(samples: Sequence[Sample]) -> TimedReadings:
     """Readings in order of time, without tares; what is expected of each is the mean of all other objects."""
     labels = labels_of(samples)
     recording = TimedReadings.of_samples(samples, labels, labels, rest_level(samples)[0])

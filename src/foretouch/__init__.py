@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from foretouch.cloud.io.files import read_cloud, write_cloud
     from foretouch.dataset.writing import write
     from foretouch.errors import ForetouchError
-    from foretouch.models.hand_history import HandHistory as History
+    from foretouch.models.history import History
     from foretouch.models.registry import available_models, load_model
     from foretouch.models.touch_model import TouchModel
     from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
         Cloud,
         Grasp,
         Grasps,
-        GraspSample,
         Plane,
         Predicted,
         Prediction,
         Predictions,
+        Sample,
         Touch,
     )
 
@@ -43,24 +43,22 @@ _PLACES = {
     "foretouch.cloud.io.files": ("read_cloud", "write_cloud"),
     "foretouch.dataset.writing": ("write",),
     "foretouch.errors": ("ForetouchError",),
-    "foretouch.models.hand_history": ("HandHistory",),
+    "foretouch.models.history": ("History",),
     "foretouch.models.registry": ("available_models", "load_model"),
     "foretouch.models.touch_model": ("TouchModel",),
     "foretouch.pipeline": ("Object", "Pipeline", "PipelineConfig", "Scene"),
     "foretouch.types": (
-        *("CameraModel", "Cloud", "Grasp", "GraspSample", "Grasps", "Plane"),
+        *("CameraModel", "Cloud", "Grasp", "Sample", "Grasps", "Plane"),
         *("Predicted", "Prediction", "Predictions", "Touch"),
     ),
 }
-_ALIASES = {"HandHistory": "History"}
-_MODULES = {_ALIASES.get(name, name): (module, name) for module, names in _PLACES.items() for name in names}
+_MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 __all__ = [
     "CameraModel",
     "Cloud",
     "ForetouchError",
     "Grasp",
-    "GraspSample",
     "Grasps",
     "History",
     "Object",
@@ -70,6 +68,7 @@ __all__ = [
     "Predicted",
     "Prediction",
     "Predictions",
+    "Sample",
     "Scene",
     "Touch",
     "TouchModel",
@@ -91,8 +90,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'foretouch' has no attribute {name!r}")
-    module, own = _MODULES[name]
-    value = getattr(import_module(module), own)
+    value = getattr(import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
 

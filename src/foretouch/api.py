@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from foretouch.dataset.samples import SampleSet, open_samples
+from foretouch.dataset.formats import open_samples
+from foretouch.dataset.samples import SampleSet
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import laboratory
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
-from foretouch.types import Cloud, Grasps, GraspSample, Prediction, Predictions
+from foretouch.types import Cloud, Grasps, Prediction, Predictions, Sample
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,7 +83,7 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
         path: The dataset.
 
     Returns:
-        Its samples, read on demand: iteration gives `GraspSample`, `to_arrays()` columns, `split(…)` parts.
+        Its samples, read on demand: iteration gives `Sample`, `to_arrays()` columns, `split(…)` parts.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
@@ -90,9 +91,7 @@ def open(path: str | Path) -> SampleSet:  # noqa: A001
     return open_samples(path)
 
 
-def fit(
-    samples: SampleSet | Sequence[GraspSample] | str | Path, recipe: str = "contact-v3", **settings: Any
-) -> TouchModel:
+def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "contact-v3", **settings: Any) -> TouchModel:
     """Fit a touch model to samples; requires `foretouch[lab]`.
 
     Args:

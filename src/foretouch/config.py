@@ -216,7 +216,7 @@ def flattened(values: Any, name: str = "") -> dict[str, Any]:
     """Nested mappings by dotted name."""
     if not isinstance(values, Mapping):
         return {name: values}
-    return {key: one for k, v in values.items() for key, one in flattened(v, f"{name}.{k}" if name else k).items()}
+    return {key: leaf for k, v in values.items() for key, leaf in flattened(v, f"{name}.{k}" if name else k).items()}
 
 
 def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
@@ -364,7 +364,7 @@ def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
     if is_list and isinstance(value, list):
         if len(value) > _MOST_GROUPS:
             raise ConfigError(f"{source}{name}: holds {len(value)}, more than {_MOST_GROUPS}")
-        return tuple(_field_value(item, one, source, f"{name}[{i}]") for i, one in enumerate(value))
+        return tuple(_field_value(item, element, source, f"{name}[{i}]") for i, element in enumerate(value))
     if is_list:
         raise ConfigError(f"{source}{name}: {quoted(value)} is not a list")
     if not isinstance(value, Mapping):

@@ -49,10 +49,10 @@ def quoted(value: Any) -> str:
 def nearest(name: Any, known: Iterable[Any]) -> str:
     """`; did you mean …?` with the known name that is most like an unknown one; "" if none is."""
     names = list(map(str, known))
-    found = [one for one in names if one.endswith(f".{name}")] or difflib.get_close_matches(
+    similar = [candidate for candidate in names if candidate.endswith(f".{name}")] or difflib.get_close_matches(
         str(name), names, 1, cutoff=0.5
     )
-    return f"; did you mean {found[0]}?" if found else ""
+    return f"; did you mean {similar[0]}?" if similar else ""
 
 
 def none_of(name: Any, known: Iterable[Any]) -> str:

@@ -56,12 +56,13 @@ def system_errors(path: str | Path, rule: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        raise FileError(path, f"{rule}: " * bool(rule) + (os.strerror(err.errno) if err.errno else str(err))) from err
+        cause = os.strerror(err.errno) if err.errno else str(err)
+        raise FileError(path, f"{rule}: {cause}" if rule else cause) from err
 
 
 @contextmanager
 def _named(path: str | Path) -> Iterator[None]:
-    """As `system_errors`, also where no file can have this name."""
+    """Do what `system_errors` does, also where no file can have this name."""
     try:
         with system_errors(path):
             yield
@@ -101,7 +102,7 @@ def open_own(path: Path, flags: int) -> int:
 
 
 def _descriptor(path: str | Path, flags: int) -> int:
-    """A descriptor of a regular file, without waiting for the other end of a FIFO."""
+    """Return a descriptor of a regular file, without waiting for the other end of a FIFO."""
     with _named(path):
         descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     mode = os.fstat(descriptor).st_mode
@@ -137,27 +138,27 @@ class FileBytes:
         start, end, _ = part.indices(self._size)
         try:
             self._file.seek(start)
-            found = self._file.read(max(0, end - start))
+            content = self._file.read(max(0, end - start))
         except OSError as err:  # as `system_errors`, which takes longer than a short read
             raise FileError(self.path, err.strerror or str(err)) from err
-        if len(found) < end - start:
-            raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(found)}")
-        return found
+        if len(content) < end - start:
+            raise FileError(self.path, "was truncated while it was read", field=f"byte {start + len(content)}")
+        return content
 
     def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
-        """The bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
+        """Iterate over the bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
         for at in range(start, end, _BLOCK):
             yield at, self[at : min(at + _BLOCK + overlap, end)]
 
     def crc32(self, start: int, end: int) -> int:
-        """CRC-32 of the bytes between two offsets."""
+        """Return the CRC-32 of the bytes between two offsets."""
         crc = 0
         for _, block in self.blocks(start, end):
             crc = zlib.crc32(block, crc)
         return crc
 
     def find_all(self, pattern: re.Pattern[bytes], overlap: int, start: int, end: int) -> Iterator[int]:
-        """Offsets between two others at which a pattern of at most `overlap` bytes matches."""
+        """Iterate over the offsets between two others at which a pattern of at most `overlap` bytes matches."""
         for at, block in self.blocks(start, end, overlap):
             yield from (at + match.start() for match in pattern.finditer(block) if match.start() < _BLOCK)
 
@@ -202,7 +203,7 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def free_name(path: Path, addition: str) -> Path:
-    """The path with an addition to its name, and a number where there is a file of that name."""
+    """Return the path with an addition to its name, and a number where there is a file of that name."""
     names = (f"{path.name}.{addition}{'' if number == 1 else f'-{number}'}" for number in count(1))
     return next(path.with_name(name) for name in names if not os.path.lexists(path.with_name(name)))
 
@@ -213,7 +214,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def require_existing(path: str | Path) -> Path:
-    """The path of something that exists; a `FileError` if it does not, or if no file can have this name."""
+    """Return the path of something that exists; a `FileError` if it does not, or if no file can have this name."""
     with _named(path):
         try:
             Path(path).stat()
@@ -239,7 +240,7 @@ def require_writable(path: str | Path, *suffixes: str) -> None:
 
 
 def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
-    """The content of a regular file of at most `limit` bytes.
+    """Return the content of a regular file of at most `limit` bytes.
 
     Raises:
         FileError: As `open_regular`; also if the file is larger, or reading fails.
@@ -253,12 +254,12 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
 
 
 def read_json(path: str | Path) -> Any:
-    """The document in a JSON file; raises as `read_bytes` and `json_in`."""
+    """Return the document in a JSON file; raises as `read_bytes` and `json_in`."""
     return json_in(path, read_bytes(path, TEXT_LIMIT))
 
 
 def json_in(path: str | Path, content: bytes) -> Any:
-    """The document in the content of a file; a `FileError` if it is not JSON that `parse_json` accepts."""
+    """Return the document in the content of a file; a `FileError` if it is not JSON that `parse_json` accepts."""
     try:
         return parse_json(content.decode("utf-8"))
     except ValueError as err:
@@ -266,7 +267,7 @@ def json_in(path: str | Path, content: bytes) -> Any:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """The document in a JSON text.
+    """Return the document in a JSON text.
 
     Raises:
         ValueError: If it is not JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file
@@ -278,8 +279,8 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError(f"more than {_DEPTH} nested levels") from None
     level = [document] if isinstance(document, dict | list) else []
     for _ in range(_DEPTH + 1):
-        groups = (one.values() if isinstance(one, dict) else one for one in level)
-        level = [one for group in groups for one in group if isinstance(one, dict | list)]
+        groups = (entry.values() if isinstance(entry, dict) else entry for entry in level)
+        level = [entry for group in groups for entry in group if isinstance(entry, dict | list)]
         if not level:
             break
     else:
@@ -323,7 +324,7 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
     """
     if isinstance(schema, list):
         items = require_schema(path, value, list, field)
-        return [require_schema(path, one, schema[0], f"{field}[{number}]") for number, one in enumerate(items)]
+        return [require_schema(path, item, schema[0], f"{field}[{number}]") for number, item in enumerate(items)]
     if isinstance(schema, Number):
         if value is None and schema.optional:
             return value
@@ -333,21 +334,21 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
             raise FileError(path, rule, field=field or None)
         return value
     if isinstance(schema, Mapping):
-        found = require_schema(path, value, dict, field)
+        mapping = require_schema(path, value, dict, field)
         if "*" in schema:
-            others = dict.fromkeys(found, schema["*"])
+            others = dict.fromkeys(mapping, schema["*"])
             schema = others | {key: inner for key, inner in schema.items() if key != "*"}
         for key, inner in schema.items():
             name = key.removesuffix("?")
             where = f"{field}.{name}" if field else name
-            if name in found:
-                require_schema(path, found[name], inner, where)
+            if name in mapping:
+                require_schema(path, mapping[name], inner, where)
             elif name == key:
                 raise FileError(path, "is missing", field=where)
-        return found
+        return mapping
     types = schema if isinstance(schema, tuple) else (schema,)
     if type(value) not in types and not (float in types and type(value) is int):
-        names = " or ".join(_JSON_WORDS.get(one, one.__name__) for one in types)
+        names = " or ".join(_JSON_WORDS.get(kind, kind.__name__) for kind in types)
         raise FileError(path, f"{quoted(value)} is not {names}", field=field or None)
     if (type(value) is int and not -(2**63) <= value < 2**63) or (type(value) is float and not math.isfinite(value)):
         raise FileError(path, f"{shown(value, 40)} is not a number that can be used", field=field or None)
@@ -355,6 +356,6 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a regular file, hexadecimal; a `FileError` as `open_regular`, or if reading fails."""
+    """Return the SHA-256 of a regular file, hexadecimal; a `FileError` as `open_regular`, or if reading fails."""
     with open_regular(path) as file, _named(path):
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -33,7 +33,7 @@ from foretouch.grasp import (
 )
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_model import History
+from foretouch.models.touch_model import Snapshot
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Int32, Int64, Plane, Predictions, Touch
 
 _ON_TABLE_M = 0.01  # from the plane of the table
@@ -112,7 +112,7 @@ class Scene:
             raise CloudError(
                 f"pixel: ({u}, {v}) is outside of the image, whose columns end at {width - 1}, rows at {height - 1}"
             )
-        known = {one.id: one for one in self.objects}
+        known = {object_.id: object_ for object_ in self.objects}
         if (name := str(self.labels[v, u])) in known:
             return known[name]
         xyz = self.cloud.xyz[v, u].astype(np.float64)
@@ -137,7 +137,8 @@ class Scene:
         if position.shape != (3,) or not np.isfinite(position).all():
             raise CloudError(f"point: {position.tolist()} is not three finite numbers [m]")
         away = [
-            float(np.linalg.norm(one.cloud.xyz.astype(np.float64) - position, axis=1).min()) for one in self.objects
+            float(np.linalg.norm(object_.cloud.xyz.astype(np.float64) - position, axis=1).min())
+            for object_ in self.objects
         ]
         if not away or min(away) > tolerance_m:
             nearest = f"; the nearest is {min(away):.3f} m away" if away else ""
@@ -202,29 +203,35 @@ class Pipeline:
             CloudError: If the mask has another size than the image or no label, or its numbers are not whole.
         """
         if mask is not None:
-            found = segment_mask(cloud, mask, self.config.segmentation)
+            segmentation = segment_mask(cloud, mask, self.config.segmentation)
         else:
-            found = segment(cloud, self.config.segmentation)
-            found = found if identity is None else identity.keep(found)
-        if found.status != "ok" or found.plane is None:
-            return Scene(found.status, found.reason, cloud, found, (), ())
-        plane = found.plane
+            segmentation = segment(cloud, self.config.segmentation)
+            segmentation = segmentation if identity is None else identity.keep(segmentation)
+        if segmentation.status != "ok" or segmentation.plane is None:
+            return Scene(segmentation.status, segmentation.reason, cloud, segmentation, (), ())
+        plane = segmentation.plane
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
-        solid = [one for one in found.background if one.background != "floating"]
-        obstacles = Obstacles.of([(one.id, one.cloud.xyz) for one in (*found.objects, *solid)])
+        solid = [part for part in segmentation.background if part.background != "floating"]
+        obstacles = Obstacles.of([(object_.id, object_.cloud.xyz) for object_ in (*segmentation.objects, *solid)])
         objects = {
-            one.id: Object(str(one.id), one.cloud, plane, one.pixels if shape else None, shape, (), obstacles)
-            for one in found.objects
+            object_.id: Object(
+                str(object_.id), object_.cloud, plane, object_.pixels if shape else None, shape, (), obstacles
+            )
+            for object_ in segmentation.objects
         }
         rule = self.config.target
-        if rule.mode == "free" and found.objects:
-            chosen, reason = select_free(found.objects, rule, lambda one: self._loss(objects[one.id]), previous)
+        if rule.mode == "free" and segmentation.objects:
+            chosen, reason = select_free(
+                segmentation.objects, rule, lambda target: self._loss(objects[target.id]), previous
+            )
         else:
-            chosen, reason = select_targets(found.objects, rule, previous)
+            chosen, reason = select_targets(segmentation.objects, rule, previous)
         flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
-        targets = tuple(replace(objects[one.id], flags=flags) for one in chosen)
+        targets = tuple(replace(objects[part.id], flags=flags) for part in chosen)
         status = "ok" if targets else "no_target"
-        return Scene(status, reason or found.reason, cloud, found, tuple(objects.values()), targets, obstacles)
+        return Scene(
+            status, reason or segmentation.reason, cloud, segmentation, tuple(objects.values()), targets, obstacles
+        )
 
     def _loss(self, target: Object) -> tuple[float, str]:
         """The score that other objects cost the best grasp of an object, infinite if it has none; and why."""
@@ -282,19 +289,10 @@ class Pipeline:
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
 
     def predict(
-        self,
-        target: Object,
-        grasps: Sequence[Grasp],
-        *,
-        tare: Touch | None = None,
-        history: History | None = None,
-        model: TouchModel | None = None,
+        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: Snapshot | None = None
     ) -> Predictions:
-        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once.
-
-        A `model` is used instead of the configured one.
-        """
-        model = model or self.model
+        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
+        model = self.model
         if not grasps:
             return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")
         predictions = model.predict(
@@ -330,6 +328,6 @@ class Pipeline:
         ms["total"] = sum(ms.values())
         status, reason = ("no_target", "") if scene is None else (scene.status, scene.reason)
         if results:
-            ok, first = any(one.predictions for one in results), results[0].plan
+            ok, first = any(result.predictions for result in results), results[0].plan
             status, reason = ("ok", "") if ok else (first.status, first.reason)
         return PipelineResult(status, reason, scene, tuple(results), ms)

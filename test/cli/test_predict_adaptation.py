@@ -15,15 +15,15 @@ from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.cli.adaptation import _read_tare
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.models import load_model
-from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.history import History, HistoryFile
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import GraspSample, Prediction
+from foretouch.types import Prediction, Sample
 from foretouch_lab.learning.prequential import replay_model
 
 
@@ -64,13 +64,13 @@ def earlier(tmp_path_factory) -> Path:
     return write_touches(path, [-80.0, -79.0, -78.0], None, object="box", before_ns=3600 * 10**9)
 
 
-def samples_of(path: Path) -> list[GraspSample]:
+def samples_of(path: Path) -> list[Sample]:
     return sorted((one.sample for one in open_samples(path).records()), key=lambda sample: sample.stamp_ns)
 
 
-def hand_after(model: TouchModel, path: Path) -> HandHistory:
+def hand_after(model: TouchModel, path: Path) -> History:
     """The history of a hand that has touched the object of a dataset."""
-    hand = HandHistory(model)
+    hand = History(model)
     for number, one in enumerate(samples_of(path)):
         hand.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch, new_object=number == 0)
     return hand
@@ -125,7 +125,7 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
     samples = samples_of(session)
     results = {result["sample"]: result for result in answer.records}
     for sample in samples:
-        hand, others = HandHistory(core), [one for one in samples if one.id != sample.id]  # never its own reading
+        hand, others = History(core), [one for one in samples if one.id != sample.id]  # never its own reading
         for one in others:
             hand.add_tare(one.stamp_ns, one.tare)
             hand.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)

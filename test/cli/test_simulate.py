@@ -37,14 +37,11 @@ def test_a_data_set_is_written_whole(scene, tmp_path, call) -> None:
     assert content_sha256(store) == store.sha256
     assert record["samples"] == len(store) == 3
     assert (record["sha256"], record["samples_per_s"] > 0) == (store.sha256, True)
-    again = call("simulate", scene, "-n", 2, "-o", tmp_path / "again", "--workers", 1, "--no-sheet").out
-    assert "render" in again
-    assert "depth_noise" not in again
-    ran, known = re.search(
-        r"(\d+) of (\d+) effects ran, as the scene needs them \(--explain lists all\); slowest: ", again
-    ).groups()
-    effects = call("simulate", scene, "--explain", "--json").records[-1]["effects"]
-    assert (int(ran), int(known)) == (sum(one["ran"] for one in effects), len(effects))
+    ran = {effect["name"] for effect in record["effects"] if effect["ran"]}
+    assert "render" in ran
+    assert "depth_noise" not in ran
+    planned = call("simulate", scene, "--explain", "--json").records[-1]["effects"]
+    assert ran == {effect["name"] for effect in planned if effect["ran"]}
     calls = {e["name"]: e["calls"] for e in record["effects"]}
     assert (calls["counts"], calls["slip"]) == (3, 0)
     assert store.manifest["about"]["scene_sha256"] == record["scene_sha256"]
@@ -55,8 +52,7 @@ def test_a_data_set_is_written_whole(scene, tmp_path, call) -> None:
 def test_seed_and_settings_from_the_command_line(scene, tmp_path, call) -> None:
     words = ("-n", 1, "--workers", 1, "--no-sheet", "--set", "grasps.thumb.force_n=[2, 2]")
     told = call("simulate", scene, *words, "-o", tmp_path / "a").out
-    assert re.search(r"slowest: \w+ [\d.]+, \w+ [\d.]+, \w+ [\d.]+ ms a sample\n1 samples in ", told)
-    assert "failed tries: none" in told
+    assert re.match(r"1 samples in .*, [\d.]+ a second; failed tries: none\nsha256 [0-9a-f]+\n$", told)
     assert not (tmp_path / "a" / SHEET).exists()
     assert "simulated, without a clock" in call("dataset", "info", tmp_path / "a").out  # and no day in 1970
     again = call("simulate", scene, *words, "-o", tmp_path / "b", "--json").records[-1]

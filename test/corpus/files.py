@@ -24,15 +24,16 @@ from foretouch.config import load_yaml
 from foretouch.dataset.bag import Recording
 from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
+from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import export_samples, only_finite, open_samples
+from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import SEAL, sample_digest
 from foretouch.errors import ForetouchError
-from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.history import History, HistoryFile
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
 from foretouch.tactile.description import load_sensor, sensor_files
@@ -266,7 +267,7 @@ def _history(folder: Path) -> Path:
 def _read_history(path: Path) -> None:
     file = HistoryFile(path, "right")
     try:
-        file.write(file.read(load_model()) or HandHistory(load_model()))
+        file.write(file.read(load_model()) or History(load_model()))
     finally:
         file.close()
 

@@ -17,7 +17,7 @@ from foretouch.errors import ModelError
 from foretouch.models import load_model
 from foretouch.models.calibration import Calibration
 from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, make_calibration
 from foretouch_lab.learning.training.run import train_run
@@ -71,7 +71,7 @@ def run_cases() -> Cases:
     yield "training: a learning rate of 10", steep, "not finite .*lower learning_rate"
 
 
-def _run(method: str, samples: list[GraspSample], **train: Any) -> list[Any]:
+def _run(method: str, samples: list[Sample], **train: Any) -> list[Any]:
     """Predictions and bounds of the model of a run."""
     config = run_config(method=method, model=_MODEL, train=_TRAIN | train, srgan=_SRGAN, contact={"trees": 3})
     if method == "srgan":  # half of the samples lose their labels

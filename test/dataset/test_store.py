@@ -21,11 +21,11 @@ from foretouch.dataset.files import sealed
 from foretouch.dataset.store import MANIFEST, SEAL, Store, content_sha256, is_store
 from foretouch.errors import DatasetError, FileError
 from foretouch.tactile import BIOTAC, TOUCH_SIZE, biotac_touch
-from foretouch.types import Cloud, GraspSample
+from foretouch.types import Cloud, Sample
 from foretouch_lab.dataset.store_writer import StoreWriter
 
 
-def sample(k: int, points: int = 40, *, labelled: bool = True, colour: bool = False) -> GraspSample:
+def sample(k: int, points: int = 40, *, labelled: bool = True, colour: bool = False) -> Sample:
     made = record(k, "can", points).sample
     cloud = made.cloud if colour else replace(made.cloud, rgb=None)
     rotation = np.linalg.qr(np.random.default_rng(k).standard_normal((3, 3)))[0]
@@ -33,7 +33,7 @@ def sample(k: int, points: int = 40, *, labelled: bool = True, colour: bool = Fa
     return replace(made, id=f"can/{k}", cloud=cloud, grasp=grasp, touch=made.touch if labelled else None)
 
 
-def write(path: Path, samples: list[GraspSample]) -> StoreWriter:
+def write(path: Path, samples: list[Sample]) -> StoreWriter:
     with StoreWriter(path, {"scene": "x"}) as writer:
         for one in samples:
             writer.write(one)

@@ -128,7 +128,7 @@ def test_a_hand_that_does_not_open_so_far_has_no_grasp() -> None:
     cloud = camera.see(wide, yaw=0.2)
     plan = plan_grasps(cloud, camera.table(), CONFIG)
     assert (plan.status, len(plan.grasps)) == ("no_grasp", 0)
-    assert "of" in plan.reason and "closing lines can be executed" in plan.reason  # noqa: PT018
+    assert "of" in plan.reason and "grasps can be executed" in plan.reason  # noqa: PT018
     assert f"{plan.counts['n_too_wide']} are wider than hand.opening_m 0.1" in plan.reason
     assert sum(filters(plan).values()) == plan.counts["n_lines"] > 0
     assert plan.counts["n_free"] == 0

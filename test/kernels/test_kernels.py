@@ -10,15 +10,22 @@ from command_answer import run_python
 
 from foretouch import kernels
 
-COUNT = kernels.Kernel("count_range", np.float32, int, float, float, np.int64)
+COUNT = kernels.Kernel("count_range")
 
 
 def test_an_array_that_would_be_misread_and_an_absent_or_foreign_library_are_refused(tmp_path: Path) -> None:
-    for xyz in (np.zeros((4, 3)), np.zeros((4, 6), np.float32)[:, ::2]):
-        with pytest.raises(TypeError, match=r"count_range: an array of .* is not a contiguous one of float32"):
-            COUNT(xyz, 4, 0.1, 2.0, np.zeros(2, np.int64))
+    xyz, counts = np.zeros((4, 3), np.float32), np.zeros(2, np.int64)
+    for arguments, fault in (
+        ((xyz.astype(np.float64), 4, 0.1, 2.0, counts), r"ctype 'float \*' .* not cdata 'double\[\]'"),
+        ((xyz.astype(">f4"), 4, 0.1, 2.0, counts), "no kernel takes an array of dtype"),
+        ((np.zeros((4, 6), np.float32)[:, ::2], 4, 0.1, 2.0, counts), "not C-contiguous"),
+        ((xyz, 4.5, 0.1, 2.0, counts), "'float' object cannot be interpreted as an integer|integer"),
+        ((xyz, 4, 0.1, 2.0), r"expected 5 arguments, got 4"),
+    ):
+        with pytest.raises(TypeError, match=f"^count_range: .*(?:{fault})"):
+            COUNT(*arguments)
     with pytest.raises(AttributeError):
-        kernels.Kernel("no_such_function", int)
+        kernels.Kernel("no_such_function")
     copy = tmp_path / "copied_kernels"
     shutil.copytree(Path(kernels.__file__).parent, copy)
 
@@ -29,11 +36,13 @@ def test_an_array_that_would_be_misread_and_an_absent_or_foreign_library_are_ref
     with (copy / "crop.c").open("a") as file:
         file.write("/* changed */")
     fix = "install a C compiler (apt install gcc), then foretouch again (make setup, or pip install .)"
-    assert last_line().endswith(f": compiled from other sources than those beside it: {fix}")
+    assert last_line().endswith(f": the kernels were compiled from other sources: {fix}")
     for library in copy.glob("*.so"):
         library.write_bytes(b"not a library")
     assert "_kernels" in (line := last_line())
     assert line.endswith(fix)
     for library in copy.glob("*.so"):
         library.unlink()
-    assert last_line().endswith(f"copied_kernels: the compiled kernels are absent: {fix}")
+    assert last_line().endswith(
+        f"the compiled kernels cannot be loaded: No module named 'copied_kernels._kernels': {fix}"
+    )

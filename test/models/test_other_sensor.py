@@ -11,7 +11,7 @@ from other_sensor import USKIN, changed_sensor
 
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.models import load_model
-from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
+from foretouch.models.history import History, HistoryFile, read_history
 from foretouch.models.state_space import TrackerParameters
 from foretouch.tactile import biotac_touch
 from foretouch.types import Touch
@@ -22,7 +22,7 @@ from foretouch_lab.learning.data import load_dataset
 def test_a_tare_and_a_touch_of_another_sensor_are_refused_by_name(uskin, tmp_path) -> None:
     model, sample = load_model(uskin[1]), load_dataset(uskin[0]).samples[0]
     changed = changed_sensor(tmp_path, values=[{"name": name, "field": name, "dtype": "int16"} for name in "XYZ"])
-    history, biotac = HandHistory(model), biotac_touch(np.full(50, 2000.0))
+    history, biotac = History(model), biotac_touch(np.full(50, 2000.0))
     same_size = Touch(np.full(96, 2000.0), changed.channels)
     with pytest.raises(
         TactileError, match=r"tare: is of biotac_sp \(\w{8}\): not xela_uskin_4x4 \(\w{8} is expected\)"
@@ -39,7 +39,7 @@ def test_a_tare_and_a_touch_of_another_sensor_are_refused_by_name(uskin, tmp_pat
 
 def test_the_history_of_a_hand_goes_on_from_its_file_and_that_of_another_sensor_is_refused(uskin, tmp_path) -> None:
     model, samples = load_model(uskin[1]), load_dataset(uskin[0]).samples
-    history = HandHistory(model)
+    history = History(model)
     for number, sample in enumerate(samples[:3]):
         history.add_tare((2 * number + 1) * 10**9, sample.tare)
         history.add_touch((2 * number + 2) * 10**9, sample.cloud, sample.grasp, sample.touch)
@@ -54,7 +54,7 @@ def test_the_history_of_a_hand_goes_on_from_its_file_and_that_of_another_sensor_
     biotac = load_model("contact-v3")
     with pytest.raises(FileError, match=r"hand: sensor: is of xela_uskin_4x4 \(\w{8}\): not biotac_sp"):
         read_history(tmp_path / "hand", biotac)
-    HistoryFile(tmp_path / "other", "left").write(HandHistory(biotac))
+    HistoryFile(tmp_path / "other", "left").write(History(biotac))
     with pytest.raises(FileError, match=r"other: sensor: is of biotac_sp \(\w{8}\): not xela_uskin_4x4"):
         read_history(tmp_path / "other", model)
 

@@ -14,13 +14,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import CONDITIONS, FEATURES
-from foretouch.models.hand_history import HandHistory
+from foretouch.models.history import History
 from foretouch.models.similar_touches import MOST, SimilarTouches
 from foretouch.models.state_space import TrackerParameters
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
-from foretouch.types import Cloud, Grasp, GraspSample, Prediction
+from foretouch.types import Cloud, Grasp, Prediction, Sample
 
 S, START = 10**9, 1_700_000_000 * 10**9
 RATIO = np.array([3.0, 0.0, 1.0, 8.0])
@@ -47,14 +47,14 @@ def model() -> TouchModel:
     )
 
 
-def read(model: TouchModel, samples: list[GraspSample]) -> HandHistory:
-    history = HandHistory(model)
+def read(model: TouchModel, samples: list[Sample]) -> History:
+    history = History(model)
     for number, one in enumerate(samples):
         history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch, new_object=number == 0)
     return history
 
 
-def predict(history: HandHistory, cloud: Cloud, grasp: Grasp, *, same: bool = True) -> Prediction:
+def predict(history: History, cloud: Cloud, grasp: Grasp, *, same: bool = True) -> Prediction:
     at = history.snapshot(SAMPLES[-1].stamp_ns, same_object=same)
     (found,) = history.model.predict(cloud, [grasp], history=at)
     return found

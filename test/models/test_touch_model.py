@@ -13,11 +13,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import ModelError, TactileError
 from foretouch.grasp.reach import ReachConfig
-from foretouch.models.hand_history import HandHistory
+from foretouch.models.history import History
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork
 from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.touch_model import Snapshot, TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, Touch
 
@@ -37,9 +37,9 @@ def calibrated() -> TouchModel:
     return TouchModel(small_estimator(), CARD, make_calibration())
 
 
-def touched(model: TouchModel, count: int, tare: Touch | None = None) -> History:
+def touched(model: TouchModel, count: int, tare: Touch | None = None) -> Snapshot:
     """After so many touches of the first object."""
-    history = HandHistory(model)
+    history = History(model)
     for sample in SAMPLES[:count]:
         if tare is not None:
             history.add_tare(sample.stamp_ns, tare)
@@ -126,7 +126,7 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
     def check(calibration, cloud: Cloud, group: str) -> None:
         model = TouchModel(small_estimator(), CARD, calibration)
         estimate = small_estimator().estimate(cloud, [sample.grasp])
-        unread = HandHistory(model).snapshot(5, same_object=True)
+        unread = History(model).snapshot(5, same_object=True)
         for history in (None, unread):
             (found,) = model.predict(cloud, [sample.grasp], history=history, limits=limits, reach=reach)
             half = calibration.unread_half_widths[group]
@@ -149,7 +149,7 @@ def test_readings_without_a_calibration_and_contradicting_arguments_are_refused(
     with pytest.raises(ModelError, match=rule):
         bare.predict(sample.cloud, [sample.grasp], tare=TARE)
     with pytest.raises(ModelError, match=rule):
-        HandHistory(bare)
+        History(bare)
     (prediction,) = bare.predict(sample.cloud, [sample.grasp])
     assert (prediction.calibrated, prediction.reference) == (False, "none")
     with pytest.raises(ModelError, match="history: has tares and touches of its own"):

@@ -16,7 +16,7 @@ from foretouch.pipeline import Object
 from foretouch.report.touch_figure import DrawnGrasp, _agreement, save_contact_sheet, save_touch_picture
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
-from foretouch.types import Cloud, Grasp, GraspSample, Plane, Prediction, Touch
+from foretouch.types import Cloud, Grasp, Plane, Prediction, Sample, Touch
 
 BIOTAC_SP = packaged_sensor("biotac_sp")
 
@@ -94,11 +94,11 @@ def test_electrodes_that_were_read_outside_of_their_intervals_have_a_ring(sample
     assert [len(dots.get_offsets()) for dots in found if not len(dots.get_facecolor())] == [1, 1, 1, 1]
 
 
-def labelled(pdc: float = 2000.0) -> GraspSample:
+def labelled(pdc: float = 2000.0) -> Sample:
     points = np.random.default_rng(0).random((200, 3), np.float32)
     touch = biotac_touch(np.hstack([pdc, pdc, np.linspace(1000.0, 3000.0, 24), np.full(24, 2000.0)]))
     grasp = Grasp(points[0].astype(np.float64), points[1].astype(np.float64), np.eye(3))
-    return GraspSample("can/0", "can", Cloud(points), grasp, touch, extra={"force_th_n": 1.0})
+    return Sample("can/0", "can", Cloud(points), grasp, touch, extra={"force_th_n": 1.0})
 
 
 def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> None:

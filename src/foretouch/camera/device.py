@@ -73,7 +73,9 @@ class DeviceSource:
         """The `pyrealsense2.device`; a `CameraError` if it is not available now, a `FileError` if it is not a recording."""
         if self._config.file:
             return self._open_file()
-        devices = {_info(one, realsense().camera_info.serial_number): one for one in self._context.query_devices()}
+        devices = {
+            _info(device, realsense().camera_info.serial_number): device for device in self._context.query_devices()
+        }
         if not devices:
             raise CameraError(f"camera {self._config.serial}".strip() + ": no RealSense device is connected")
         serial = self._config.serial or next(iter(devices))

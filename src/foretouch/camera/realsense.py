@@ -117,7 +117,7 @@ class RealSenseCamera:
         """Release the device; afterwards nothing can be read."""
         self._release()
         if self.status.state != "ended":
-            self._set_state("closed", "closed by the user")
+            self._set_state("closed", "")
 
     def __enter__(self) -> Self:
         return self
@@ -134,7 +134,7 @@ class RealSenseCamera:
         try:
             self._device = self._source.find()
         except CameraError as err:
-            self._retry_later("absent", str(err))
+            self._retry_later("absent", str(err).removeprefix("camera: "))
             return
         try:
             self._stream = FrameStream(self._device, self.config)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.camera.bounded_queue import BoundedQueue
+from foretouch.bounded_queue import BoundedQueue
 from foretouch.camera.config import FILTERS, RealSenseConfig
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
@@ -105,7 +105,9 @@ def filter_blocks(names: Sequence[str]) -> list[Any]:
     """
     rs = realsense()
     blocks: list[Any] = [getattr(rs, f"{name}_filter")() for name in FILTERS if name in names]
-    smoothing = [k for k, name in enumerate(one for one in FILTERS if one in names) if name in ("spatial", "temporal")]
+    smoothing = [
+        k for k, name in enumerate(block for block in FILTERS if block in names) if name in ("spatial", "temporal")
+    ]
     if smoothing:
         blocks.insert(smoothing[-1] + 1, rs.disparity_transform(False))
         blocks.insert(smoothing[0], rs.disparity_transform(True))

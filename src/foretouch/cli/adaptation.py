@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foretouch.cli.output import warn
-from foretouch.dataset.samples import open_samples
+from foretouch.dataset.formats import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
 from foretouch.files import read_json, require_schema
 from foretouch.tactile import make_tare, tdc_of
 from foretouch.tactile.description import require_same
-from foretouch.types import Float64, Grasp, GraspSample, Predictions, Touch
+from foretouch.types import Float64, Grasp, Predictions, Sample, Touch
 
 if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
-    from foretouch.models.hand_history import HandHistory
-    from foretouch.models.touch_model import Estimate, History, TouchModel
+    from foretouch.models.history import History
+    from foretouch.models.touch_model import Estimate, Snapshot, TouchModel
     from foretouch.pipeline import Object, Pipeline
     from foretouch.tactile.description import Sensor
     from foretouch.types.channels import Channels
@@ -39,10 +39,10 @@ class Adaptation:
 
     model: TouchModel
     tare: tuple[Touch, Float64] | None  # for every prediction, with its (2,) TDC; None without
-    touched: Sequence[GraspSample]  # labelled samples of one object
+    touched: Sequence[Sample]  # labelled samples of one object
     own: bool  # whether each sample's own tare is used instead
-    history: Sequence[GraspSample] = ()  # labelled samples of any object, with stamps
-    hand: HandHistory | None = None  # from the file of a hand; None without
+    history: Sequence[Sample] = ()  # labelled samples of any object, with stamps
+    hand: History | None = None  # from the file of a hand; None without
     _estimates: dict[int, Estimate] = field(default_factory=dict)  # of readings, by the id of their sample
 
     def __post_init__(self) -> None:
@@ -51,14 +51,9 @@ class Adaptation:
             self.model.new_tracker()
 
     def predict(
-        self,
-        pipeline: Pipeline,
-        target: Object,
-        grasps: Sequence[Grasp],
-        sample: GraspSample | None,
-        model: TouchModel | None = None,
+        self, pipeline: Pipeline, target: Object, grasps: Sequence[Grasp], sample: Sample | None
     ) -> Predictions:
-        """Predict K grasps on one object, by a reduced form of the model if one is given.
+        """Predict K grasps on one object.
 
         A `DatasetError` if a sample lacks the requested tare, or is of another object than the touches.
         """
@@ -68,17 +63,17 @@ class Adaptation:
         tare = _own_tare(sample) if self.own else self.tare
         touched = others(self.touched, sample)
         if not (touched or self.history or self.hand is not None):
-            return pipeline.predict(target, grasps, tare=None if tare is None else tare[0], model=model)
-        return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample), model=model)
+            return pipeline.predict(target, grasps, tare=None if tare is None else tare[0])
+        return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample))
 
     def _history_of(
-        self, touched: Sequence[GraspSample], tare: tuple[Touch, Float64] | None, sample: GraspSample | None
-    ) -> History:
+        self, touched: Sequence[Sample], tare: tuple[Touch, Float64] | None, sample: Sample | None
+    ) -> Snapshot:
         """The readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
-        from foretouch.models.hand_history import HandHistory
+        from foretouch.models.history import History
 
         now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
-        hand = self.hand.copy() if self.hand is not None else HandHistory(self.model)
+        hand = self.hand.copy() if self.hand is not None else History(self.model)
         last = None
         for one in sorted(others(self.history, sample), key=lambda one: one.stamp_ns):
             if one.stamp_ns <= now_ns:
@@ -91,7 +86,7 @@ class Adaptation:
             hand.add_tare(now_ns, tare[0], tdc=tare[1])
         return hand.snapshot(now_ns, same_object=bool(touched), tare=tare is not None)
 
-    def _add(self, hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
+    def _add(self, hand: History, sample: Sample, stamp_ns: int, *, new_object: bool) -> None:
         """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""
         assert sample.touch is not None  # noqa: S101  only labelled samples are passed
         try:
@@ -115,7 +110,7 @@ class Adaptation:
 
 def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
     """Read the files of --tare, --touched and --history; a `ForetouchError` names what cannot be combined or used."""
-    from foretouch.models.hand_history import read_history
+    from foretouch.models.history import read_history
 
     own = _OWN in arguments.tare
     if own and len(arguments.tare) > 1:
@@ -180,7 +175,7 @@ def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
     return Touch(np.hstack([entry[name] for name in sizes]), channels), tdc
 
 
-def others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequence[GraspSample]:
+def others(samples: Sequence[Sample], sample: Sample | None) -> Sequence[Sample]:
     """Labelled samples that a prediction for one of them may use: without itself, whose reading would leak its label.
 
     It may come from another file, and ids alone may recur in another dataset.
@@ -191,15 +186,15 @@ def others(samples: Sequence[GraspSample], sample: GraspSample | None) -> Sequen
     return [one for one in samples if one.id != sample.id or one.touch is None or (one.touch.values != own).any()]
 
 
-def _own_tare(sample: GraspSample | None) -> tuple[Touch, Float64]:
+def _own_tare(sample: Sample | None) -> tuple[Touch, Float64]:
     if sample is None or sample.tare is None:
         raise DatasetError(f"{'cloud' if sample is None else sample.id}: has no recorded tare")
     return sample.tare, tdc_of(sample.extra, sample.tare.channels, "tare_")
 
 
-def read_samples(paths: Sequence[str], channels: Channels) -> list[GraspSample]:
+def read_samples(paths: Sequence[str], channels: Channels) -> list[Sample]:
     """All samples of some datasets; a `TactileError` names one that is of another sensor than a model's channels."""
-    samples: list[GraspSample] = []
+    samples: list[Sample] = []
     for path in paths:
         opened = open_samples(path)
         require_same(opened.sensor.channels, channels, path)
@@ -207,8 +202,8 @@ def read_samples(paths: Sequence[str], channels: Channels) -> list[GraspSample]:
     return samples
 
 
-def _labelled_samples(option: str, paths: Sequence[str], channels: Channels) -> list[GraspSample]:
-    samples: list[GraspSample] = []
+def _labelled_samples(option: str, paths: Sequence[str], channels: Channels) -> list[Sample]:
+    samples: list[Sample] = []
     for path in paths:
         try:
             labelled = [sample for sample in read_samples([path], channels) if sample.touch is not None]

@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foretouch.errors import ForetouchError
+from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp, Prediction
+from foretouch.types import Grasp, Prediction, stamp_ns
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -24,12 +24,27 @@ if TYPE_CHECKING:
 
 
 def grasp_record(grasp: Grasp) -> dict[str, Any]:
-    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
-    return {
+    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined), and how a hand comes to it if it was planned for one."""
+    record = {
         "g1": grasp.g1,
         "g2": grasp.g2,
         "rotation": grasp.rotation.reshape(9),
         "score": None if math.isnan(grasp.score) else grasp.score,
+        "width_m": grasp.width_m,
+    }
+    if (way := grasp.way) is None:
+        return record
+    return record | {
+        "hand": way.hand,
+        "approach": way.approach,
+        "depth_m": way.depth_m,
+        "approaches": way.approaches,
+        "thumb_at": way.thumb_at,
+        "pose_of_hand": {
+            "position": way.pose_of_hand[:3, 3],
+            "quaternion_xyzw": quaternion_xyzw(way.pose_of_hand[:3, :3]),
+        },
+        "posture": dict(zip(way.joints, way.posture.tolist(), strict=True)),
     }
 
 
@@ -49,6 +64,12 @@ def prediction_record(prediction: Prediction) -> dict[str, Any]:
         "status": prediction.status,
         "reason": prediction.reason,
     }
+
+
+def contacts_text(grasp: Mapping[str, Any]) -> str:
+    """Format the contacts of a grasp record in one line, with their distance."""
+    g1, g2 = (" ".join(f"{value:.3f}" for value in grasp[name]) for name in ("g1", "g2"))
+    return f"g1 {g1}, g2 {g2} m, {1e3 * math.dist(grasp['g1'], grasp['g2']):.0f} mm wide"
 
 
 def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> dict[str, Any]:
@@ -79,11 +100,12 @@ def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, An
 def modality_text(
     value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None, text: Callable[[float], str] = "{:.0f}".format
 ) -> str:
-    """Value and half width of a single number; of several, least and largest value and mean half width."""
+    """Format a single number with its half width; of several, the least and largest value, and the mean half width of each."""
     if value is None:
         return "refused"
     values = np.atleast_1d(value)
     found = f"{text(values.min())}–{text(values.max())}" if values.size > 1 else text(values[0])
     if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
         return found
-    return f"{found} ±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
+    half = f"±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
+    return f"{found}\neach {half}" if values.size > 1 else f"{found} {half}"

@@ -155,10 +155,8 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Arguments that several commands share, by name."""
 
-READ: Final = (
-    *("inputs", "--topic", "--config", "--set", "--intrinsics", "--camera-info", "--depth-scale"),
-    *("--mask", "--picture"),
-)
+CAMERA: Final = ("--intrinsics", "--camera-info", "--depth-scale")
+READ: Final = ("inputs", "--topic", "--config", "--set", *CAMERA, "--mask", "--picture")
 PLANNED: Final = ("--plane", "--scene", "--target")
 CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
@@ -183,6 +181,15 @@ def pipeline_config(
     given = {"target.mode": getattr(arguments, "target", None), "model": getattr(arguments, "model", None) or None}
     options = {name: value for name, value in (given | (changes or {})).items() if value is not None}
     return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
+
+
+def depth_camera(arguments: argparse.Namespace) -> DepthCamera:
+    """Make the camera of depth files by the options `CAMERA`; a `ConfigError` if they state it twice."""
+    if arguments.intrinsics and arguments.camera_info:
+        raise ConfigError("--intrinsics, --camera-info: state the camera twice; give one of them")
+    return DepthCamera(
+        intrinsics=tuple(arguments.intrinsics or ()), info=arguments.camera_info, scale=arguments.depth_scale
+    )
 
 
 def check_single(arguments: argparse.Namespace) -> None:
@@ -298,12 +305,7 @@ def _results(
 ) -> Iterator[tuple[str, Record | ForetouchError]]:
     """The records of each cloud, or why it was refused."""
     try:
-        if arguments.intrinsics and arguments.camera_info:
-            raise ConfigError("--intrinsics, --camera-info: state the camera twice; give one of them")
-        camera = DepthCamera(
-            intrinsics=tuple(arguments.intrinsics or ()), info=arguments.camera_info, scale=arguments.depth_scale
-        )
-        source = open_source(path, topic=arguments.topic, camera=camera)
+        source = open_source(path, topic=arguments.topic, camera=depth_camera(arguments))
         for note in source.notes:
             warn(note)
         for item in source:

@@ -14,9 +14,10 @@ from rich.text import Text
 
 from foretouch.cli.answers import modality_text
 from foretouch.cli.screen import make_table
-from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.taxel_view import TaxelView
+from foretouch.types import Touch
 
 if TYPE_CHECKING:
     from foretouch.dataset.pairing.cut import TouchCut
@@ -46,8 +47,8 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions, view.sensor))
     for name, (_, _, values) in view.nodes.items():
-        found = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
-        parts += [Text(f"{_short(name)} dropped {found} in all")] * bool(found)
+        dropped = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
+        parts += [Text(f"{_short(name)} dropped in total: {dropped}")] * bool(dropped)
     parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
     return titled(title, parts)
 
@@ -74,7 +75,7 @@ def _nodes(nodes: Mapping[str, tuple[int, str, dict[str, str]]]) -> Table:
             _rounded(values.get("rate_hz", "")),
             *(values.get(key, "") for key in ("received", "used")),
             str(dropped),
-            *(_rounded(values.get(f"latency_ms.{p}", "–")) for p in ("p50", "p95")),
+            *(_rounded(values.get(f"latency_ms.{p}", "–")) if "phase" not in values else "–" for p in ("p50", "p95")),
         ])  # fmt: skip
     return _table("node", "state", "Hz", "in", "used", "drops", "p50 ms", "p95 ms", rows=rows)
 
@@ -95,14 +96,14 @@ def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Tabl
         width_mm = 1e3 * dist(*((point.x, point.y, point.z) for point in (one.grasp.g1, one.grasp.g2)))
         width = f"{width_mm:.0f}" if width_mm < 1e4 else "–"  # a refused grasp may be 1e160 m wide
         if one.reason and one.status:
-            rows.append([one.grasp.object_id, width, *[""] * len(modalities), one.reason])
+            rows.append([one.grasp.object_id, width, *[""] * len(modalities), "", one.reason])
             continue
         flags = [flag.replace("_", " ") for flag in one.flags]
-        based = Text("\n".join([reference_text(one), *flags]), "yellow" if flags else "")
-        rows.append([one.grasp.object_id, width, *_modalities(one, sensor, modalities), based])
+        marked = Text("\n".join(flags) or "–", "yellow" if flags else "")
+        rows.append([one.grasp.object_id, width, *_modalities(one, sensor, modalities), reference_text(one), marked])
     units = ", ".join(dict.fromkeys(sensor.channels.channel_of[name].unit for name in modalities))
     title = f"last prediction ({units}){models and f' by {models}'}"
-    return _table("object", "mm", *modalities, "based on", rows=rows, title=title)
+    return _table("object", "mm", *modalities, "based on", "flags", rows=rows, title=title)
 
 
 def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequence[str]) -> list[str]:
@@ -116,7 +117,7 @@ def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequenc
 
 
 def executed_table(prediction: TouchPrediction | None, readings: TouchCut, sensor: Sensor | None = None) -> Table:
-    """The values of an executed grasp: as predicted, if they were, as read, and at rest before; all without a sensor."""
+    """List the values of an executed grasp: as predicted, if they were, with how many were read inside of their intervals, as read, and at rest before; all without a sensor."""
     channels = readings.touch.channels.channel_of
     modalities = TaxelView(sensor).modalities if sensor else list(channels)
     rows: list[list[str | Text]] = []
@@ -126,7 +127,21 @@ def executed_table(prediction: TouchPrediction | None, readings: TouchCut, senso
         [name, *(modality_text(touch[key], None, None, channels[key].text) for key in modalities)]
         for name, touch in (("read", readings.touch), ("tare", readings.tare))
     ]
+    if prediction is not None and not prediction.status:
+        rows.insert(2, ["inside", *_inside(prediction, readings.touch, sensor or BIOTAC_SP, modalities)])
     return _table("last grasp", *modalities, rows=rows)
+
+
+def _inside(message: TouchPrediction, read: Touch, sensor: Sensor, modalities: Sequence[str]) -> list[str]:
+    """Say for each modality whether it was read inside of its interval, or how many of its values were."""
+    from foretouch.ros.messages.conversions import prediction_from_msg
+
+    prediction = prediction_from_msg(message, sensor)
+    if not prediction.calibrated:
+        return ["–"] * len(modalities)
+    inside = (read.values >= prediction.lower.values) & (read.values <= prediction.upper.values)
+    parts = [inside[sensor.channels.columns([name])] for name in modalities]
+    return [f"{part.sum()} of {part.size}" if part.size > 1 else ("no", "yes")[int(part.all())] for part in parts]
 
 
 def _rounded(number: str) -> str:

@@ -22,7 +22,7 @@ from foretouch.laboratory import laboratory, needs_laboratory
 
 COMMANDS = {
     "segment": "Segment the table and the objects of each cloud",
-    "grasp": "Plan two-finger grasps on each object (GeoGrasp)",
+    "grasp": "Plan two-finger grasps on each object",
     "predict": "Predict the tactile readings of grasps on each object",
     "simulate": "Simulate grasps in a scene and write them to a dataset",
     "dataset": "Inspect, verify, repair, edit and convert datasets",

@@ -8,29 +8,26 @@ predicted from all readings before it.
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
-from foretouch.cli.answers import modality_text, prediction_record
-from foretouch.cli.output import print_json, print_table, warn
+from foretouch.cli.answers import contacts_text, modality_text, prediction_record
+from foretouch.cli.output import print_json, print_table
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import laboratory
+from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Object, Pipeline
-from foretouch.report.equal_pressure import flag_equal_pressures
 from foretouch.tactile import BIOTAC
-from foretouch.types import LATE, REDUCED, Grasp, GraspSample, Prediction, Predictions, Reference, Touch
+from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
-
-if TYPE_CHECKING:
-    from foretouch.models.budget import LatencyBudget
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,15 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=partial(inputs.numbers, count=6),
         action="append",
         metavar="x1,y1,z1,x2,y2,z2",
-        help="contacts [m] (default: the sample's own, or those that GeoGrasp plans)",
+        help="contacts [m] (default: the sample's own, or planned ones)",
     )
     inputs.add_options(parser, "--model", *inputs.ADAPTED)
-    parser.add_argument(
-        "--budget-ms",
-        type=inputs.positive_value,
-        metavar="T",
-        help="predict the grasps of each object within this time, by a cheaper form of the model where it is needed, which is flagged",
-    )
     parser.add_argument(
         "--prequential",
         action="store_true",
@@ -65,21 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
-    budget = None
-    if arguments.budget_ms is not None:
-        from foretouch.models.budget import LatencyBudget, load_warm
-
-        budget = LatencyBudget(arguments.budget_ms / 1e3, *load_warm(pipeline.model))
-    answer = partial(_answer, arguments, pipeline, adaptation, budget)
+    answer = partial(_answer, arguments, pipeline, adaptation)
     return inputs.process_inputs(arguments, answer, partial(_show, channels=pipeline.model.sensor.channels))
 
 
 def _answer(
-    arguments: argparse.Namespace,
-    pipeline: Pipeline,
-    adaptation: Adaptation,
-    budget: "LatencyBudget | None",
-    item: SourceItem,
+    arguments: argparse.Namespace, pipeline: Pipeline, adaptation: Adaptation, item: SourceItem
 ) -> Iterator[inputs.Record]:
     """Predictions for each object of an input."""
     targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
@@ -96,7 +78,7 @@ def _answer(
                 raise
             grasps, reason = [], str(err)
         planned = time.perf_counter()
-        predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
+        predictions = adaptation.predict(pipeline, target, grasps, item.sample)
         predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = predictions.reason[~predictions.ok].tolist()
@@ -110,39 +92,16 @@ def _answer(
             "reason": "; ".join(refused) or reason,
             "predictions": [prediction_record(one) for one in predictions],
             "model": _named(pipeline.model),
-            **level,
             "touched": len(others(adaptation.touched, item.sample)),
             "ms": {**ms, "total": sum(ms.values())},
             "failed": not predictions or bool(refused),
         }
 
 
-def _predict(
-    adaptation: Adaptation,
-    budget: "LatencyBudget | None",
-    pipeline: Pipeline,
-    target: Object,
-    grasps: Sequence[Grasp],
-    sample: GraspSample | None,
-) -> tuple[Predictions, inputs.Record]:
-    """Predictions, and what the budget chose for the record."""
-    if budget is None or not grasps:
-        return adaptation.predict(pipeline, target, grasps, sample), {}
-    chosen = budget.begin(len(grasps), time.monotonic())
-    predictions = adaptation.predict(pipeline, target, grasps, sample, chosen.level.model)
-    late = budget.end(chosen)
-    if not chosen.affordable:
-        warn(
-            f"--budget-ms: {budget.budget_s * 1e3:g}: nothing meets it for {len(grasps)} grasps: {chosen.level.name} is used"
-        )
-    predictions = predictions.flagged(REDUCED, rows=chosen.reduced).flagged(LATE, rows=late)
-    return predictions, {"level": chosen.level.name}
-
-
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     replay_model = laboratory("learning.prequential", "--prequential").replay_model
-    for name in ("tare", "touched", "grasp", "budget_ms", "mask", "picture", "pixel", "point"):
+    for name in ("tare", "touched", "grasp", "mask", "picture", "pixel", "point"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 
@@ -182,7 +141,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
 def _grasps(
     item: SourceItem, target: Object, arguments: argparse.Namespace, pipeline: Pipeline
 ) -> tuple[list[Grasp], str]:
-    """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned by GeoGrasp."""
+    """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned."""
     if arguments.grasp:
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
@@ -203,14 +162,16 @@ def _named(model: TouchModel) -> inputs.Record:
 
 
 def _show(record: dict[str, Any], *, channels: Channels) -> None:
-    rows = []
-    for one in record["predictions"]:
+    rows, contacts = [], []
+    for number, one in enumerate(record["predictions"], 1):
         counts = {"touches": f" {record['touched']}", "history": f" {one['evidence']['readings']}"}
         reference = f"{one['reference']}{counts.get(one['reference'], '')}"
+        contacts.append(f"\ngrasp {number}: {contacts_text(one['grasp'])}")
         rows.append([
-            "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
+            str(number),
             *(modality_text(**one[name], text=channel.text) for name, channel in channels.channel_of.items()),
-            "\n".join([reference, *(flag.replace("_", " ") for flag in one["flags"])]),
+            reference,
+            "\n".join(flag.replace("_", " ") for flag in one["flags"]) or "–",
         ])  # fmt: skip
     title = inputs.heading(record, f" by {record['model']['name']}")
-    print_table(title, ["g1, g2 [m]", *channels.modalities, "adapted to"], rows)
+    print_table(title + "".join(contacts), ["#", *channels.modalities, "based on", "flags"], rows)

@@ -26,12 +26,12 @@ from foretouch.cli.screen import make_table, terminal, watch
 from foretouch.config import flattened, parse_overrides
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.graph import Graph
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 
 if TYPE_CHECKING:
     from foretouch.cli.keys import RecordingKeys
+    from foretouch.dataset.recording.operator import OperatorState
     from foretouch.ros.nodes.recorder import RecorderNode
-    from foretouch.ros.recorder.operator import OperatorState
     from foretouch.ros.recorder.session import SessionStatus
     from foretouch.tactile.description import Sensor
     from foretouch_msgs.msg import RecorderStatus, TopicAccount

@@ -4,6 +4,7 @@
 import argparse
 from typing import TYPE_CHECKING, cast
 
+from foretouch.cli.inputs import depth_camera
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.run import add_replay_arguments, replay_fault, report_conflicts, source_parameters
 from foretouch.ros.graph import Graph
@@ -25,7 +26,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Return exit status 1 if the replay could not start or failed."""
     from foretouch.dataset.source import open_source
 
-    open_source(arguments.path, arguments.topic)  # so that an absent one is reported before anything starts
+    open_source(
+        arguments.path, arguments.topic, camera=depth_camera(arguments)
+    )  # so that an absent one is reported before anything starts
     parameters = source_parameters(arguments, arguments.path)
     parameters |= {"loop": arguments.loop, "restamp": arguments.restamp}
     if arguments.no_wait:

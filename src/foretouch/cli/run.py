@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 from rich.panel import Panel
 
 from foretouch.cli.answers import answer_record
-from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value
+from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import JsonLines, announce, warn
 from foretouch.cli.screen import terminal, watch
@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
     """Declare what is played, and for whom a replay waits before its first cloud."""
-    add_options(parser, "--topic", "--namespace")
+    add_options(parser, "--topic", *CAMERA, "--namespace")
     parser.add_argument(
         "--rate", type=positive_value, metavar="HZ", help=f"clouds per second (default: {default_rate})"
     )
@@ -145,6 +145,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
+    from foretouch.cloud.io.depth_files import DepthCamera
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
     from foretouch.models.card import read_card
@@ -166,13 +167,17 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     scene = Path(arguments.source).suffix in {".yaml", ".yml"}
     live = scene or arguments.source == "camera" or _is_topic(arguments.source)
     if not live:
-        source = open_source(arguments.source, arguments.topic)
+        source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
         if not any("late_after_s" in parameters for parameters in given):
             perception["late_after_s"] = 0.0  # the stamps are those of the recording
         perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
         if source.info_topic:
             arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
         return nodes | {"replay": _replay_parameters(arguments, source)}
+    if depth_camera(arguments) != DepthCamera():
+        raise ConfigError(
+            f"--intrinsics, --camera-info, --depth-scale: {arguments.source} is no file with depth images"
+        )
     if arguments.wait_for or arguments.wait_limit is not None:
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
     if _is_topic(arguments.source):
@@ -254,10 +259,13 @@ def _replay_parameters(arguments: argparse.Namespace, source: Source) -> dict[st
 
 
 def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
-    """Parameters of the replay for the options `--topic`, `--rate`, `--plane` and those of the wait."""
+    """Parameters of the replay for the options of `add_replay_arguments`."""
     given = {
         "path": path,
         "topic": arguments.topic or None,
+        "intrinsics": arguments.intrinsics,
+        "camera_info": None if arguments.camera_info is None else str(arguments.camera_info.resolve()),
+        "depth_scale": arguments.depth_scale,
         "rate_hz": arguments.rate,
         "table": arguments.plane,
         "wait_for": arguments.wait_for or None,
@@ -278,7 +286,9 @@ def report_conflicts(graph: Graph) -> list[str]:
     """Print the signs of a second graph in the namespace, and return them."""
     found = graph.conflicts()
     if found:
-        warn(f"a second graph or source runs in the namespace: {'; '.join(found)}")
+        warn(
+            f"a second graph or source runs in the namespace: {'; '.join(found)}; end one, or set another --namespace or ROS_DOMAIN_ID"
+        )
     return found
 
 
@@ -329,14 +339,14 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     conflicts = report_conflicts(graph)
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": view.answers, "reasons": view.reasons}
+        counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
         if "hand" in graph.nodes:
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         _print_end(arguments.lines, counts)
     else:
-        terminal().print(
-            live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
-        )
+        answers = f"{answered} of {played} clouds answered"
+        unanswered = f", {played - answered} dropped or under way" if complete and played > answered else ""
+        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}{unanswered}"))
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:

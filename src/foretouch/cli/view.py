@@ -14,8 +14,9 @@ import numpy as np
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.output import progress_bar, warn
+from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.record import DISCARDED, readings
-from foretouch.dataset.samples import SampleSet, has_points, is_sample_set, open_samples, sensor_of_samples
+from foretouch.dataset.samples import SampleSet, has_points, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
 from foretouch.files import require_existing, require_writable
@@ -23,7 +24,7 @@ from foretouch.pipeline import Object, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.tactile.description import require_same
-from foretouch.types import Grasp, GraspSample, Touch
+from foretouch.types import Grasp, Sample, Touch
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds or samples (default: all)"
     )
-    inputs.add_options(parser, "--topic", "--config", "--set", "--model", *inputs.PLANNED, *inputs.ADAPTED)
+    inputs.add_options(
+        parser, "--topic", *inputs.CAMERA, "--config", "--set", "--model", *inputs.PLANNED, *inputs.ADAPTED
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -88,7 +91,9 @@ def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterat
     """A step for each cloud, or sample that was not discarded, with the touch that the model predicts now; names of others are kept."""
     made: Iterator[tuple[str, Callable[[], ViewStep | None]]]
     if samples is None:
-        source = open_source(view.arguments.path, topic=view.arguments.topic)
+        source = open_source(
+            view.arguments.path, topic=view.arguments.topic, camera=inputs.depth_camera(view.arguments)
+        )
         for note in source.notes:
             warn(note)
         made = ((item.name, partial(_of_cloud, view, item, stamped=source.kind == "recording")) for item in source)
@@ -138,6 +143,6 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
     return ViewStep(**shown, **_predicted(view, target, plan.grasps[0], None), candidates=plan.grasps[1:])
 
 
-def _predicted(view: _View, target: Object, grasp: Grasp, sample: GraspSample | None) -> dict[str, Any]:
+def _predicted(view: _View, target: Object, grasp: Grasp, sample: Sample | None) -> dict[str, Any]:
     (prediction,) = view.adaptation.predict(view.pipeline, target, [grasp], sample)
     return {"grasp": prediction.grasp, "prediction": prediction, "model": view.pipeline.model.name}

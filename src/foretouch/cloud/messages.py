@@ -19,8 +19,7 @@ import numpy as np
 from foretouch.cloud.geometry.frames import has_depth
 from foretouch.cloud.io.pointcloud2 import DATATYPES, decode, encode
 from foretouch.errors import CloudError, DatasetError
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Int64
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Int64, stamp_ns
 
 _START: Final = 4  # of the fields in CDR
 _STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts seconds in an int32
@@ -112,9 +111,9 @@ def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
     """Each label with its points, in the order of their first points."""
     if (labels == labels[0]).all():  # the usual case
         return [(labels[0], np.arange(len(labels)))]
-    found, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
+    present, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
     members = np.split(np.argsort(inverse, kind="stable"), np.cumsum(counts)[:-1])
-    return [(found[k], members[k]) for k in np.argsort(first)]
+    return [(present[k], members[k]) for k in np.argsort(first)]
 
 
 def _integer_field(message: Any, name: str) -> AnyArray | None:

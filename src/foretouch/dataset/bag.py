@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from foretouch.cloud.io.depth_messages import ENCODINGS, CameraInfos, info_topic
 from foretouch.cloud.messages import decode_cloud
 from foretouch.config import load_yaml
-from foretouch.dataset.mcap_reader import MAGIC, Damage, McapReader
+from foretouch.dataset.mcap_reader import Damage, McapReader
 from foretouch.errors import CloudError, FileError, ForetouchError
 from foretouch.files import open_regular, require_existing
 from foretouch.types import Cloud
@@ -93,7 +93,7 @@ class Recording:
         with ExitStack() as stack:
             self._readers = [_opened(file, stack) for file in files]
             with _known_failures(self.path):
-                self._connections = [one for reader in self._readers for one in reader.connections]
+                self._connections = [connection for reader in self._readers for connection in reader.connections]
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
             if not self.topics:
                 next(self.messages(), None)  # of a file that is cut off before its first message
@@ -123,18 +123,18 @@ class Recording:
         named = [
             t for t in self.topics if t.count and (t.name == topic or (not topic and not t.name.startswith(_TAXELS)))
         ]
-        found = [t for t in named if t.type == POINT_CLOUD_TYPE]
-        if not found:
-            found = [t for t in named if self._is_depth(t)]
-            raw = {t.name for t in found if t.type == IMAGE_TYPE}
-            found = [t for t in found if t.type == IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
-        if len(found) != 1:
+        qualified = [t for t in named if t.type == POINT_CLOUD_TYPE]
+        if not qualified:
+            qualified = [t for t in named if self._is_depth(t)]
+            raw = {t.name for t in qualified if t.type == IMAGE_TYPE}
+            qualified = [t for t in qualified if t.type == IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
+        if len(qualified) != 1:
             rule = "several topics of clouds or depth images, name one with --topic"
-            if not found:
+            if not qualified:
                 rule = f"no messages of {POINT_CLOUD_TYPE}, nor depth images ({', '.join(ENCODINGS)}, compressedDepth)"
-            raise FileError(self.path, f"{rule}: {_listed(found or self.topics)}", field=topic)
-        name = found[0].name
-        if found[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
+            raise FileError(self.path, f"{rule}: {_listed(qualified or self.topics)}", field=topic)
+        name = qualified[0].name
+        if qualified[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
             rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too"
             raise FileError(self.path, rule, field=name)
         return name
@@ -151,7 +151,7 @@ class Recording:
 
     def info_topic(self, topic: str) -> str:
         """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
-        types = {one.name: one.type for one in self.topics if one.count}
+        types = {recorded.name: recorded.type for recorded in self.topics if recorded.count}
         beside = info_topic(topic)
         return (
             beside
@@ -159,15 +159,20 @@ class Recording:
             else ""
         )
 
+    def first_info(self, topic: str) -> CameraInfos:
+        """Read the first camera info of a topic of depth images, which is for the images before it; of clouds there are none."""
+        infos, beside = CameraInfos(topic), self.info_topic(topic)
+        for message in islice(self.messages([beside]), 1) if beside else ():
+            infos.add(self.content(message), message.bag_time_ns * 1e-9)
+        return infos
+
     def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
         """Read the messages of a topic of clouds or depth images, each with what decodes it.
 
         A depth image has the camera of the last info before it, the first ones that of the first info. What decodes a
         message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
         """
-        beside, infos = self.info_topic(topic), CameraInfos(topic)
-        for first in islice(self.messages([beside]), 1):
-            infos.add(self.content(first), first.bag_time_ns * 1e-9)
+        beside, infos = self.info_topic(topic), self.first_info(topic)
         for message in self.messages({topic, beside}):
             if message.topic == topic:
                 yield message, partial(self.decode_cloud, message, infos)
@@ -176,7 +181,7 @@ class Recording:
                 infos.add(self.content(message), message.bag_time_ns * 1e-9)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages of some topics, or of all, in order of their bag time.
+        """Iterate over the messages of some topics, or of all, in order of their bag time.
 
         Raises a `FileError` where the recording is damaged (of an MCAP file after all messages that are intact), and at its
         end if it holds other counts than it declares.
@@ -184,7 +189,7 @@ class Recording:
         counts: Counter[str] = Counter()
         runs = []
         for reader in self._readers:
-            wanted = [one for one in reader.connections if topics is None or one.topic in topics]
+            wanted = [channel for channel in reader.connections if topics is None or channel.topic in topics]
             runs += [reader.messages(wanted)] if wanted or isinstance(reader, _McapFile) else []
         with _known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
@@ -193,9 +198,9 @@ class Recording:
                 data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else _plain(raw)
                 yield Message(topic, kind, counts[topic], time_ns, data, definition)
                 counts[topic] += 1
-        faults = [one.fault for one in self._readers if isinstance(one, _McapFile) and one.fault]
+        faults = [file.fault for file in self._readers if isinstance(file, _McapFile) and file.fault]
         if faults:
-            also = ", ".join(one.path.name for one in faults[1:])
+            also = ", ".join(fault.path.name for fault in faults[1:])
             raise FileError(
                 faults[0].path, f"{faults[0].rule}{also and '; also damaged: '}{also}", field=faults[0].field
             )
@@ -205,7 +210,7 @@ class Recording:
                 raise FileError(self.path, rule, field=topic.name)
 
     def content(self, message: Message) -> Any:
-        """The fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
+        """Return the fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
         with _known_failures(self.path, _position(message)):
             try:
                 return _typestore(*message.definition).deserialize_cdr(message.data, message.type)
@@ -224,13 +229,13 @@ class Recording:
             raise FileError(self.path, str(err), field=_position(message)) from err
 
     def _topics(self) -> Iterator[Topic]:
-        for name in sorted({one.topic for one in self._connections}):
-            connections = [one for one in self._connections if one.topic == name]
-            types = {_type_of(one) for one in connections}
+        for name in sorted({connection.topic for connection in self._connections}):
+            connections = [connection for connection in self._connections if connection.topic == name]
+            types = {_type_of(connection) for connection in connections}
             kind = types.pop() if len(types) == 1 else ""
             fields = _typestore(*_definition(connections[0])).fielddefs.get(kind, ([], []))[1]
             stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
-            count, latched = sum(one.msgcount for one in connections), any(map(_is_latched, connections))
+            count, latched = sum(connection.msgcount for connection in connections), any(map(_is_latched, connections))
             yield Topic(name, kind, count, tuple(f[0] for f in fields), stamped, latched)
 
 
@@ -244,8 +249,6 @@ class _McapFile:
         self.fault: FileError | None = None
         self._shown = shown
         self._file = McapReader(path)
-        if self._file.data[: len(MAGIC)] != MAGIC:
-            raise next(one for one in self._file.messages() if isinstance(one, Damage)).error(shown)
         counts = self._file.count_messages()
         self.connections: list[Connection] = []
         formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros1msg": MessageDefinitionFormat.MSG}
@@ -263,23 +266,23 @@ class _McapFile:
             self.connections.append(Connection(number, channel.topic, kind, definition, "", counts[number], ext, self))
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """The messages of some connections with their times [ns], in order; damage then is the `fault`."""
-        by_number = {one.id: one for one in connections}
+        """Iterate over the messages of some connections with their times [ns], in order; damage then is the `fault`."""
+        by_number = {connection.id: connection for connection in connections}
         faults: list[Damage] = []
-        for found in self._file.in_time({one.topic for one in connections}):
-            if isinstance(found, Damage):
-                faults.append(found)
-            elif found[0].channel in by_number:
-                yield by_number[found[0].channel], found[0].log_time_ns, found[1]
+        for item in self._file.in_time({connection.topic for connection in connections}):
+            if isinstance(item, Damage):
+                faults.append(item)
+            elif item[0].channel in by_number:
+                yield by_number[item[0].channel], item[0].log_time_ns, item[1]
         if faults:
             first = faults[0].error(self._shown)
             cure = f"what is intact was read; `foretouch dataset repair {self._shown}` makes a complete file of it"
-            cure = cure if any(one.msgcount for one in self.connections) else "no message can be read"
+            cure = cure if any(connection.msgcount for connection in self.connections) else "no message can be read"
             self.fault = FileError(self._shown, f"{first.rule}: {cure}", field=first.field)
 
 
 def _opened(file: Path, stack: ExitStack) -> Any:
-    """A reader of one file, with `connections` and `messages`; it is closed with the stack."""
+    """Return a reader of one file, with `connections` and `messages`; it is closed with the stack."""
     from rosbags.rosbag1 import Reader as Ros1Reader
     from rosbags.rosbag2 import Reader as Ros2Reader
 
@@ -299,7 +302,7 @@ def _opened(file: Path, stack: ExitStack) -> Any:
 
 
 def _unpacked(file: Path, folder: Path) -> Path:
-    """A file that was compressed as a whole, unpacked into a folder."""
+    """Return a file that was compressed as a whole, unpacked into a folder."""
     import zstandard
 
     unpacked = folder / file.stem
@@ -309,7 +312,7 @@ def _unpacked(file: Path, folder: Path) -> Path:
 
 
 def _plain(data: bytes) -> bytes:
-    """A message, which may have been compressed by itself."""
+    """Return a message, which may have been compressed by itself."""
     if not data.startswith(_ZSTD):
         return data
     import zstandard
@@ -326,7 +329,7 @@ def _standard() -> Typesdict:
 
 @lru_cache(maxsize=1024)
 def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestore:
-    """A recorded type and all types in it; those without a definition, as before ROS 2 Iron, as in a current release."""
+    """Return a recorded type and all types in it; those without a definition, as before ROS 2 Iron, as in a current release."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -340,21 +343,21 @@ def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestor
     if ros1:
         types[HEADER_TYPE] = _standard()[HEADER_TYPE]  # of ROS 2, without `seq`
     needed = [name]
-    for one in needed:  # which grows meanwhile
-        if one in types or one in _standard():
-            needed += set(types_in(types.setdefault(one, _standard().get(one, ([], [])))[1])) - {*needed}
+    for kind in needed:  # which grows meanwhile
+        if kind in types or kind in _standard():
+            needed += set(types_in(types.setdefault(kind, _standard().get(kind, ([], [])))[1])) - {*needed}
     store = get_typestore(Stores.EMPTY)
-    store.register({one: types[one] for one in needed if one in types})
+    store.register({kind: types[kind] for kind in needed if kind in types})
     return store
 
 
 def _definition(connection: Connection) -> tuple[MessageDefinition, str, bool]:
-    """What the messages of a connection are decoded by; two of a recording may define a type otherwise."""
+    """Return what the messages of a connection are decoded by; two of a recording may define a type otherwise."""
     return connection.msgdef, _type_of(connection), _is_ros1(connection)
 
 
 def types_in(fields: Any) -> Iterator[str]:
-    """The names of message types in the fields of another, the only texts there with a slash."""
+    """Iterate over the names of message types in the fields of another, the only texts there with a slash."""
     for part in fields:
         if isinstance(part, tuple | list):
             yield from types_in(part)
@@ -363,35 +366,37 @@ def types_in(fields: Any) -> Iterator[str]:
 
 
 def _contradictions(path: Path, files: Collection[Path], topics: Collection[Topic]) -> Iterator[str]:
-    """What the `metadata.yaml` of a directory states otherwise than the files have it."""
+    """Yield what the `metadata.yaml` of a directory states otherwise than the files have it."""
     file = path / _METADATA
     if not file.is_file():
         return
     try:
         stated = load_yaml(file, 10_000_000)["rosbag2_bagfile_information"]
         names = {Path(name).name for name in stated["relative_file_paths"]}
-        found = {one["topic_metadata"]["name"]: one["message_count"] for one in stated["topics_with_message_count"]}
+        stated_counts = {
+            entry["topic_metadata"]["name"]: entry["message_count"] for entry in stated["topics_with_message_count"]
+        }
     except (ForetouchError, KeyError, TypeError, AttributeError) as err:
         yield f"{file}: cannot be read, the files decide: {' '.join(str(err).split())}"
         return
-    present = {one.name for one in files}
+    present = {file.name for file in files}
     for name in sorted(names ^ present):
         yield f"{file}: {f'lists {name}, which is absent' if name in names else f'does not list {name}, which was read'}"
     counts = {topic.name: topic.count for topic in topics}
-    for name in sorted(found.keys() | counts.keys()):
-        if found.get(name, 0) != counts.get(name, 0):
-            yield f"{file}: {name}: states {found.get(name, 0)} messages, the files hold {counts.get(name, 0)}"
+    for name in sorted(stated_counts.keys() | counts.keys()):
+        if stated_counts.get(name, 0) != counts.get(name, 0):
+            yield f"{file}: {name}: states {stated_counts.get(name, 0)} messages, the files hold {counts.get(name, 0)}"
 
 
 def is_recording(path: Path) -> bool:
-    """Whether the path looks like a recording, by its name or, for a directory, by the files in it."""
+    """Return whether the path looks like a recording, by its name or, for a directory, by the files in it."""
     if path.is_dir():
         return (path / _METADATA).is_file() or bool(_loose_files(path))
     return path.suffix in RECORDING_SUFFIXES or path.name.endswith(_PACKED_SUFFIXES)
 
 
 def _storage_files(path: Path) -> list[Path]:
-    """The files of a recording, all of them regular ones."""
+    """Return the files of a recording, all of them regular ones."""
     require_existing(path)
     if not is_recording(path):
         raise FileError(
@@ -430,7 +435,7 @@ def _is_ros1(connection: Connection) -> bool:
 
 
 def _type_of(connection: Connection) -> str:
-    """The ROS 2 name of a type, such as `std_msgs/msg/String`; with its encoding where that is not one of ROS."""
+    """Return the ROS 2 name of a type, such as `std_msgs/msg/String`; with its encoding where that is not one of ROS."""
     kind, encoding = connection.msgtype, getattr(connection.ext, "serialization_format", "ros1")
     kind = kind if kind.count("/") != 1 else kind.replace("/", "/msg/")
     return kind if encoding in {"cdr", "ros1"} else f"{kind} as {encoding}"

@@ -45,23 +45,23 @@ def sync_folder(path: Path) -> None:
         os.close(fd)
 
 
-def require_version(found: Any, known: int, *also: int) -> None:
+def require_version(version: Any, known: int, *also: int) -> None:
     """Refuse a schema version other than `known` and `also` with a `VersionError`."""
-    if found not in (known, *also) or isinstance(found, bool):  # a tuple: what was found may be a list
-        newer = isinstance(found, int) and found > known
+    if version not in (known, *also) or isinstance(version, bool):  # a tuple: the version may be a list
+        newer = isinstance(version, int) and version > known
         advice = "it was written by a newer foretouch" if newer else f"foretouch {__version__} supports no other"
-        raise VersionError(f"schema_version: {shown(found)} is not {known}: {advice}")
+        raise VersionError(f"schema_version: {shown(version)} is not {known}: {advice}")
 
 
 def sealed(content: Mapping[str, Any], seal: str) -> str:
-    """The text of a manifest with its checksum under the name `seal`; equal content gives equal text."""
+    """Return the text of a manifest with its checksum under the name `seal`; equal content gives equal text."""
     body = {name: value for name, value in content.items() if name != seal}
     digest = hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
     return json.dumps({**body, seal: digest}, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_manifest(file: Path, kind: str, seal: str, *versions: int) -> dict[str, Any]:
-    """The content of a manifest.
+    """Return the content of a manifest.
 
     Raises:
         FileError: If it is absent, no JSON, of another format or schema version, or changed.

@@ -11,7 +11,6 @@ from contextlib import ExitStack, suppress
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
@@ -23,20 +22,21 @@ from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import header_fields
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
+from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
-from foretouch.dataset.samples import is_sample_set, open_samples
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.dataset.writing import WriteResult, write_records
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
-from foretouch.types import Cloud
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+from foretouch.types import Cloud, stamp_ns
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
@@ -56,7 +56,7 @@ class BagTopics:
     tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by that of the topic
 
     def roles(self) -> dict[str, Role]:
-        """Role by topic."""
+        """Return the role of each topic."""
         return {self.clouds: "cloud", self.grasps: "grasps", self.executed: "executed", self.tactile: "tactile"}
 
 
@@ -82,25 +82,25 @@ def import_samples(
     with ExitStack() as stack:
         if is_sample_set(source):
             samples = open_samples(source)
-            found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
+            stated, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
             result.notes = tuple(bag.notes)
             holding = [topic.name for topic in bag.topics if topic.type in SAMPLE_TYPES]
             if holding:
-                found, records, sensor = _own_samples(bag, holding)
+                stated, records, sensor = _own_samples(bag, holding)
             else:
                 topics = _with_clouds(bag, topics or BagTopics())
                 reader = _tactile_reader(bag, topics)
-                found, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
+                stated, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
         else:
             raise FileError(source, _not_imported(source))
-        write_records(out, records, identity or found, sensor, result, progress)
+        write_records(out, records, identity or stated, sensor, result, progress)
     return result
 
 
 def _not_imported(source: Path) -> str:
-    """Why a source is none, and what reads it instead."""
+    """Return why a source is none, and what reads it instead."""
     if not source.exists():
         return "does not exist"
     if (source / "meta" / "info.json").is_file():
@@ -108,13 +108,13 @@ def _not_imported(source: Path) -> str:
             "is a LeRobot dataset of other features: write it with foretouch.write, as examples/import_lerobot.py does"
         )
     tables = (".csv", ".parquet", ".npz", ".h5", ".hdf5")
-    if any(one.suffix.lower() in tables for one in ([source] if source.is_file() else source.rglob("*"))):
+    if any(file.suffix.lower() in tables for file in ([source] if source.is_file() else source.rglob("*"))):
         return "holds tables: read them with pandas or h5py and write them with foretouch.write, as examples/import_*.py do"
     return "holds no samples and is not a recording"
 
 
 def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
-    """Hand, camera and sensor of the first sample of foretouch on some topics of a bag, and all samples."""
+    """Read hand, camera and sensor of the first sample of foretouch on some topics of a bag, and all samples."""
 
     def _stored() -> Iterator[StoredSample]:
         for message in bag.messages(topics):
@@ -125,7 +125,7 @@ def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Itera
 
     first = next(_stored(), None)
     identity, sensor = (Identity(), BIOTAC_SP) if first is None else first[1:]
-    return identity, (one.record for one in _stored()), sensor
+    return identity, (stored.record for stored in _stored()), sensor
 
 
 def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: WriteResult) -> Iterator[SampleRecord]:
@@ -135,9 +135,7 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
         AssemblerConfig(pairing=_PAIRING, object=topics.object, unlabelled_s=0.0, check_clock=live), reader
     )
     now_s = 0.0
-    infos, beside = CameraInfos(topics.clouds), bag.info_topic(topics.clouds)
-    for first in islice(bag.messages([beside]), 1):
-        infos.add(bag.content(first), first.bag_time_ns * 1e-9)
+    infos, beside = bag.first_info(topics.clouds), bag.info_topic(topics.clouds)
     for message in bag.messages({*roles, beside}):
         if message.topic == beside:
             infos = deepcopy(infos)  # images before it are decoded later
@@ -161,38 +159,38 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
 
 
 def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
-    """The topics, with that of the depth images of a bag without object clouds."""
-    if topics.clouds != BagTopics().clouds or any(one.name == topics.clouds for one in bag.topics):
+    """Return the topics, with that of the depth images of a bag without object clouds."""
+    if topics.clouds != BagTopics().clouds or any(topic.name == topics.clouds for topic in bag.topics):
         return topics
     with suppress(FileError):
-        found = bag.cloud_topic()
-        return replace(topics, clouds=found) if bag.info_topic(found) else topics
+        topic = bag.cloud_topic()
+        return replace(topics, clouds=topic) if bag.info_topic(topic) else topics
     return topics
 
 
 def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNamespace:
-    """The objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
+    """Return the objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
     cloud = bag.decode_cloud(message, infos)
     objects = segment(cloud).objects
-    points = np.concatenate([one.cloud.xyz for one in objects] or [np.empty((0, 3), np.float32)])
-    pixels = np.concatenate([one.pixels for one in objects] or [np.empty(0, np.int64)])
+    points = np.concatenate([seen.cloud.xyz for seen in objects] or [np.empty((0, 3), np.float32)])
+    pixels = np.concatenate([seen.pixels for seen in objects] or [np.empty(0, np.int64)])
     rows, columns = np.divmod(pixels, cloud.xyz.shape[1])
-    labels = np.repeat([one.id for one in objects] or [0], [one.n_points for one in objects] or [0])
+    labels = np.repeat([seen.id for seen in objects] or [0], [seen.n_points for seen in objects] or [0])
     places = {name: numbers.astype(np.uint16) for name, numbers in (("row", rows), ("column", columns))}
     header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
     return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
 
 
 def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResult) -> Iterator[SampleRecord]:
-    for one in assembled:
-        if isinstance(one, RejectedGrasp):
-            result.left_out[one.reason] += 1
+    for made in assembled:
+        if isinstance(made, RejectedGrasp):
+            result.left_out[made.reason] += 1
         else:
-            yield one.record
+            yield made.record
 
 
 def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
-    """The decoder of the bag's tactile messages; the default one where the bag has no such topic."""
+    """Return the decoder of the bag's tactile messages; the default one where the bag has no such topic."""
     types = {topic.name: topic.type for topic in bag.topics}
     for name in (topics.clouds, topics.grasps):
         if name not in types:
@@ -209,7 +207,7 @@ def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
 
 
 def _is_live(bag: Recording, topics: BagTopics) -> bool:
-    """Whether the bag was recorded live, so that its times show how far the clocks of robot and sensor differ.
+    """Return whether the bag was recorded live, so that its times show how far the clocks of robot and sensor differ.
 
     In one that was converted, or recorded from a replay or in simulated time, the robot's messages too are stamped far
     from their time of reception.

@@ -68,7 +68,7 @@ class Damage(NamedTuple):
     rule: str  # the rule that it breaks
 
     def error(self, path: Path) -> FileError:
-        """As an error that names file and position."""
+        """Make an error that names file and position."""
         return FileError(path, self.rule, field=f"byte {self.offset}")
 
 
@@ -137,7 +137,7 @@ class McapReader:
         self._unpacked: tuple[int, bytes] = (-1, b"")  # offset and content of the latest compressed chunk
 
     def messages(self, only: Collection[str] = ()) -> Iterator[RecordedMessage | Damage]:
-        """The messages in the order of the file, and all damage, after which it continues at the next intact chunk.
+        """Iterate over the messages in the order of the file, and all damage, after which it continues at the next intact chunk.
 
         With types in `only`, no checksum is verified, and uncompressed chunks that begin with a message of another type are
         skipped.
@@ -151,7 +151,7 @@ class McapReader:
                 yield from self._in_chunk(record, only)
 
     def in_time(self, topics: Collection[str]) -> Iterator[tuple[RecordedMessage, bytes] | Damage]:
-        """The messages of some topics with their data, in order of their log times, and all damage at the end."""
+        """Iterate over the messages of some topics with their data, in order of their log times, and all damage at the end."""
         faults: list[Damage] = []
         bare: list[tuple[int, RecordedMessage]] = []
         runs: list[Iterator[tuple[int, Any]]] = []
@@ -165,15 +165,15 @@ class McapReader:
                 bare += [(message.log_time_ns, message)] if message.topic in topics else []
         bare.sort(key=itemgetter(0))
         in_file = ((time_ns, (message, self.content(message))) for time_ns, message in bare)
-        for _, found in heapq.merge(in_file, *runs, key=itemgetter(0)):
-            if found is not None:
-                yield found
+        for _, message in heapq.merge(in_file, *runs, key=itemgetter(0)):
+            if message is not None:
+                yield message
         yield from faults
         if not faults and isinstance(index := self._read_index(), Damage):
             yield index
 
     def count_messages(self) -> Counter[int]:
-        """The number of messages by channel, all of which are then declared; by the index, else by a walk over the file."""
+        """Return the number of messages by channel, all of which are then declared; by the index, else by a walk over the file."""
         self._read_index()
         counts = Counter(self.statistics.channel_message_counts if self.statistics else ())
         declared = (self.channels.get(number) for number in counts)
@@ -182,42 +182,46 @@ class McapReader:
             and counts
         ):
             return counts
-        return Counter(one.channel for one in self.messages() if isinstance(one, RecordedMessage))
+        return Counter(message.channel for message in self.messages() if isinstance(message, RecordedMessage))
 
     def content(self, message: RecordedMessage) -> bytes:
-        """The data of a message."""
+        """Return the data of a message."""
         source = self.data if message.chunk is None else self._unpack(message.chunk)
         return source[message.start : message.end]
 
     def next_chunk(self, start: int) -> int:
-        """Offset of the first intact chunk from `start` on; the size of the file if there is none."""
+        """Return the offset of the first intact chunk from `start` on; the size of the file if there is none."""
         for at in self.data.find_all(_CHUNK_START, 64, start, len(self.data)):
-            found = next(self._records(self.data, at, len(self.data), _IN_DATA))
-            if isinstance(found, Record):
-                head = self._head(found)
-                if not self._fault(found, head, unpacked=bool(head.compression)):
+            record = next(self._records(self.data, at, len(self.data), _IN_DATA))
+            if isinstance(record, Record):
+                head = self._head(record)
+                if not self._fault(record, head, unpacked=bool(head.compression)):
                     return at
         return len(self.data)
 
     def _top(self, *, verified: bool) -> Iterator[Record | Damage]:
-        """The records in front of the index, and all damage of them."""
+        """Iterate over the records in front of the index, and all damage of them."""
         data, start, index = self.data, len(MAGIC), self._read_index()
         self.extras.clear()
         if data[:start] != MAGIC:
             yield Damage(0, "is not an MCAP file: it does not begin as one" if len(data) else "is empty")
         while start < len(data):
-            for one in self._records(data, start, len(data), _IN_DATA):
-                yield one
-                if isinstance(one, Damage):
+            for item in self._records(data, start, len(data), _IN_DATA):
+                yield item
+                if isinstance(item, Damage):
                     break
-                if one.opcode == Opcode.DATA_END:
-                    yield from self._end_damage(one, index) if verified else ()
+                if item.opcode == Opcode.DATA_END:
+                    yield from self._end_damage(item, index) if verified else ()
                     return
-                if one.opcode == Opcode.ATTACHMENT and verified and not self._fits(one.end - 4, one.start, one.end - 4):
-                    yield Damage(one.offset, "damaged: an attachment that does not match its checksum")
+                if (
+                    item.opcode == Opcode.ATTACHMENT
+                    and verified
+                    and not self._fits(item.end - 4, item.start, item.end - 4)
+                ):
+                    yield Damage(item.offset, "damaged: an attachment that does not match its checksum")
             else:
                 return
-            start = self.next_chunk(one.offset + 1)
+            start = self.next_chunk(item.offset + 1)
 
     def _in_chunk(
         self, record: Record, only: Collection[str] = (), *, unpacked: bool = False
@@ -231,11 +235,11 @@ class McapReader:
             return
         source = self._unpack(record) if packed else self.data
         start, end = (0, len(source)) if packed else (head.start, record.end)
-        for one in self._records(source, start, end, _IN_CHUNK):
-            if isinstance(one, Damage):  # where a chunk is cut off, so is its last message
-                yield from () if is_cut else [Damage(record.offset if packed else one.offset, one.rule)]
-            elif one.opcode == Opcode.MESSAGE:
-                message = self._message(source, one, packed)
+        for item in self._records(source, start, end, _IN_CHUNK):
+            if isinstance(item, Damage):  # where a chunk is cut off, so is its last message
+                yield from () if is_cut else [Damage(record.offset if packed else item.offset, item.rule)]
+            elif item.opcode == Opcode.MESSAGE:
+                message = self._message(source, item, packed)
                 if only and not packed and message.type not in only:
                     return
                 yield message
@@ -243,15 +247,15 @@ class McapReader:
     def _chunk_in_time(
         self, record: Record, topics: Collection[str], faults: list[Damage]
     ) -> Iterator[tuple[int, tuple[RecordedMessage, bytes] | None]]:
-        """The messages of a chunk by time, after None at the time of the first: until then the chunk is not read."""
+        """Iterate over the messages of a chunk by time, after None at the time of the first: until then the chunk is not read."""
         yield self._head(record).first_ns, None
-        found = []
-        for one in self._in_chunk(record, unpacked=True):
-            if isinstance(one, Damage):
-                faults.append(one)
-            elif one.topic in topics:
-                found.append((one.log_time_ns, (one, self.content(one))))
-        yield from sorted(found, key=itemgetter(0))
+        messages = []
+        for item in self._in_chunk(record, unpacked=True):
+            if isinstance(item, Damage):
+                faults.append(item)
+            elif item.topic in topics:
+                messages.append((item.log_time_ns, (item, self.content(item))))
+        yield from sorted(messages, key=itemgetter(0))
 
     def _message(self, source: FileBytes | bytes, record: Record, chunk: Record | None) -> RecordedMessage:
         start = record.start + _MESSAGE.size
@@ -262,7 +266,7 @@ class McapReader:
         return RecordedMessage(*names, sequence, logged_ns, sent_ns, number, start, record.end, chunk)
 
     def _head(self, chunk: Record) -> _Chunk:
-        """The head of a chunk, whose record was found valid."""
+        """Return the head of a chunk, whose record was found valid."""
         start = chunk.start + _CHUNK.size
         first_ns, _, size, crc, length = _CHUNK.unpack(self.data[chunk.start : start])
         compression = self.data[start : start + length].decode("utf-8", "replace")
@@ -272,7 +276,7 @@ class McapReader:
         )
 
     def _fault(self, record: Record, head: _Chunk, *, unpacked: bool) -> str:
-        """What is wrong with the content of a chunk; "" if nothing, or if it is cut off."""
+        """Return what is wrong with the content of a chunk; "" if nothing, or if it is cut off."""
         if head.compression not in _UNPACKERS:
             return f"a chunk is compressed by {head.compression!r}, which is not supported"
         if head.size > _MOST_UNPACKED and head.compression:
@@ -287,7 +291,7 @@ class McapReader:
         )
 
     def _unpack(self, record: Record) -> bytes:
-        """The content of a chunk, as far as it unpacks."""
+        """Return the content of a chunk, as far as it unpacks."""
         if self._unpacked[0] != record.offset:
             head, parts, size = self._head(record), list[bytes](), 0
             packed = BytesIO(self.data[head.start : record.end])
@@ -302,7 +306,7 @@ class McapReader:
     def _records(
         self, source: FileBytes | bytes, start: int, end: int, allowed: Collection[int]
     ) -> Iterator[Record | Damage]:
-        """The records between two offsets, which are declared; it ends at damage that leaves open where the next one begins."""
+        """Iterate over the records between two offsets, which are declared; it ends at damage that leaves open where the next one begins."""
         while start < end:
             left = end - start - _HEAD.size
             opcode, length = _HEAD.unpack(source[start : start + _HEAD.size]) if left >= 0 else (0, 0)
@@ -362,7 +366,7 @@ class McapReader:
             self.header = content
 
     def _read_index(self) -> tuple[int, int] | Damage:
-        """Start and end of the index of a finished file, verified by its checksum if it has one, and declared."""
+        """Return the start and end of the index of a finished file, verified by its checksum if it has one, and declared."""
         data, at = self.data, len(self.data) - len(MAGIC) - _FOOTER.size
         if at < len(MAGIC) or not self.finished:
             return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
@@ -373,7 +377,7 @@ class McapReader:
         return start or at, at
 
     def _fits(self, place: int, start: int, end: int) -> bool:
-        """Whether bytes match the checksum at a place, if there is one."""
+        """Return whether bytes match the checksum at a place, if there is one."""
         crc = int.from_bytes(self.data[place : place + 4], "little")
         return not crc or crc == self.data.crc32(start, end)
 

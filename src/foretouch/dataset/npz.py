@@ -17,7 +17,7 @@ from foretouch.errors import DatasetError, FileError, ForetouchError, none_of
 from foretouch.grasp.messages import grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Grasp, GraspSample
+from foretouch.types import AnyArray, Grasp, Sample
 
 _REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
 _NAMES: Final = {
@@ -35,7 +35,7 @@ _GRASP: Final = {"g1": (3,), "g2": (3,), "rotation": (3, 3), "score": (), "grasp
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """See `foretouch.dataset.formats`."""
+    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
     out.mkdir(parents=True)
     for record in samples.records():
         progress()
@@ -71,24 +71,26 @@ def _arrays(record: SampleRecord, identity: Identity, sensor: Sensor) -> dict[st
 
 
 def _grasps(grasps: Sequence[Grasp]) -> dict[str, AnyArray]:
-    """K grasps by field."""
+    """Return the fields of K grasps by name."""
     kinds = {name: np.str_ if name.endswith("_id") else np.float64 for name in _GRASP}
     return {
-        name: np.array([getattr(one, name.removeprefix("grasp_")) for one in grasps], kinds[name]).reshape(-1, *shape)
+        name: np.array([getattr(grasp, name.removeprefix("grasp_")) for grasp in grasps], kinds[name]).reshape(
+            -1, *shape
+        )
         for name, shape in _GRASP.items()
     }
 
 
 def _read(path: Path) -> StoredSample:
-    """The sample in an archive; a `FileError` if it is none."""
+    """Return the sample in an archive; a `FileError` if it is none."""
     arrays = read_arrays(path, _REQUIRED)
     try:
         cloud = archived_cloud(path, arrays)
-        default = SampleRecord(sample=GraspSample(id="a/1", object="a"))
+        default = SampleRecord(sample=Sample(id="a/1", object="a"))
         fields = vars(sample_fields(default, Identity(), BIOTAC_SP))
         for name in fields.keys() - _NESTED:
-            if (found := arrays.get(_NAMES.get(name, name))) is not None:
-                fields[name] = found.tolist() if found.dtype.kind == "U" or not found.shape else found
+            if (array := arrays.get(_NAMES.get(name, name))) is not None:
+                fields[name] = array.tolist() if array.dtype.kind == "U" or not array.shape else array
         if "outcome" in arrays:
             if fields["outcome"] not in OUTCOMES:
                 raise DatasetError(f"outcome: {none_of(fields['outcome'], OUTCOMES)}")
@@ -100,7 +102,7 @@ def _read(path: Path) -> StoredSample:
             "header": header_fields(int(arrays["sample_stamp_ns"]), cloud.frame_id, "sample_stamp_ns"),
             "cloud": cloud_fields(cloud),
             "grasp": grasp_fields(_grasp({name: arrays.get(name, np.array("")) for name in _GRASP})),
-            "candidates": [grasp_fields(_grasp(one)) for one in candidates],
+            "candidates": [grasp_fields(_grasp(candidate)) for candidate in candidates],
             "score": float(arrays["score"]),
             "labelled": np.size(fields["touch"]) > 0,
             "tared": np.size(fields["tare"]) > 0,
@@ -122,7 +124,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def recognise(path: Path) -> bool:
-    """Whether the first archive, whose name says where it is, names a sample; others may be clouds alone."""
+    """Return whether the first archive, whose name says where it is, names a sample; others may be clouds alone."""
     first = next(iter(_files(path)), None)
     try:
         return first is not None and bool(read_arrays(first, ["id", "g1"], []))
@@ -131,15 +133,15 @@ def recognise(path: Path) -> bool:
 
 
 def open_set(path: Path, _: bool) -> SampleSet:
-    """The samples in archives; a `FileError` names one that is none, or of another hand."""
+    """Return the samples in archives; a `FileError` names one that is none, or of another hand."""
     files = _files(path)
     first = _read(files[0])
 
     def record(k: int) -> SampleRecord:
-        found, own, other = _read(files[k])
+        stored, own, other = _read(files[k])
         if own != first.identity or other.sha256 != first.sensor.sha256:
             raise FileError(files[k], f"is of another hand, camera or sensor than {files[0]}")
-        return found
+        return stored
 
     return SampleSet(
         path=path,

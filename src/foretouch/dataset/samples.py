@@ -1,26 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of a dataset in any format of `foretouch.dataset.formats`: open and export them."""
+"""The samples of a dataset, whatever its format; `foretouch.dataset.formats` opens and exports them."""
 
-import importlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset import formats
-from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord, readings
-from foretouch.errors import DatasetError, FileError
-from foretouch.files import require_existing
+from foretouch.errors import DatasetError
 from foretouch.laboratory import laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Grasps, GraspSample
+from foretouch.types import AnyArray, Grasps, Sample
 
 _SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
@@ -43,12 +38,12 @@ class SampleSet:
     def __len__(self) -> int:
         return self.size
 
-    def __iter__(self) -> Iterator[GraspSample]:
-        """The samples in order, without those that the operator discarded."""
+    def __iter__(self) -> Iterator[Sample]:
+        """Return the samples in order, without those that the operator discarded."""
         return (record.sample for record in self.records())
 
     def to_arrays(self) -> dict[str, AnyArray]:
-        """All labelled samples as columns, one row for each; clouds, whose sizes differ, are left out.
+        """Return all labelled samples as columns, one row for each; clouds, whose sizes differ, are left out.
 
         Returns:
             `id`, `object` (S,) texts; `stamp_ns` (S,) int64 [ns]; `g1`, `g2` (S, 3) and `rotation` (S, 3, 3) float64 [m] in
@@ -58,21 +53,21 @@ class SampleSet:
         Raises:
             DatasetError: If no sample is labelled.
         """
-        samples = [one for one in self if one.touch is not None]
+        samples = [sample for sample in self if sample.touch is not None]
         if not samples:
             raise DatasetError(f"{self.path}: no sample is labelled")
         channels = self.sensor.channels
-        grasps = Grasps.of([one.grasp for one in samples])
+        grasps = Grasps.of([sample.grasp for sample in samples])
         touch, tare = (
             np.array([
-                np.full(channels.size, np.nan) if (read := getattr(one, name)) is None else read.values for one in samples
+                np.full(channels.size, np.nan) if (read := getattr(sample, name)) is None else read.values for sample in samples
             ])
             for name in ("touch", "tare")
         )  # fmt: skip
         return {
-            "id": np.array([one.id for one in samples]),
-            "object": np.array([one.object for one in samples]),
-            "stamp_ns": np.array([one.stamp_ns for one in samples], np.int64),
+            "id": np.array([sample.id for sample in samples]),
+            "object": np.array([sample.object for sample in samples]),
+            "stamp_ns": np.array([sample.stamp_ns for sample in samples], np.int64),
             **{name: getattr(grasps, name) for name in ("g1", "g2", "rotation")},
             "touch": touch,
             "tare": tare,
@@ -102,12 +97,12 @@ class SampleSet:
         ]
 
     def subset(self, numbers: Sequence[int]) -> "SampleSet":
-        """Some samples by their numbers, in this order."""
+        """Return some samples by their numbers, in this order."""
         kept, record, name = list(numbers), self.record, self.name
         return replace(self, size=len(kept), record=lambda k: record(kept[k]), name=lambda k: name(kept[k]))
 
     def records(self, *, discarded: bool = False) -> Iterator[SampleRecord]:
-        """The samples in order, optionally with those that the operator discarded."""
+        """Iterate over the samples in order, optionally with those that the operator discarded."""
         for k in range(self.size):
             record = self.record(k)
             if discarded or DISCARDED not in record.flags:
@@ -127,68 +122,22 @@ class ExportResult:
     lost: Counter[str] = field(default_factory=Counter)  # samples with a field that the format cannot hold, by field
 
 
-def _format_of(path: Path) -> ModuleType | None:
-    """The module of the format that a path is of."""
-    candidates = (importlib.import_module(entry.module) for entry in formats.FORMATS if entry.may_hold(path))
-    return next((module for module in candidates if module.recognise(path)), None)
-
-
-def is_sample_set(path: str | Path) -> bool:
-    """Whether the path is a dataset that `open_samples` can read."""
-    return _format_of(Path(path)) is not None
-
-
-def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
-    """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
-
-    Raises:
-        FileError: If there is no dataset, or it is damaged, cut off or of another version.
-    """
-    path = require_existing(path)
-    found = _format_of(path)
-    if found is None:
-        raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
-    opened: SampleSet = found.open_set(path, unfinished)
-    return opened
-
-
 def sensor_of_samples(samples: SampleSet) -> Sensor:
-    """The sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
+    """Return the sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
     rows = [
-        series.counts[:: max(1, len(series.counts) // _SHOWN)] for one in samples.records() if (series := readings(one))
+        series.counts[:: max(1, len(series.counts) // _SHOWN)]
+        for record in samples.records()
+        if (series := readings(record))
     ]
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
 
 
-def has_points(sample: GraspSample) -> bool:
-    """Whether a point of the cloud is finite; a recording without a camera has none."""
+def has_points(sample: Sample) -> bool:
+    """Return whether a point of the cloud is finite; a recording without a camera has none."""
     return bool(np.isfinite(sample.cloud.xyz).all(axis=-1).any())
 
 
-def only_finite(sample: GraspSample) -> GraspSample:
-    """The sample with an unorganised cloud, without points that have no depth."""
+def only_finite(sample: Sample) -> Sample:
+    """Return the sample with an unorganised cloud, without points that have no depth."""
     finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)
     return sample if not sample.cloud.organised and finite.all() else replace(sample, cloud=sample.cloud.take(finite))
-
-
-def export_samples(
-    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None, **options: Any
-) -> ExportResult:
-    """Write the samples of a dataset in another format; reading them back gives equal numbers.
-
-    Args:
-        source: A dataset (see `open_samples`).
-        out: Folder to create; must not exist.
-        kind: Name of a format in `formats.FORMATS` that is exported.
-        progress: Called once a sample.
-        options: Of the format: `fps` of lerobot.
-
-    Raises:
-        FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
-        DatasetError: If a sample's id cannot be the name of a file.
-    """
-    module = importlib.import_module(next(entry.module for entry in formats.FORMATS if entry.name == kind))
-    result = ExportResult()
-    with new_folder(Path(out)) as folder:
-        module.export(open_samples(source), folder, result, progress, **options)
-    return result

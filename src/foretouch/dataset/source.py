@@ -15,11 +15,11 @@ from typing import Literal
 from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
-from foretouch.dataset.formats import readable_formats
-from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
+from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
+from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError
 from foretouch.files import require_existing
-from foretouch.types import Cloud, GraspSample
+from foretouch.types import Cloud, Sample
 
 #: Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise.
 STAMP_STEP_NS = 100_000_000
@@ -30,22 +30,22 @@ class SourceItem:
     """One entry of a source, read on request."""
 
     name: str  # its file or folder, or recording and number of the message
-    load: Callable[[], Cloud | GraspSample]
+    load: Callable[[], Cloud | Sample]
     mask: Path | None = None  # of a depth image in a folder
 
     @cached_property
-    def _value(self) -> Cloud | GraspSample:
+    def _value(self) -> Cloud | Sample:
         return self.load()
 
     @property
     def cloud(self) -> Cloud:
         """The cloud, or that of the sample; a `ForetouchError` if it cannot be read."""
-        return self._value.cloud if isinstance(self._value, GraspSample) else self._value
+        return self._value.cloud if isinstance(self._value, Sample) else self._value
 
     @property
-    def sample(self) -> GraspSample | None:
+    def sample(self) -> Sample | None:
         """The sample; None for a cloud alone (raises as `cloud`)."""
-        return self._value if isinstance(self._value, GraspSample) else None
+        return self._value if isinstance(self._value, Sample) else None
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Source:
     path: Path  # as given
     kind: Literal["clouds", "samples", "recording"]  # what was found there
     count: int  # number of entries, or of messages that the recording declares
-    entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | GraspSample]]]]  # name of each, and what reads it
+    entries: Callable[[], Iterable[tuple[str, Callable[[], Cloud | Sample]]]]  # name of each, and what reads it
     frame_id: str = ""  # for clouds without a frame
     topic: str = ""  # of the clouds or depth images of a recording
     info_topic: str = ""  # of the camera infos of depth images; "" for clouds
@@ -71,11 +71,11 @@ class Source:
             stamp_ns = None if self.kind == "recording" else number * STAMP_STEP_NS
             yield SourceItem(name, partial(self._load, load, stamp_ns), self.masks.get(name))
 
-    def _load(self, load: Callable[[], Cloud | GraspSample], stamp_ns: int | None) -> Cloud | GraspSample:
-        found = load()
-        if isinstance(found, GraspSample):
-            return replace(found, cloud=self._stamped(found.cloud, stamp_ns))
-        return self._stamped(found, stamp_ns)
+    def _load(self, load: Callable[[], Cloud | Sample], stamp_ns: int | None) -> Cloud | Sample:
+        loaded = load()
+        if isinstance(loaded, Sample):
+            return replace(loaded, cloud=self._stamped(loaded.cloud, stamp_ns))
+        return self._stamped(loaded, stamp_ns)
 
     def _stamped(self, cloud: Cloud, stamp_ns: int | None) -> Cloud:
         stamp_ns = cloud.stamp_ns if stamp_ns is None else stamp_ns
@@ -111,7 +111,7 @@ def open_source(
     if is_recording(path):
         with Recording(path) as recording:
             name = recording.cloud_topic(topic)
-            topics = {one.name: one for one in recording.topics}
+            topics = {recorded.name: recorded for recorded in recording.topics}
             count, info, notes = topics.pop(name).count, recording.info_topic(name), recording.notes
         others = tuple(topics.values())
         entries = partial(_recorded, path, name)
@@ -141,7 +141,7 @@ def open_source(
     return Source(path, "clouds", len(clouds), lambda: clouds, frame_id, masks=masks)
 
 
-def _sample(samples: SampleSet, number: int) -> GraspSample:
+def _sample(samples: SampleSet, number: int) -> Sample:
     return samples.record(number).sample
 
 
@@ -152,5 +152,5 @@ def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:
-    """Sort key that puts `2.pcd` before `10.pcd`."""
+    """Make a sort key that puts `2.pcd` before `10.pcd`."""
     return [(0, int(word)) if word.isdecimal() else (1, word) for word in re.split(r"(\d+)", str(name))]

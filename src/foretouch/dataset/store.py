@@ -31,7 +31,7 @@ from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
 from foretouch.files import COUNT, file_sha256, open_regular, parse_json, require_schema
 from foretouch.tactile.description import sensor_in
-from foretouch.types import Cloud, Grasp, GraspSample, Touch
+from foretouch.types import Cloud, Grasp, Sample, Touch
 from foretouch.types.channels import Channels
 
 FORMAT: Final = "foretouch-store"
@@ -72,14 +72,14 @@ _MANIFEST_SCHEMA: Final = {
 
 
 def schema_of(channels: Channels) -> pa.Schema:
-    """The columns of a store with readings of a sensor; a row is a sample."""
+    """Return the columns of a store with readings of a sensor; a row is a sample."""
     touch = pa.list_(pa.float64(), channels.size)
     columns = [(name, touch if name in ("touch", "tare") else kind) for name, kind in _COLUMNS]
     return pa.schema(columns, metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)})
 
 
 def is_store(path: str | Path) -> bool:
-    """Whether the path is a training store."""
+    """Return whether the path is a training store."""
     return (Path(path) / MANIFEST).is_file()
 
 
@@ -92,7 +92,7 @@ class _Part(NamedTuple):
     samples: int
 
 
-class Store(Sequence[GraspSample]):
+class Store(Sequence[Sample]):
     """A training store on disk; `store[k]` reads one sample, whose cloud is a read-only view of its batch.
 
     Opening compares manifest, shards and attached files with their hashes before anything in them is decoded. The latest
@@ -118,7 +118,7 @@ class Store(Sequence[GraspSample]):
         return str(self.manifest["sha256"])
 
     def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
-        """Another process opens the store again."""
+        """Let another process open the store again."""
         return type(self), (self.path,)
 
     def __len__(self) -> int:
@@ -142,13 +142,13 @@ class Store(Sequence[GraspSample]):
         for part in self.manifest["files"]:
             _require_hash(self.path / part["file"], file_sha256(self.path / part["file"]), part["sha256"])
         parts: list[_Part] = []
-        for one in self.manifest["shards"]:
-            parts += _read_shard(self.path / one["file"], one["sha256"], one["samples"], self.sensor.channels)
+        for shard in self.manifest["shards"]:
+            parts += _read_shard(self.path / shard["file"], shard["sha256"], shard["samples"], self.sensor.channels)
         return parts
 
 
-def sample_digest(sample: GraspSample) -> bytes:
-    """SHA-256 over all values of the sample."""
+def sample_digest(sample: Sample) -> bytes:
+    """Return the SHA-256 over all values of the sample."""
     digest = hashlib.sha256()
     cloud, grasp = sample.cloud, sample.grasp
     head = [sample.id, sample.object, sample.stamp_ns, cloud.frame_id, cloud.size, dict(sorted(sample.extra.items()))]
@@ -161,8 +161,8 @@ def sample_digest(sample: GraspSample) -> bytes:
     return digest.digest()
 
 
-def content_sha256(samples: Iterable[GraspSample]) -> str:
-    """SHA-256 over some samples in order, hexadecimal."""
+def content_sha256(samples: Iterable[Sample]) -> str:
+    """Return the SHA-256 over some samples in order, hexadecimal."""
     content = hashlib.sha256()
     for sample in samples:
         content.update(sample_digest(sample))
@@ -179,17 +179,17 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def _require_hash(path: Path, found: str, wanted: str) -> None:
-    if found != wanted:
-        raise FileError(path, f"sha256 is {found}, not {shown(wanted)} as in {MANIFEST}: the file was changed")
+def _require_hash(path: Path, digest: str, wanted: str) -> None:
+    if digest != wanted:
+        raise FileError(path, f"sha256 is {digest}, not {shown(wanted)} as in {MANIFEST}: the file was changed")
 
 
 def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
-    """The record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
+    """Return the record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
     parts = list[_Part]()
     with open_regular(path) as file:
         _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
-        found = _stat(file)
+        status = _stat(file)
         file.seek(_STREAM)  # behind it a file holds the messages of a stream, and then an index
         try:
             source = pa.PythonFile(file, "r")
@@ -203,7 +203,7 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
                     raise FileError(path, "is compressed", field=field)
                 batch = pa.ipc.read_record_batch(message, schema)
                 _check_batch(path, batch, field)
-                parts.append(_Part(path, found, offset, batch.num_rows))
+                parts.append(_Part(path, status, offset, batch.num_rows))
                 offset = file.tell()
         except (OSError, EOFError, struct.error, *_ARROW_ERRORS) as err:
             raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
@@ -218,7 +218,7 @@ def _stat(file: BinaryIO) -> tuple[int, ...]:
 
 
 def _is_compressed(message: Any) -> bool:
-    """Whether a message of Arrow names a compression of its buffers; to decode it would unpack them first.
+    """Return whether a message of Arrow names a compression of its buffers; to decode it would unpack them first.
 
     The metadata are a flatbuffer: a `Message`, whose third field is a `RecordBatch`, whose fourth is the compression.
     """
@@ -236,7 +236,7 @@ def _is_compressed(message: Any) -> bool:
 
 
 def _read_batch(schema: Any, part: _Part) -> Any:
-    """The record batch of a part, whose shard must be the one that was verified."""
+    """Return the record batch of a part, whose shard must be the one that was verified."""
     with open_regular(part.path) as file:
         if _stat(file) != part.stat:
             raise FileError(part.path, "was changed after it was opened")
@@ -255,12 +255,12 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
         inner = column.flatten() if pa.types.is_nested(column.type) else None
         if (name not in _NULLABLE and column.null_count) or (inner is not None and inner.null_count):
             raise FileError(path, "is null in some rows", field=f"{field}: {name}")
-        if name in _POINTS and any((len(one.values or ()) % 3) for one in column):
+        if name in _POINTS and any((len(cloud.values or ()) % 3) for cloud in column):
             raise FileError(path, "a cloud is not a whole number of points", field=field)
 
 
-def _sample(batch: Any, row: int, channels: Channels) -> GraspSample:
-    """A row of a batch; its cloud is a view, and the rest copied, so that it does not keep the bytes of the batch."""
+def _sample(batch: Any, row: int, channels: Channels) -> Sample:
+    """Return a row of a batch; its cloud is a view, and the rest copied, so that it does not keep the bytes of the batch."""
 
     def vector(name: str) -> Any:
         values = batch.column(name)[row].values
@@ -273,7 +273,7 @@ def _sample(batch: Any, row: int, channels: Channels) -> GraspSample:
     plain = {name: batch.column(name)[row].as_py() for name in names}
     rgb = None if (values := vector("rgb")) is None else values.reshape(-1, 3)
     g1, g2, rotation = (vector(name).copy() for name in ("g1", "g2", "rotation"))
-    return GraspSample(
+    return Sample(
         id=plain["id"],
         object=plain["object"],
         cloud=Cloud(vector("xyz").reshape(-1, 3), rgb, plain["frame_id"], plain["stamp_ns"]),
@@ -286,7 +286,7 @@ def _sample(batch: Any, row: int, channels: Channels) -> GraspSample:
 
 
 def _numbers(text: str) -> dict[str, float]:
-    """The named numbers of a sample."""
+    """Return the named numbers of a sample."""
     numbers = parse_json(text)
     if not isinstance(numbers, dict) or not all(
         type(value) in (int, float) and abs(value) < 1e300 for value in numbers.values()
@@ -299,7 +299,7 @@ recognise = is_store
 
 
 def open_set(path: Path, _: bool) -> SampleSet:
-    """The samples of a store (raises as `Store`)."""
+    """Return the samples of a store (raises as `Store`)."""
     store = Store(path)
     about = store.manifest.get("about", {})
     return SampleSet(

@@ -240,7 +240,7 @@ def _plan_completed(
             plan.grasps = Grasps.of([first, *plan.grasps[1:]])
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-        plan.status, plan.reason = "ok", f"best of {counts['n_free']} of {counts['n_lines']} closing lines"
+        plan.status, plan.reason = "ok", f"the best of {counts['n_free']} possible grasps ({counts['n_lines']} tried)"
         if len(plan.grasps) < config.count:
             near = f"all others are within {APART_M * 1e3:g} mm of one of these"
             plan.reason += f"; {len(plan.grasps)} grasps instead of {config.count}: {near}"

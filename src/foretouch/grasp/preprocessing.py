@@ -15,7 +15,7 @@ from foretouch.grasp.config import GeoGraspConfig
 from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32, Int64, Integer
 
-_sort = Kernel("canonical_order", np.float32, int, np.int64)
+_sort = Kernel("canonical_order")
 
 _UNKNOWN = 4  # times as many points are kept of clouds that are no image
 _MIN_POINTS = 3  # fewer define neither an axis nor a grasp plane

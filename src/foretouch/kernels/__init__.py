@@ -1,20 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops for what NumPy cannot do quickly: C functions in one library, called through ctypes.
+"""Compiled loops for what NumPy cannot do quickly: the C functions of `kernels.h`, called through cffi.
 
 The library is compiled when foretouch is installed, and required: importing this package without it, or with one of
 other sources than those beside it, raises a `MissingDependencyError` with the fix. `test/kernels` compares each function
-with a plain NumPy or SciPy reference. ctypes releases the interpreter's lock during a call, so that other threads run
-meanwhile. Loading takes 0.2 ms, and no build needs more than a C compiler; Numba would take 0.65 s at each start and
-200 MB.
+with a plain NumPy or SciPy reference. The interpreter's lock is released during a call, so that other threads run
+meanwhile. No build needs more than a C compiler; Numba would take 0.65 s at each start and 200 MB.
 
-    _count = Kernel("count_range", np.float32, int, float, float, np.int64)
-    _count(xyz, len(xyz), low, high, counts)
+    count_range = Kernel("count_range")
+    count_range(xyz, len(xyz), low, high, counts)
 """
 
-import ctypes
-import sys
 from hashlib import sha256
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,84 +18,67 @@ import numpy as np
 
 from foretouch.errors import MissingDependencyError
 
-_SCALARS: Final[dict[Any, type[Any]]] = {int: ctypes.c_int64, float: ctypes.c_double}
+_FOLDER: Final = Path(__file__).parent
 _FIX: Final = "install a C compiler (apt install gcc), then foretouch again (make setup, or pip install .)"
 
+try:
+    from ._kernels import ffi, lib
+except ImportError as err:
+    raise MissingDependencyError(f"{_FOLDER}: the compiled kernels cannot be loaded: {err}: {_FIX}") from err
 
-def _load() -> ctypes.CDLL:
-    folder = Path(__file__).parent
-    path = next((one for suffix in EXTENSION_SUFFIXES if (one := folder / f"_kernels{suffix}").is_file()), None)
-    if path is None:
-        raise MissingDependencyError(f"{folder}: the compiled kernels are absent: {_FIX}")
-    try:
-        library = ctypes.CDLL(str(path))
-    except OSError as err:
-        raise MissingDependencyError(f"{path}: {err}: {_FIX}") from err
-    if not _is_current(library, folder):
-        raise MissingDependencyError(f"{path}: compiled from other sources than those beside it: {_FIX}")
-    return library
-
-
-def _is_current(library: ctypes.CDLL, folder: Path) -> bool:
-    """Whether the library was compiled from the sources beside it; a checkout has some, an installed package none."""
-    files = sorted(folder.glob("*.[ch]"))
-    if not files:
-        return True
-    try:
-        library.sources.restype = ctypes.c_char_p
-        compiled: bytes = library.sources()
-    except AttributeError:
-        return False
-    return compiled.decode() == sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
-
-
-_at = ctypes.c_size_t.from_address
-_HEAD: Final = object.__basicsize__
-
-
-def _is_first_field() -> bool:
-    """Whether the address of its numbers is an array's first field after Python's own, as in all of CPython's NumPy so far.
-
-    To read it there takes 0.2 us; `array.ctypes.data` takes 1 us of each argument.
-    """
-    if sys.implementation.name != "cpython":
-        return False
-    probe = np.zeros(4)
-    return all(
-        _at(id(one) + _HEAD).value == one.ctypes.data for one in (probe, probe[1:], np.zeros((2, 3), np.float32))
+_from_buffer: Final = ffi.from_buffer
+_POINTERS: Final = {
+    np.dtype(kind): ffi.typeof(f"{name}[]")
+    for kind, name in (
+        (np.float32, "float"),
+        (np.float64, "double"),
+        (np.int32, "int32_t"),
+        (np.int64, "int64_t"),
+        (np.uint8, "uint8_t"),
+        (np.uint16, "uint16_t"),
     )
+}
 
 
-_first_field = _is_first_field()
-_library = _load()
+def _check_sources() -> None:
+    """Refuse a library of other sources than those beside it; a checkout has some, an installed package none."""
+    files = sorted(_FOLDER.glob("*.[ch]"))
+    expected = sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+    if files and ffi.string(lib.sources()).decode() != expected:
+        raise MissingDependencyError(f"{_FOLDER}: the kernels were compiled from other sources: {_FIX}")
+
+
+_check_sources()
 
 
 class Kernel:
     """A C function without a result.
 
     Args:
-        name: Of the function.
-        types: Of its arguments: a NumPy type for a contiguous array of it, `int` for int64, `float` for double.
+        name: Name of the function in `kernels.h`.
     """
 
-    def __init__(self, name: str, *types: type[Any]) -> None:
+    def __init__(self, name: str) -> None:
         self._name = name
-        kinds = [_SCALARS.get(one) or np.dtype(one) for one in types]
-        self._arrays = tuple((i, one) for i, one in enumerate(kinds) if isinstance(one, np.dtype))
-        self._call = getattr(_library, name)
-        self._call.restype = None
-        self._call.argtypes = [ctypes.c_void_p if isinstance(one, np.dtype) else one for one in kinds]
+        self._call = getattr(lib, name)
 
     def __call__(self, *arguments: Any) -> None:
         """Call the function.
 
+        Args:
+            arguments: Numbers, and contiguous arrays of the types that the function is declared with.
+
         Raises:
-            TypeError: If an array has another dtype, or is not contiguous; a pointer to it would be read as garbage.
+            TypeError: If an array has another dtype or is not contiguous, or a number is of another type.
         """
-        passed = list(arguments)
-        for i, kind in self._arrays:
-            value = passed[i]
-            if value.dtype != kind or not value.flags.c_contiguous:
-                raise TypeError(f"{self._name}: an array of {value.dtype} is not a contiguous one of {kind}")
-            passed[i] = _at(id(value) + _HEAD).value if _first_field else value.ctypes.data
-        self._call(*passed)
+        try:
+            self._call(
+                *[
+                    _from_buffer(_POINTERS[value.dtype], value) if isinstance(value, np.ndarray) else value
+                    for value in arguments
+                ]
+            )
+        except KeyError as err:
+            raise TypeError(f"{self._name}: no kernel takes an array of {err}") from None
+        except (TypeError, ValueError) as err:
+            raise TypeError(f"{self._name}: {err}") from err

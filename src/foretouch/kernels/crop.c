@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "kernels.h"
 
-/* Hash of the files that the library was compiled from, given by setup.py. */
+/* Hash of the files that the library was compiled from, given by build.py. */
 const char *sources(void) { return SOURCES; }
 
 /* Number of finite depths, and of those between low and high, of n points (n, 3). counts: (2). */

@@ -1,38 +1,118 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Compiled loops of foretouch: plain C without Python, called from kernels/__init__.py.
+/* What Python calls: plain C without Python. build.py gives this file to cffi, and to the compiler with the sources.
  *
- * `test/kernels` compares each with a NumPy or SciPy reference. To give the same bits on every machine, the files are
- * compiled without contraction of a * b + c and without reordering of sums; float32 stays float32 where NumPy has it.
+ * `test/kernels` compares each function with a NumPy or SciPy reference. To give the same bits on every machine, the files
+ * are compiled without contraction of a * b + c and without reordering of sums; float32 stays float32 where NumPy has it.
  * Arrays are contiguous and belong to the caller; no function allocates what it does not free, or keeps a state. */
 #ifndef FORETOUCH_KERNELS_H
 #define FORETOUCH_KERNELS_H
 
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
+#include "common.h"
 
-/* Compiled twice, for AVX2 as well, and selected when the library is loaded. */
-#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
-#define VECTORISED __attribute__((target_clones("avx2", "default")))
-#else
-#define VECTORISED
-#endif
+/* background.c */
+void find_background(const float *grid, int64_t h, int64_t w, const int32_t *labels, int64_t n, double pitch,
+    const double *settings, int64_t *reasons, float *outline, int64_t *found);
 
-/* Four or eight float32, eight int32 and four double at once, in any processor's registers; the u forms need no alignment. */
-typedef float float4 __attribute__((vector_size(16)));
-typedef float float8 __attribute__((vector_size(32)));
-typedef int32_t int8x32 __attribute__((vector_size(32)));
-typedef double double4 __attribute__((vector_size(32)));
-typedef float float4u __attribute__((vector_size(16), aligned(4), may_alias));
-typedef float float8u __attribute__((vector_size(32), aligned(4), may_alias));
-typedef int32_t int8x32u __attribute__((vector_size(32), aligned(4), may_alias));
-typedef double double4u __attribute__((vector_size(32), aligned(8), may_alias));
-#define INLINE static inline __attribute__((always_inline))
+/* closing.c */
+void outline(const double *points, int64_t n, const double *grid, int64_t rows, int64_t columns, float *nearest,
+    float *inside);
+void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift,
+    const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns, double *completed,
+    double *shares, double *found);
+void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
+    int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside,
+    int64_t rows, int64_t columns, const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free,
+    double *found);
 
-INLINE float8 larger8(float8 a, float8 b) {
-    const int8x32 which = a > b;
-    return (float8)(((int8x32)a & which) | ((int8x32)b & ~which));
-}
+/* clusters.c */
+void grid_patches(const float *grid, int64_t h, int64_t w, int64_t stride, int64_t min_nodes, const double *settings,
+    int32_t *number, int64_t *boxes, int64_t *found);
+void label_window(const float *xyz, int64_t across, int64_t row, int64_t column, int64_t h, int64_t w,
+    const int32_t *patches, int64_t grid_across, int64_t stride, int64_t patch, int64_t min_nodes,
+    const double *settings, int64_t marks_row, int64_t marks_column, int64_t marks_across, uint8_t *marks,
+    int32_t *labels, uint8_t *solid, int64_t *found);
+void collect_members(const int32_t *labels, const uint8_t *solid, int64_t h, int64_t w, int64_t row, int64_t column,
+    const float *xyz, int64_t across, const float *plane, int64_t n_labels, int64_t *ends, int64_t *pixels,
+    float *points, double *columns, float *bounds, float *tops);
+void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t column, const int32_t *ids,
+    int64_t across, int32_t *image, int64_t *count);
+void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double nearest, double farthest, float *coarse,
+    int64_t *index, int64_t *count);
+
+/* columns.c */
+void centre_points(const double *points, int64_t n, double *centre, double *columns, double *products);
+void bounds(const float *points, int64_t n, double *low, double *high);
+
+/* contact.c */
+void sort_into_cells(const double *xyz, int64_t n, const double *grid, const int64_t *cells, int32_t *cell,
+    int32_t *starts, double *sorted);
+void describe_contacts(const double *sorted, int64_t n, const double *grid, const int64_t *cells, const int32_t *starts,
+    const double *squares, const double *contacts, const double *frames, int64_t count, double *rows);
+void city_distances(const double *rows, int64_t count, int64_t columns, const double *packed, int64_t size,
+    double *distances);
+void weighted_sums(const double *weights, int64_t count, int64_t size, const double *packed, int64_t outputs,
+    double *sums);
+
+/* crop.c */
+const char *sources(void);
+void count_range(const float *xyz, int64_t n, double low, double high, int64_t *counts);
+
+/* deproject.c */
+void deproject_whole(const uint16_t *depth, int64_t h, int64_t w, double scale, const float *x, const float *y,
+    int64_t each, float *xyz);
+void deproject_single(const float *depth, int64_t h, int64_t w, double scale, const float *x, const float *y,
+    int64_t each, float *xyz);
+
+/* flying.c */
+void flying_points(const float *xyz, int64_t n, const double *settings, uint8_t *flying, double *radius);
+
+/* forest.c */
+void forest_means(const float *rows, int64_t count, int64_t columns, const int32_t *packed, const int32_t *roots,
+    const int64_t *leaf, const uint16_t *value, const int64_t *sizes, int64_t forests, int64_t width, int32_t *scratch,
+    double *single, double *result);
+
+/* lattice.c */
+void ray_cells(const float *xyz, int64_t n, double low, double high, double tangent, double tolerance,
+    const double *fit, int32_t *cells, int64_t *result);
+void fill_image(const float *xyz, int64_t n, double low, double high, const int32_t *cells, int64_t column, int64_t row,
+    int64_t height, int64_t width, float *image, int32_t *place, int64_t *result);
+
+/* layer.c */
+void layer_descent(const double *gap, const double *spectrum, int64_t n, double given, int64_t by_force,
+    double safe_length, double tolerance, int64_t most, double *pressure, double *end);
+
+/* nearest.c */
+void nearest_squares(const float *targets, int64_t count, const float *points, int64_t n, float *squares);
+
+/* neighbours.c */
+void mean_neighbour_distance(const float *xyz, int64_t n, int64_t k, float *mean, uint8_t *proven);
+void summed_moments(const float *xyz, int64_t n, const float *places, int64_t q, double limit, const float *origin,
+    double *sums);
+void fit_planes(const double *sums, const float *places, int64_t q, double line, double *normals, double *curvature);
+
+/* order.c */
+void canonical_order(const float *xyz, int64_t n, int64_t *order);
+
+/* plane.c */
+void count_near(const float *distances, const float *offsets, int64_t m, int64_t n, double reach, int64_t *counts);
+void points_near(const double *points, const double *along, int64_t n, double offset, double reach, double *near,
+    int64_t *count);
+void residuals_near(const double *points, const double *along, int64_t n, double offset, double reach, double depth_m,
+    double *scaled, int64_t *counts);
+
+/* rvl.c */
+void decode_rvl(const uint8_t *data, int64_t words, int64_t pixels, uint16_t *depth, int64_t *decoded);
+
+/* split.c */
+void split_clusters(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, const double *settings,
+    const uint8_t *solid, int32_t *labels, int64_t *counts, const float *trees, int64_t count, int64_t depth,
+    double *rows, int64_t room);
+void concave_nodes(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t stride, int64_t arm, double sag,
+    double noise, const int32_t *labels, int64_t *counts);
+
+/* voxels.c */
+void voxel_cells(const float *xyz, int64_t n, double cells_per_m, int64_t *cell, int64_t *counts, int64_t *found);
+void cell_means(const double *values, int64_t n, int64_t columns, const int64_t *cell, const int64_t *counts, int64_t m,
+    double *means);
 
 #endif

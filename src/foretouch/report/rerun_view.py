@@ -21,9 +21,9 @@ import numpy as np
 from foretouch.errors import ForetouchError, MissingDependencyError
 from foretouch.files import open_own
 from foretouch.grasp.pose import fingertip_rotation
-from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP, LAYER_M, skin_axes
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane, Prediction, Touch
 
 _COLOURS: Final = ((240, 115, 130), (60, 190, 205))  # at g1, at g2
@@ -111,7 +111,7 @@ class _Writer:
         for number, step in enumerate(steps):
             self._begin(number, step)
             fingers = list(map(_path, self._view.fingers))
-            moved = [f"{one}/taxels" for one in fingers] if step.grasp else ["/scene/hand", *fingers]
+            moved = [f"{finger}/taxels" for finger in fingers] if step.grasp else ["/scene/hand", *fingers]
             for path in (*_SHOWN, *moved):  # of the step before; a pose that is cleared and set at once is lost
                 self._to.log(path, rr.Clear(recursive=True))
             self._scene(step)
@@ -146,11 +146,11 @@ class _Writer:
             table = rr.Mesh3D(vertex_positions=corners, triangle_indices=faces, albedo_factor=_TABLE)
             self._to.log("/scene/table", table)
         if step.candidates:
-            lines = [[one.g1, one.g2] for one in step.candidates]
+            lines = [[candidate.g1, candidate.g2] for candidate in step.candidates]
             self._to.log("/scene/candidates", rr.LineStrips3D(lines, colors=_CANDIDATE, radii=0.0004))
 
     def _boxes(self, objects: Mapping[str, Cloud]) -> Any:
-        bounds = [(one.xyz.min(axis=0), one.xyz.max(axis=0)) for one in objects.values()]
+        bounds = [(object_.xyz.min(axis=0), object_.xyz.max(axis=0)) for object_ in objects.values()]
         return self._rr.Boxes3D(
             centers=[(low + high) / 2.0 for low, high in bounds],
             half_sizes=[(high - low) / 2.0 for low, high in bounds],
@@ -178,8 +178,8 @@ class _Writer:
             self._to.log(f"{path}/contact", point)
 
     def _curves(self, step: ViewStep) -> None:
-        one = step.prediction
-        values = (None, None, None) if one is None else (one.value, one.lower, one.upper)
+        prediction = step.prediction
+        values = (None, None, None) if prediction is None else (prediction.value, prediction.lower, prediction.upper)
         for path, columns in self._paths().items():
             for what, touch in zip(_CURVES, (*values, step.read), strict=True):
                 known = None if touch is None else touch.values[columns][np.isfinite(touch.values[columns])]
@@ -188,12 +188,12 @@ class _Writer:
 
     def _paths(self) -> dict[str, Any]:
         """Columns of a touch by the path of the curve of their mean: each scalar, and the valid taxels of the shown channel."""
-        sensor, found = self._view.sensor, {}
+        sensor, paths = self._view.sensor, {}
         for k, name in enumerate(sensor.channels.fingers):
             for channel, column in zip(sensor.scalar_channels, sensor.scalar_columns[k], strict=True):
-                found[f"{channel.name}_{name}"] = np.array([column])
-            found[f"{self._view.channel.name}_{name}"] = self._view.columns(k)[sensor.valid[k]]
-        return found
+                paths[f"{channel.name}_{name}"] = np.array([column])
+            paths[f"{self._view.channel.name}_{name}"] = self._view.columns(k)[sensor.valid[k]]
+        return paths
 
     def _styles(self) -> None:
         rr = self._rr
@@ -210,7 +210,7 @@ class _Writer:
 
         view = self._view
         rr, layout = self._rr, view.sensor.layout
-        tared = all(view.has_rest(one.tare) for one in self._steps if one.read or one.prediction)
+        tared = all(view.has_rest(step.tare) for step in self._steps if step.read or step.prediction)
         colours = colormaps["plasma" if tared else "viridis"]
         flat = 1e3 * layout.unrolled * [1.0, -1.0]  # [mm], y down
         beside = np.array([np.ptp(flat[:, 0]) + 8.0, 0.0])  # of what was read
@@ -223,9 +223,9 @@ class _Writer:
         for finger, name in enumerate(view.sensor.channels.fingers[: len(_COLOURS)]):
             dead = ~view.sensor.valid[finger]
             rows = [
-                (number, what, view.levels(touch.values, one.tare if tared else None, finger))
-                for number, one in enumerate(self._steps)
-                for what, touch in (("predicted", one.value), ("read", one.read))
+                (number, what, view.levels(touch.values, step.tare if tared else None, finger))
+                for number, step in enumerate(self._steps)
+                for what, touch in (("predicted", step.value), ("read", step.read))
                 if touch is not None
             ]
             known = [levels[~dead] for _, _, levels in rows]
@@ -235,7 +235,7 @@ class _Writer:
                 self._begin(number, self._steps[number])
                 shades = colours(np.clip((np.nan_to_num(levels) - low) / span, 0.0, 1.0), bytes=True)
                 shades[dead | np.isnan(levels)] = _DEAD
-                places, texts = flat + beside * (what == "read"), [view.channel.text(one) for one in levels]
+                places, texts = flat + beside * (what == "read"), [view.channel.text(level) for level in levels]
                 drawn = rr.Points2D(places, colors=shades, radii=radius, labels=texts, show_labels=False)
                 self._to.log(f"/taxels/{name}/{what}", drawn)
                 if what == "predicted":
@@ -279,20 +279,20 @@ def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
 
 def _text(step: ViewStep, view: TaxelView) -> str:
     """The answer in Markdown."""
-    one, value = step.prediction, step.value
+    prediction, value = step.prediction, step.value
     lines = [f"**{step.name}**"]
     if step.grasp is not None:
         lines.append(f"grasp {1e3 * step.grasp.width_m:.0f} mm wide, {len(step.candidates)} other candidates")
-    if one is not None and value is not None:
-        flags = f", **{', '.join(one.flags)}**" if one.flags else ""
-        lines.append(f"predicted by {step.model or 'an unnamed model'}, adapted to: {one.reference}{flags}")
+    if prediction is not None and value is not None:
+        flags = f", **{', '.join(prediction.flags)}**" if prediction.flags else ""
+        lines.append(f"predicted by {step.model or 'an unnamed model'}, adapted to: {prediction.reference}{flags}")
     else:
-        reason = step.reason or (one.reason if one is not None else "")
+        reason = step.reason or (prediction.reason if prediction is not None else "")
         lines.append(f"not predicted: {reason}" if reason else "not predicted")
     for k, finger in enumerate(view.fingers if view.sensor.scalar_channels else ()):
         for what, touch in (("predicted", value), ("read", step.read)):
             if touch is not None:
-                lines.append(f"{finger} {what}: {view.scalars(k, touch, one if what == 'predicted' else None)}")
+                lines.append(f"{finger} {what}: {view.scalars(k, touch, prediction if what == 'predicted' else None)}")
     return "\n\n".join(lines)
 
 
@@ -304,11 +304,11 @@ def _layout(view: TaxelView, *, with_scene: bool) -> Any:
     for number, (name, finger) in enumerate(zip(view.sensor.channels.fingers, view.fingers, strict=True)):
         curves = [
             rrb.TimeSeriesView(
-                origin=f"/touch/{one.name}_{name}",
-                name=f"{finger}: {'mean of ' * (one is view.channel)}{one.name} [{one.unit}]",
+                origin=f"/touch/{channel.name}_{name}",
+                name=f"{finger}: {'mean of ' * (channel is view.channel)}{channel.name} [{channel.unit}]",
                 plot_legend=rrb.PlotLegend(visible=number == 0 and place == 0),
             )
-            for place, one in enumerate((*view.sensor.scalar_channels, view.channel))
+            for place, channel in enumerate((*view.sensor.scalar_channels, view.channel))
         ]
         taxels = rrb.Spatial2DView(origin=f"/taxels/{name}", name=f"{finger}: {view.channel.name} of all taxels")
         columns.append(rrb.Vertical(*curves, taxels))

@@ -86,10 +86,10 @@ def open_viewer(recording: Path) -> None:
 
 def _viewer(port: int | None = None) -> list[str | Path]:
     """The command that starts Rerun's viewer, which else would listen on all addresses."""
-    found = find_spec("rerun_cli")
-    if found is None or found.origin is None:
+    module = find_spec("rerun_cli")
+    if module is None or module.origin is None:
         raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'")
-    return [Path(found.origin).with_name("rerun"), "--bind", "127.0.0.1", "--port", str(port or "auto")]
+    return [Path(module.origin).with_name("rerun"), "--bind", "127.0.0.1", "--port", str(port or "auto")]
 
 
 @contextmanager

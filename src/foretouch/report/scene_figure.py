@@ -11,6 +11,7 @@ import numpy as np
 
 from foretouch.errors import ConfigError
 from foretouch.pipeline import Object, Scene
+from foretouch.report.hand_figure import COLOURS, hand_lines
 from foretouch.report.panels import Axes, new_figure, save
 from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Plane, Prediction, Predictions
@@ -24,6 +25,7 @@ _FINGERS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at 
 _DARK: Final = "#202020"
 _MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 _AROUND_M: Final = 0.06  # shown around object and grasp
+_HAND_M: Final = 0.15  # as far a hand is shown beyond the object
 _LABELS: Final = 40  # objects with an id; more cover the picture
 
 
@@ -73,7 +75,7 @@ def draw_scene(
     if isinstance(scene, Scene) and image:
         _draw_image(next(panels), scene, grasp)
     if target is not None and (grasp is not None or not image):
-        others = [one for one in scene.objects if one is not target] if isinstance(scene, Scene) else []
+        others = [object_ for object_ in scene.objects if object_ is not target] if isinstance(scene, Scene) else []
         _draw_sides(next(panels), next(panels), target, others, grasp)
     if prediction is not None:
         _draw_touch(next(panels), prediction)
@@ -84,7 +86,7 @@ def draw_scene(
 
 def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
     """The object of a grasp, or the first one that gets grasps."""
-    known = {one.id: one for one in scene.objects}
+    known = {object_.id: object_ for object_ in scene.objects}
     if grasp is not None and grasp.object_id:
         if grasp.object_id not in known:
             raise ConfigError(
@@ -102,14 +104,14 @@ def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
     elif np.isfinite(depth).any():
         near, far = np.nanpercentile(depth[np.isfinite(depth)], [1.0, 97.0])
         axes.imshow(depth, cmap="gray_r", vmin=near - 0.1, vmax=max(far, near + 0.1))
-    for k, one in enumerate(scene.objects):
+    for k, object_ in enumerate(scene.objects):
         colour = _COLOURS[k % len(_COLOURS)]
-        inside = (scene.labels == int(one.id)).astype(np.float32)
+        inside = (scene.labels == int(object_.id)).astype(np.float32)
         axes.contour(inside, levels=[0.5], colors=colour, linewidths=1.4)
         if k < _LABELS:
             rows, columns = np.nonzero(inside)
             place = float(np.median(columns)), float(np.median(rows))
-            axes.annotate(one.id, place, color="white", fontsize=8, fontweight="bold", ha="center", va="center",
+            axes.annotate(object_.id, place, color="white", fontsize=8, fontweight="bold", ha="center", va="center",
                           bbox={"boxstyle": "round,pad=0.15", "facecolor": colour, "edgecolor": "none", "alpha": 0.85})  # fmt: skip
     if grasp is not None:
         ends = _pixels(scene.cloud, np.stack([grasp.g1, grasp.g2]))
@@ -120,8 +122,8 @@ def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
     left, right, top, bottom = _window(scene.labels > 0)
     axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[], aspect="equal")
     count = len(scene.objects)
-    found = f"{count} object{'' if count == 1 else 's'} on the table" if count else f"{scene.status}: {scene.reason}"
-    axes.set_title(_folded(found, 60), fontsize=9)
+    title = f"{count} object{'' if count == 1 else 's'} on the table" if count else f"{scene.status}: {scene.reason}"
+    axes.set_title(_folded(title, 60), fontsize=9)
 
 
 def _window(inside: Bool) -> tuple[int, int, int, int]:
@@ -163,13 +165,20 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
 
     own = flat(points)
     ends = np.empty((0, 3)) if grasp is None else flat(np.stack([grasp.g1, grasp.g2]))
+    hand = {} if grasp is None else hand_lines(grasp)
+    lines = {part: flat(edges.reshape(-1, 3)).reshape(-1, 2, 3) for part, edges in hand.items()}
     low, high = (f(np.concatenate([own, ends]), axis=0) for f in (np.min, np.max))
+    if lines:  # the hand, but not the whole forearm
+        near = np.clip(np.concatenate(list(lines.values())), low - 1e3 * _HAND_M, high + 1e3 * _HAND_M)
+        low, high = np.minimum(low, near.min(axis=(0, 1))), np.maximum(high, near.max(axis=(0, 1)))
     span = 1.15 * max(*(high - low)[:2] + 2e3 * _AROUND_M, high[2] + 1e3 * _AROUND_M)  # of both panels
     for axes, row, name in ((above, 1, "from above"), (side, 2, "from the side")):
-        for one in others:
-            rest = flat(_finite(one.cloud))
+        for other in others:
+            rest = flat(_finite(other.cloud))
             axes.scatter(rest[:, 0], rest[:, row], s=2, color="#c8c8c8", linewidths=0)
         axes.scatter(own[:, 0], own[:, row], s=4, c=own[:, 3 - row], cmap="cividis", linewidths=0)
+        for part, edges in lines.items():
+            axes.plot(edges[..., 0].T, edges[..., row].T, color=COLOURS[part], linewidth=0.9, alpha=0.8)
         if grasp is not None:
             axes.plot(ends[:, 0], ends[:, row], color=_DARK, linewidth=1.2)
             for k, (finger, colour) in enumerate(zip(("g1", "g2"), _FINGERS, strict=False)):
@@ -198,8 +207,8 @@ def _draw_touch(axes: Axes, prediction: Prediction) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, _folded(f"not predicted: {prediction.reason}", 40), ha="center", va="center", fontsize=9)
         return
-    taxels = [one for one in channels.channels if one.size > 1] or list(channels.channels)
-    shown = next((one for one in reversed(taxels) if one.contact), taxels[-1])
+    taxels = [channel for channel in channels.channels if channel.size > 1] or list(channels.channels)
+    shown = next((taxel for taxel in reversed(taxels) if taxel.contact), taxels[-1])
     value, lower, upper = (np.atleast_2d(end.T).T if end.ndim == 1 else end for end in prediction[shown.name])
     number = np.arange(1, value.shape[1] + 1)
     for k, finger in enumerate(channels.fingers):
@@ -225,11 +234,11 @@ def _draw_touch(axes: Axes, prediction: Prediction) -> None:
 def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
     """Name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
     texts = []
-    for one in prediction.channels.channels:
-        if one.size == 1:
-            value, lower, upper = (float(end[finger]) for end in prediction[one.name])
-            half = "" if np.isnan(lower) else f" ± {one.text((upper - lower) / 2.0)}"
-            texts.append(f"{one.name} {one.text(value)}{half}")
+    for channel in prediction.channels.channels:
+        if channel.size == 1:
+            value, lower, upper = (float(end[finger]) for end in prediction[channel.name])
+            half = "" if np.isnan(lower) else f" ± {channel.text((upper - lower) / 2.0)}"
+            texts.append(f"{channel.name} {channel.text(value)}{half}")
     at = f" (g{finger + 1})" if finger < 2 else ""
     return f"{name}{at}{': ' * bool(texts)}{', '.join(texts)}"
 

@@ -49,7 +49,7 @@ def save_sensor_figure(sensor: Sensor, path: Path) -> Path:
     space.locator_params(axis="z", nbins=3)
     space.set(title="outward normals", xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     space.set_box_aspect(np.ptp([space.get_xlim(), space.get_ylim(), space.get_zlim()], axis=1), zoom=0.75)
-    values = ", ".join(f"{one.name} [{one.unit}]" for one in config.values)
+    values = ", ".join(f"{value.name} [{value.unit}]" for value in config.values)
     fingers = ", ".join(finger.name for finger in config.fingers)
     figure.suptitle(f"{config.name}: {sensor.size} taxels with {values}, on {fingers}")
     return save(figure, path)

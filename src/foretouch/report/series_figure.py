@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 
 from foretouch.dataset.record import REST, SampleRecord, TouchSeries, readings
 from foretouch.report.panels import new_figure, save
-from foretouch.report.taxel_view import TaxelView
 from foretouch.report.touch_figure import draw_taxels, taxel_colours, taxel_label
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import Sensor
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import SECOND_NS, Float64, Touch
 
 _OUTCOMES: Final = {"success": "#1a7f37", "failure": "#c9252d", "unknown": "#404040"}
@@ -27,9 +27,11 @@ def save_series_sheet(path: str | Path, records: Sequence[SampleRecord], title: 
     are hollow on the pads.
     """
     view = TaxelView(sensor)
-    grasps = [(one, series, _rest(one, series, view)) for one in records if (series := readings(one)) is not None]
+    grasps = [
+        (record, series, _rest(record, series, view)) for record in records if (series := readings(record)) is not None
+    ]
     levels = [_levels(series, rest, view) for _, series, rest in grasps]
-    strongest = [int(np.nanargmax(np.nanmax(np.abs(one), axis=(0, 2)))) for one in levels]
+    strongest = [int(np.nanargmax(np.nanmax(np.abs(level), axis=(0, 2)))) for level in levels]
     tared, fingers = all(view.has_rest(rest) for _, _, rest in grasps), len(view.fingers)
     pads = [
         [view.levels(series.counts[k].astype(np.float64), rest if tared else None, finger) for finger in range(fingers)]
@@ -41,13 +43,15 @@ def save_series_sheet(path: str | Path, records: Sequence[SampleRecord], title: 
     figure.suptitle(title)
     widths = [2.0] * fingers + [1.0] * fingers
     grid = figure.subplots(len(grasps), 2 * fingers, squeeze=False, width_ratios=widths)
-    for row, (one, series, _), found, k, pad in zip(grid, grasps, levels, strongest, pads, strict=True):
+    for row, (record, series, _), strongest_of, k, pad in zip(grid, grasps, levels, strongest, pads, strict=True):
         for finger, name in enumerate(view.fingers):
-            _draw_over_time(row[finger], one, series, found[finger], k, colours)
+            _draw_over_time(row[finger], record, series, strongest_of[finger], k, colours)
             row[finger].set_ylabel(f"{name}, taxel", fontsize=8)
             drawn: Any = draw_taxels(row[fingers + finger], view, finger, pad[finger], None, colours)
             row[fingers + finger].set_title(name, fontsize=8)
-        row[0].set_title(f"{one.sample.id}: {one.outcome}", color=_OUTCOMES[one.outcome], fontsize=9, loc="left")
+        row[0].set_title(
+            f"{record.sample.id}: {record.outcome}", color=_OUTCOMES[record.outcome], fontsize=9, loc="left"
+        )
     label = taxel_label(view, tared=tared)
     figure.colorbar(drawn, label=label, ax=list(grid.flat), location="bottom", shrink=0.5, aspect=50)
     return save(figure, Path(path), dpi=100)

@@ -17,10 +17,10 @@ from matplotlib.axes import Axes
 
 from foretouch.pipeline import Object
 from foretouch.report.panels import new_figure, save
-from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import Bool, Cloud, Float64, Grasp, GraspSample, Prediction, Touch, assumed_table
+from foretouch.tactile.taxel_view import TaxelView
+from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch, assumed_table
 
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _ROW_INCH = 2.2  # height of a grasp
@@ -53,7 +53,7 @@ def save_touch_picture(
     the file is created.
     """
     view = TaxelView(sensor)
-    tared = all(view.has_rest(one.rest) for one in grasps if one.read or one.prediction.ok)
+    tared = all(view.has_rest(grasp.rest) for grasp in grasps if grasp.read or grasp.prediction.ok)
     # Finger, `predicted` or `read`, touch and its levels in each panel of taxels; those of a finger are side by side.
     panels = [
         [
@@ -68,31 +68,31 @@ def save_touch_picture(
         for grasp in grasps
     ]
     most = max(map(len, panels))
-    left = [2.6, 1.9][not scenes :] if any(one.target for one in grasps) else []  # scene and contacts
+    left = [2.6, 1.9][not scenes :] if any(grasp.target for grasp in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
     shown = [levels[sensor.valid[finger]] for row in panels for finger, _, _, levels in row]
     colours, drawn, ringed = taxel_colours(view, shown, tared=tared), None, False
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     seen = ""  # title of the last scene, which is not repeated
-    for part, one, row in zip(parts, grasps, panels, strict=True):
-        part.suptitle("\n".join(filter(None, (one.title, _agreement(one, view.sensor)))), fontsize=10)
+    for part, grasp, row in zip(parts, grasps, panels, strict=True):
+        part.suptitle("\n".join(filter(None, (grasp.title, _agreement(grasp, view.sensor)))), fontsize=10)
         axes = part.subplots(1, len(left) + most, squeeze=False, width_ratios=[*left, *[1.9] * most])[0]
         views, fingers, unused = np.split(axes, [len(left), len(left) + len(row)])
-        if one.target is not None and scenes:
-            title = f"what the camera sees\nof the table, {abs(one.target.plane.offset):.2f} m away"
-            _draw_scene(views[0], one.scene or one.target.cloud, one.target, "" if title == seen else title)
+        if grasp.target is not None and scenes:
+            title = f"what the camera sees\nof the table, {abs(grasp.target.plane.offset):.2f} m away"
+            _draw_scene(views[0], grasp.scene or grasp.target.cloud, grasp.target, "" if title == seen else title)
             seen = title
-        if one.target is not None:
-            _draw_front(views[-1], one.target.cloud, one.prediction.grasp, view.fingers)
-        for panel in (*unused, *(views if one.target is None else ())):
+        if grasp.target is not None:
+            _draw_front(views[-1], grasp.target.cloud, grasp.prediction.grasp, view.fingers)
+        for panel in (*unused, *(views if grasp.target is None else ())):
             panel.set_axis_off()
-        inside = _inside(one)
+        inside = _inside(grasp)
         for panel, (finger, what, touch, levels) in zip(fingers, row, strict=True):
             outside = None if inside is None or what == "predicted" else ~inside[view.columns(finger)]
             ringed |= outside is not None and bool((outside & sensor.valid[finger]).any())
             drawn = draw_taxels(panel, view, finger, levels, outside, colours)
-            scalars = view.scalars(finger, touch, one.prediction if what == "predicted" else None)
+            scalars = view.scalars(finger, touch, grasp.prediction if what == "predicted" else None)
             title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
             panel.set_title(title, color=_FINGER_COLOURS[finger], fontsize=10)
     if drawn is not None:
@@ -101,41 +101,41 @@ def save_touch_picture(
     return save(figure, Path(path), dpi=100)
 
 
-def _inside(one: DrawnGrasp) -> Bool | None:
+def _inside(drawn: DrawnGrasp) -> Bool | None:
     """(D,) which values were read within their intervals; None without both."""
-    lower, upper = one.prediction.lower, one.prediction.upper
-    if one.read is None or not one.prediction.calibrated:
+    lower, upper = drawn.prediction.lower, drawn.prediction.upper
+    if drawn.read is None or not drawn.prediction.calibrated:
         return None
-    return (one.read.values >= lower.values) & (one.read.values <= upper.values)
+    return (drawn.read.values >= lower.values) & (drawn.read.values <= upper.values)
 
 
-def _agreement(one: DrawnGrasp, sensor: Sensor) -> str:
+def _agreement(drawn: DrawnGrasp, sensor: Sensor) -> str:
     """A sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
-    value, read = one.prediction.value, one.read
-    if not one.prediction.ok or read is None:
-        return f"not predicted: {one.prediction.reason}" if one.prediction.reason else ""
+    value, read = drawn.prediction.value, drawn.read
+    if not drawn.prediction.ok or read is None:
+        return f"not predicted: {drawn.prediction.reason}" if drawn.prediction.reason else ""
     columns = {channel: sensor.taxel_columns[..., k].ravel() for k, channel in enumerate(sensor.taxel_channels)}
     apart = np.abs(value.values - read.values)
     means = [f"{name.name} {name.text(apart[part].mean())} {name.unit}" for name, part in columns.items()]
     text = f"mean difference: {', '.join(means)}"
-    if (inside := _inside(one)) is None:
+    if (inside := _inside(drawn)) is None:
         return text
     columns |= {channel: sensor.scalar_columns[:, k] for k, channel in enumerate(sensor.scalar_channels)}
     shares = [f"{inside[part].sum()} of {part.size} {name.name}" for name, part in columns.items()]
     return fill(f"{text}; within their 90 % intervals: {', '.join(shares)}", _LINE)
 
 
-def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], sensor: Sensor = BIOTAC_SP) -> Path:
+def save_contact_sheet(path: str | Path, samples: Sequence[Sample], sensor: Sensor = BIOTAC_SP) -> Path:
     """Write one PNG with the contacts and the readings of samples, a row each, as `save_touch_picture` draws them."""
     rows = [
         DrawnGrasp(
-            prediction=Prediction.of(one.grasp, Touch.unknown(sensor.channels), status="refused"),
-            target=Object(one.object, one.cloud, assumed_table(one.cloud)),
-            rest=one.tare,
-            read=one.touch,
-            title=one.id,
+            prediction=Prediction.of(sample.grasp, Touch.unknown(sensor.channels), status="refused"),
+            target=Object(sample.object, sample.cloud, assumed_table(sample.cloud)),
+            rest=sample.tare,
+            read=sample.touch,
+            title=sample.id,
         )
-        for one in samples
+        for sample in samples
     ]
     return save_touch_picture(path, rows, sensor, scenes=False)
 

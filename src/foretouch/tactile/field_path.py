@@ -33,20 +33,20 @@ class FieldPath:
     def __init__(self, text: str, setting: str = "field") -> None:
         self.text = text
         rest = f".{text}" if text and text[0] != "[" else text
-        found = list(_STEP.finditer(rest))
-        if "".join(one[0] for one in found) != rest:
+        steps = list(_STEP.finditer(rest))
+        if "".join(step[0] for step in steps) != rest:
             raise ConfigError(f"{setting}: {quoted(text)} is not a field path such as header.stamp or taxels[].x")
-        self.steps = [_step(one) for one in found]  # of a field, an element, a part, and a name with its value
+        self.steps = [_step(step) for step in steps]  # of a field, an element, a part, and a name with its value
 
     def get(self, message: Any) -> Any:
-        """What stands there, a list for a series; a `TactileError` names what the message lacks."""
+        """Return what stands there, a list for a series; a `TactileError` names what the message lacks."""
         return self._follow(message, 0)
 
     def _follow(self, value: Any, first: int) -> Any:
         for number, step in enumerate(self.steps[first:], first + 1):
             if isinstance(step, slice):
                 items = self._listed(value)[step]
-                return items if number == len(self.steps) else [self._follow(one, number) for one in items]
+                return items if number == len(self.steps) else [self._follow(item, number) for item in items]
             value = self._take(value, step)
         return value
 
@@ -54,7 +54,7 @@ class FieldPath:
         if isinstance(step, str):
             if hasattr(value, step):
                 return getattr(value, step)
-            fields = [one for one in dir(value) if one[0].islower() and not callable(getattr(value, one))]
+            fields = [field for field in dir(value) if field[0].islower() and not callable(getattr(value, field))]
             raise self._error(f"{type(value).__name__}: field {none_of(step, fields)}")
         items = self._listed(value)
         if isinstance(step, int):
@@ -62,7 +62,7 @@ class FieldPath:
                 raise self._error(f"there is no element {step} among {len(items)}")
             return items[step]
         name, wanted = step
-        known = [str(self._take(one, name)) for one in items]
+        known = [str(self._take(item, name)) for item in items]
         if wanted not in known:
             raise self._error(f"no element has {name}={wanted}; known: {', '.join(known) or 'none'}")
         return items[known.index(wanted)]

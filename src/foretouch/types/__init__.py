@@ -7,6 +7,7 @@ everything derived from them are in the camera's optical frame (x right, y down,
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from foretouch.types.arrays import (
     AnyArray,
@@ -28,7 +29,6 @@ from foretouch.types.cloud import ASSUMED_TABLE, NO_CLOUD, SQUARABLE, Cloud, Pla
 from foretouch.types.grasps import NO_GRASP, NO_GRASPS, Grasp, Grasps, WayIn
 from foretouch.types.predictions import (
     LATE,
-    REDUCED,
     UNKNOWN_FRAME,
     Evidence,
     Predicted,
@@ -44,7 +44,6 @@ __all__ = [
     "NO_CLOUD",
     "NO_GRASP",
     "NO_GRASPS",
-    "REDUCED",
     "SECOND_NS",
     "SQUARABLE",
     "UNKNOWN_FRAME",
@@ -58,7 +57,6 @@ __all__ = [
     "Float64",
     "Floating",
     "Grasp",
-    "GraspSample",
     "Grasps",
     "Index",
     "Int32",
@@ -71,18 +69,25 @@ __all__ = [
     "Predictions",
     "Reference",
     "Rows",
+    "Sample",
     "Touch",
     "UInt8",
     "WayIn",
     "assumed_table",
+    "stamp_ns",
 ]
 
 SECOND_NS = 1_000_000_000
 """Nanoseconds in a second."""
 
 
+def stamp_ns(stamp: Any) -> int:
+    """Convert a `builtin_interfaces/Time` or `Duration` to whole nanoseconds."""
+    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
+
+
 @dataclass(frozen=True, eq=False)
-class GraspSample:
+class Sample:
     """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>)."""
 
     id: str  # `<object>/<source id>`

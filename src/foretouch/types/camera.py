@@ -18,8 +18,8 @@ from foretouch.kernels import Kernel
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
 
-_deproject_whole = Kernel("deproject_whole", np.uint16, int, int, float, np.float32, np.float32, int, np.float32)
-_deproject_single = Kernel("deproject_single", np.float32, int, int, float, np.float32, np.float32, int, np.float32)
+_deproject_whole = Kernel("deproject_whole")
+_deproject_single = Kernel("deproject_single")
 
 MODELS: Final = ("plumb_bob", "rational_polynomial")
 """Distortion models of `sensor_msgs/CameraInfo` that are undone."""
@@ -67,7 +67,7 @@ class CameraModel:
             if not isinstance(side, int | np.integer) or not 1 <= side <= _LARGEST_SIDE:
                 raise CloudError(f"{name}: {quoted(side)} px is not a whole number between 1 and {_LARGEST_SIDE}")
             object.__setattr__(self, name, int(side))
-        numbers = [as_number("K", one) for one in (self.fx, self.fy, self.cx, self.cy)]
+        numbers = [as_number("K", number) for number in (self.fx, self.fy, self.cx, self.cy)]
         names = ("fx", "fy", "cx", "cy")
         if not numbers[0] and not numbers[1]:
             raise CloudError("K: fx and fy are 0: the camera is not calibrated")
@@ -114,14 +114,14 @@ class CameraModel:
         if numbers.shape != (4,):
             raise CloudError(f"K: shape {numbers.shape} is neither (3, 3) nor the four numbers fx, fy, cx, cy")
         fx, fy, cx, cy = numbers.tolist()
-        found = cls(width, height, fx, fy, cx, cy, () if distortion is None else distortion)
+        camera = cls(width, height, fx, fy, cx, cy, () if distortion is None else distortion)
         off = max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
         if off > _OFF_CENTRE:
             raise CloudError(
                 f"K: cx, cy {cx:g}, {cy:g} are far from the middle of {width}x{height}: is it of another image size? "
                 "(for a part of an image pass a CameraModel, or the whole image with zeros around the part)"
             )
-        return found
+        return camera
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -210,12 +210,12 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
     """Refuse depths (H, W) that no depth camera measures, as millimetres that are given as metres."""
     step = max(1, int(np.sqrt(depth.size / _SAMPLED)))
     for some in (depth[::step, ::step], depth):
-        found = some[(some > 0) & (some < np.inf)]
-        if found.size:
+        positive = some[(some > 0) & (some < np.inf)]
+        if positive.size:
             break
     else:
         return
-    middle = float(np.partition(found, found.size // 2)[found.size // 2]) * scale
+    middle = float(np.partition(positive, positive.size // 2)[positive.size // 2]) * scale
     if _NEAREST_M <= middle <= _FARTHEST_M:
         return
     far = middle > _FARTHEST_M
@@ -256,8 +256,8 @@ def _rays(camera: CameraModel) -> tuple[_Float32, _Float32]:
                 "are they k1, k2, p1, p2, k3, k4, k5, k6?"
             )
     rays = x.astype(np.float32), y.astype(np.float32)
-    for one in rays:
-        one.flags.writeable = False
+    for ray in rays:
+        ray.flags.writeable = False
     return rays
 
 

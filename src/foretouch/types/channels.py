@@ -82,12 +82,12 @@ class Channels:
     @cached_property
     def channel_of(self) -> dict[str, Channel]:
         """Channel of each modality, by name."""
-        return dict(zip(self.modalities, (one for one in self.channels for _ in self.fingers), strict=True))
+        return dict(zip(self.modalities, (channel for channel in self.channels for _ in self.fingers), strict=True))
 
     @cached_property
     def modality_of_value(self) -> _Index:
         """(D,) index in `modalities` of each value; read-only."""
-        return _kept(np.repeat(np.arange(len(self.modalities)), [one.size for one in self.channel_of.values()]))
+        return _kept(np.repeat(np.arange(len(self.modalities)), [channel.size for channel in self.channel_of.values()]))
 
     @cached_property
     def finger_of_value(self) -> _Index:

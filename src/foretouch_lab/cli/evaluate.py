@@ -63,12 +63,12 @@ def show_scores(result: Mapping[str, Any]) -> None:
     rows = []
     for key in result["scores"]["model"]:
         for name, by_modality in result["scores"].items():
-            one = by_modality[key]
-            inside = "" if one["coverage90"] is None else f"{one['coverage90']:.3f}"
+            score = by_modality[key]
+            inside = "" if score["coverage90"] is None else f"{score['coverage90']:.3f}"
             numbers = (
-                f"{one['rmse']:{'.1f' if one['rmse'] >= 1.0 else '.2g'}}",
-                f"{one['nrmse']:.4f}",
-                f"{one['skill']:+.3f}",
+                f"{score['rmse']:{'.1f' if score['rmse'] >= 1.0 else '.2g'}}",
+                f"{score['nrmse']:.4f}",
+                f"{score['skill']:+.3f}",
                 inside,
             )
             rows.append([key if name == "model" else "", name, *numbers])

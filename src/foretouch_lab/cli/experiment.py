@@ -60,17 +60,19 @@ def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: s
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 1 if a cell failed."""
     if arguments.name == "list":
-        return print_list("experiments", {one.name: one for one in list_experiments()}, as_json=arguments.json)
+        return print_list(
+            "experiments", {experiment.name: experiment for experiment in list_experiments()}, as_json=arguments.json
+        )
     return run_experiment(find_experiment(arguments.name), arguments)
 
 
 def print_list(title: str, experiments: Mapping[str, Experiment], *, as_json: bool) -> int:
     """Print names, questions and presets of experiments; exit status 0."""
     if as_json:
-        for name, one in experiments.items():
-            print_json({"name": name, "question": one.question, "presets": list(one.presets)})
+        for name, experiment in experiments.items():
+            print_json({"name": name, "question": experiment.question, "presets": list(experiment.presets)})
     else:
-        rows = [[name, one.question, ", ".join(one.presets)] for name, one in experiments.items()]
+        rows = [[name, experiment.question, ", ".join(experiment.presets)] for name, experiment in experiments.items()]
         print_table(title, ["name", "question", "presets"], rows)
     return 0
 

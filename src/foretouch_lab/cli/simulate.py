@@ -11,7 +11,7 @@ from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import ConfigError, FileError
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.simulation.scene import SceneConfig
 from foretouch_lab.simulation.simulate import Simulation, explain_scene
@@ -95,7 +95,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         "scene_sha256": scene.sha256(),
         "scene_file": str(arguments.scene),
     }
-    shown: list[GraspSample] = []
+    shown: list[Sample] = []
     start = time.perf_counter()
     with (
         StoreWriter(arguments.out, about, scene.fingers.taxel_sensor()) as writer,
@@ -143,11 +143,6 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
             "path": str(arguments.out),
         })  # fmt: skip
         return
-    ran = sorted((seconds_of[name] / count, name) for name in calls)
-    slowest = ", ".join(f"{name} {1e3 * seconds:.1f}" for seconds, name in reversed(ran[-3:]))
-    print(
-        f"{len(ran)} of {len(plans)} effects ran, as the scene needs them (--explain lists all); slowest: {slowest} ms a sample"
-    )
     failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
     print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")
     print(f"sha256 {sha256}")

@@ -93,11 +93,11 @@ def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) ->
         modalities = list(records[0]["skill"])
         rows = [
             [
-                one["split"],
-                one["who"],
-                *(f"{skill:+.3f}" for skill in (one["mean_skill"], *map(one["skill"].get, modalities))),
+                record["split"],
+                record["who"],
+                *(f"{skill:+.3f}" for skill in (record["mean_skill"], *map(record["skill"].get, modalities))),
             ]
-            for one in records
+            for record in records
         ]
         title = f"skill on {data.name} by cross-validation: 0 is the training mean, 1 is perfect"
         print_table(title, ["split", "predictor", "mean", *modalities], rows)

@@ -19,15 +19,16 @@ import pyarrow as pa
 
 from foretouch import __version__
 from foretouch.dataset.files import new_folder, sealed
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import DISCARDED, id_number, numbered_id
-from foretouch.dataset.samples import only_finite, open_samples
+from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
 from foretouch.files import file_sha256
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 
 _BATCH_ROWS = 64
 _SHARD_ROWS = 1024
@@ -75,7 +76,7 @@ class StoreWriter:
         """Content hash of the samples so far."""
         return self._content.hexdigest()
 
-    def write(self, sample: GraspSample) -> None:
+    def write(self, sample: Sample) -> None:
         """Append one sample."""
         for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
             if touch is not None:
@@ -217,7 +218,7 @@ class _UniqueIds:
         self._contents: dict[bytes, int] = {}  # and of each sample, by a hash of all but its id
         self._last = 0
 
-    def with_own_id(self, number: int, sample: GraspSample, renumbered: dict[str, str]) -> GraspSample:
+    def with_own_id(self, number: int, sample: Sample, renumbered: dict[str, str]) -> Sample:
         """A sample of a source with an id of its own, which is added to `renumbered` if it is new.
 
         Raises a `DatasetError` if a source before holds the sample, whatever the ids.
@@ -234,7 +235,7 @@ class _UniqueIds:
         return sample
 
 
-def _row(sample: GraspSample) -> dict[str, Any]:
+def _row(sample: Sample) -> dict[str, Any]:
     cloud = sample.cloud
     if cloud.organised or not np.isfinite(cloud.xyz).all():
         raise DatasetError(f"{sample.id}: the cloud is organised or not finite; a store holds the object's points only")

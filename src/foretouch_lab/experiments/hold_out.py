@@ -22,7 +22,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.report.panels import Rows
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.shared.figures import Line, draw_series, save_panels
 from foretouch_lab.experiments.shared.predictors import NETWORKS, PREDICTORS, contact_predictor
@@ -59,7 +59,7 @@ class HoldOutSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-def _folds(split: str, data: Dataset, seed: int) -> tuple[list[GraspSample], list[Fold]]:
+def _folds(split: str, data: Dataset, seed: int) -> tuple[list[Sample], list[Fold]]:
     samples = labelled(data)
     if not samples:
         raise DatasetError("experiment: no sample is labelled")
@@ -85,7 +85,7 @@ def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
 def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> list[Row]:
     """Fit and test once."""
     samples, folds = _folds(split, data, cell.values["seed"])
-    (fold,) = (one for one in folds if one.name == cell.values["part"])
+    (fold,) = (fold for fold in folds if fold.name == cell.values["part"])
     train, tested = fold.sides(samples)
     labels, name, seed = labels_of(train), cell.values["predictor"], cell.values["seed"]
     if name == MODEL:
@@ -195,7 +195,7 @@ _TOUCHED: Final[dict[str, Any]] = {
     "seeds": [0],
     "references": ["training_mean", "geometry_trees"],
     "touches": [0, 1, 3, 5, 10],
-    "predictors": [one for one in _NEW_OBJECT if one not in NETWORKS],
+    "predictors": [predictor for predictor in _NEW_OBJECT if predictor not in NETWORKS],
 }
 
 EXPERIMENTS: Final = (

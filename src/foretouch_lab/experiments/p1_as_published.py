@@ -24,7 +24,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.tactile import BIOTAC, MODALITIES, P1_RANGES
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch_lab.experiments.shared.scores import labelled
 from foretouch_lab.experiments.shared.tables import grouped, pivot, select, unique
@@ -75,7 +75,7 @@ class P1Settings(Settings):
     epochs: int | None = setting(None, "Number of epochs; by default those of the recipe, 50", bounds=(1, 100_000))
 
 
-def _tables(samples: Sequence[GraspSample]) -> dict[str, list[Fold]]:
+def _tables(samples: Sequence[Sample]) -> dict[str, list[Fold]]:
     """Train and test samples by table: five random splits within each type, and one type against the other."""
     from sklearn.model_selection import ShuffleSplit
 
@@ -97,9 +97,9 @@ def _tables(samples: Sequence[GraspSample]) -> dict[str, list[Fold]]:
 def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
     names = ("table", "part", "modality")
     return [
-        Cell("+".join(one).replace(" ", "_"), dict(zip(names, one, strict=True)))
+        Cell("+".join(values).replace(" ", "_"), dict(zip(names, values, strict=True)))
         for table, folds in _tables(labelled(data)).items()
-        for one in product([table], [fold.name for fold in folds], settings.modalities)
+        for values in product([table], [fold.name for fold in folds], settings.modalities)
     ]
 
 
@@ -109,7 +109,7 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     from foretouch_lab.learning.training.supervised import train_network
 
     samples = labelled(data)
-    (fold,) = (one for one in _tables(samples)[cell.values["table"]] if one.name == cell.values["part"])
+    (fold,) = (fold for fold in _tables(samples)[cell.values["table"]] if fold.name == cell.values["part"])
     modality: str = cell.values["modality"]
     recipe: Any = load_run_config(_RECIPE, [f"model.outputs=[{modality}]"])
     how = recipe.train if settings.epochs is None else recipe.train.replace(epochs=settings.epochs)
@@ -124,7 +124,7 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
             predicted - inputs.labels[np.ix_(batch, BIOTAC.columns([modality]))]
             for batch, predicted in _tested(net, inputs, test, how.batch_size, way, mean)
         ]
-        every, score = np.concatenate(errors), np.mean([_rmse(one, modality, how.root_epsilon) for one in errors])
+        every, score = np.concatenate(errors), np.mean([_rmse(error, modality, how.root_epsilon) for error in errors])
         sums = {"squared": float((every**2).sum()), "values": every.size, "samples": len(test)}
         rows.append({"predictor": way, "batch_rmse": float(score), **sums})
     return rows
@@ -159,7 +159,7 @@ def _rmse(error: Any, modality: str, epsilon: float) -> float:
 
 def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
     """By table, predictor and modality: both scores, over all parts of the table that are finished."""
-    found: list[Row] = []
+    result: list[Row] = []
     for (table, modality), own in grouped(rows, "table", "modality"):
         scale = P1_RANGES.ranges.of(modality)[1]
         head: Row = {"table": table, "modality": modality, "parts": len(unique(own, "part"))}
@@ -168,12 +168,12 @@ def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
             mean, sd = float(np.mean(batch)), float(np.std(batch))
             scores = {"as_published": mean, "as_published_sd": sd, "as_published_counts": mean * scale}
             pooled = np.sqrt(sum(row["squared"] for row in mine) / sum(row["values"] for row in mine))
-            found.append({**head, "predictor": _WAYS[way], **scores, "rmse_counts": float(pooled)})
+            result.append({**head, "predictor": _WAYS[way], **scores, "rmse_counts": float(pooled)})
         counts, scaled = PUBLISHED[table][modality]
         published = {"as_published": scaled, "as_published_sd": None, "as_published_counts": counts}
-        found.append({**head, "predictor": P1, **published, "rmse_counts": None})
+        result.append({**head, "predictor": P1, **published, "rmse_counts": None})
     order = [name for name in MODALITIES if name in settings.modalities]
-    return [row for _, own in grouped(found, "table") for name in order for row in select(own, modality=name)]
+    return [row for _, own in grouped(result, "table") for name in order for row in select(own, modality=name)]
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:

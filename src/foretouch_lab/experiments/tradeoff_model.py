@@ -6,17 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
-from foretouch.models.budget import PAUSE_S, levels_of
-from foretouch.models.contact.estimator import ContactEstimator, fewer_trees
+from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.registry import load_model
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.touch_model import Estimate, Snapshot, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
-from foretouch.types import Cloud, Float64, Grasp, GraspSample
+from foretouch.types import Cloud, Float64, Grasp, Plane, Sample
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area, times_text
 from foretouch_lab.experiments.shared.scores import labelled, skill_rows
@@ -35,6 +34,7 @@ _PAPERS: Final = "papers' four networks"
 _MEAN, _OBJECT = "mean of labels", "mean of the object"
 _READINGS: Final = " + readings"
 _SPLITS: Final = {"time": "blocks of time", "object": "objects left out"}
+PAUSE_S: Final = 0.02  # asleep before each call, as between the clouds of a camera
 _BUDGET_MS: Final = 10.0  # of the answer
 _REQUESTS: Final = (1, 10, 100, 1000)  # grasps on a cloud
 VARIANTS: Final = (
@@ -59,6 +59,23 @@ def described(data: Dataset) -> tuple[ContactPredictor, dict[str, int]]:
     return predictor, {sample.id: k for k, sample in enumerate(samples)}
 
 
+class MeanEstimator:
+    """Predicts the mean of the training labels of a model for every grasp, and looks at no cloud."""
+
+    def __init__(self, model: TouchModel) -> None:
+        self.ranges = model.ranges
+        self._mean: Float64 = cast("ContactEstimator", model.estimator).mean
+
+    def estimate(self, _: Cloud, grasps: Sequence[Grasp], _table: Plane | None = None) -> Estimate:
+        """See `Estimator.estimate`."""
+        return Estimate(np.tile(self._mean, (len(grasps), 1)), np.zeros(len(grasps), np.bool_))
+
+
+def fewer_trees(estimator: ContactEstimator, count: int) -> ContactEstimator:
+    """Return the same model with the first trees of each forest alone, as if it had been fitted with that number."""
+    return replace(estimator, forests={name: forest.first(count) for name, forest in estimator.forests.items()})
+
+
 def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactEstimator:
     """A fitted model with fewer trees, or without the surroundings of the contacts."""
     if "trees" in values:
@@ -74,7 +91,9 @@ def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str
     for fold in folds:
         train, test = fold.sides(samples)
         for name, predicted in _predictions(data, folds, fold):
-            rows = error_rows([one.object for one in test], predicted, labels_of(test), labels_of(train).mean(axis=0))
+            rows = error_rows(
+                [sample.object for sample in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
+            )
             errors.setdefault(name, []).extend({"part": fold.name, **row} for row in rows)
     return skill_rows(split, errors, settings.bootstrap)
 
@@ -95,7 +114,7 @@ def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[t
         yield _OBJECT, object_mean(train, labels[fold.train], test, 0)
     # A tracker of all readings before each grasp compares them with what was expected without them: by the mean of the
     # labels or by the shipped recipe, fitted without the part that is predicted. It is fitted to the training side.
-    names, sessions = np.array([one.object for one in samples]), np.empty(len(samples), "U99")
+    names, sessions = np.array([sample.object for sample in samples]), np.empty(len(samples), "U99")
     plain, seen = np.tile(labels[fold.train].mean(axis=0), (2, len(samples), 1))
     for part in folds:
         sessions[part.test] = [f"{name}/{part.name}" for name in names[part.test]]
@@ -119,18 +138,19 @@ def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[t
 def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed:
     """See `Area.timed`: predicts the touch of K grasps on a cloud of median size, (K, 50) counts."""
     sample, grasps = _scene(data, max(settings.requests))
-    models = {one.name: one.model for one in levels_of(load_model(SHIPPED))}
+    shipped = load_model(SHIPPED)
     name, _, readings = variant.name.partition(_READINGS[:2])
     if variant.name == _PAPERS:
         return _papers(sample.cloud, grasps), 1.0
     if variant.name in (_MEAN, _OBJECT):
-        own = [one for one in labelled(data) if variant.name == _MEAN or one.object == sample.object]
+        own = [other for other in labelled(data) if variant.name == _MEAN or other.object == sample.object]
         mean = labels_of(own).mean(axis=0)
         return lambda count: np.tile(mean, (count, 1)), 1.0
     if readings:
-        return _after_reading(models[name], sample, grasps), 1.0
-    shipped: Any = models[SHIPPED].estimator
-    estimator = _reduced(shipped, variant.values)
+        if name == _MEAN:
+            shipped = TouchModel(MeanEstimator(shipped), shipped.card, shipped.calibration)
+        return _after_reading(shipped, sample, grasps), 1.0
+    estimator = _reduced(cast("ContactEstimator", shipped.estimator), variant.values)
     return lambda count: estimator.estimate(sample.cloud, grasps[:count]).counts, 1.0
 
 
@@ -155,7 +175,7 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     return answer
 
 
-def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
+def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
     """Predictions right after one more reading of the hand, which is added to the tracker in each call."""
     expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
     reading, tracker = labels_of([sample])[0], model.new_tracker()
@@ -164,17 +184,17 @@ def _after_reading(model: TouchModel, sample: GraspSample, grasps: Sequence[Gras
     def answer(count: int) -> Float64:
         now = tracker.copy()
         now.add_touch(1, reading, expected)
-        return History(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
+        return Snapshot(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
 
     return answer
 
 
-def _scene(data: Dataset, count: int) -> tuple[GraspSample, list[Grasp]]:
+def _scene(data: Dataset, count: int) -> tuple[Sample, list[Grasp]]:
     """A sample whose cloud is of median size, with its grasp and others.
 
     The others are between random points of the cloud, with the hand of its own grasp.
     """
-    samples = sorted(labelled(data), key=lambda one: one.cloud.size)
+    samples = sorted(labelled(data), key=lambda sample: sample.cloud.size)
     sample = samples[len(samples) // 2]
     xyz = sample.cloud.xyz.reshape(-1, 3)
     xyz = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
@@ -192,11 +212,11 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     texts = [times_text(row, rows).split(", ") for row in shipped]
     if len(texts[0]) == 1:
         loaded = "the machine was loaded, so that nothing is promised of the time of an answer"
-        times = ", ".join(one for (one,) in texts)
+        times = ", ".join(number for (number,) in texts)
         text = f"{name}, the default model, takes {times} ms of processor time for {sizes}; {loaded}."
     else:
         most = max((row["request"] for row in shipped if row["ms_p95"] <= _BUDGET_MS), default=0)
-        _, p95, p99 = (", ".join(one) for one in zip(*texts, strict=True))
+        _, p95, p99 = (", ".join(column) for column in zip(*texts, strict=True))
         answer = f"In {_BUDGET_MS:g} ms you get the default model, {name}, for up to {most} grasps"
         text = f"{answer}: {sizes} take {p95} ms in 95 of 100 calls and {p99} ms in 99 (idle machine)."
     return [Table("In short", [], [], [text])]

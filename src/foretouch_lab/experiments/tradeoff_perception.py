@@ -76,7 +76,7 @@ class Scenes:
     def targets(self) -> list[tuple[int, Object]]:
         """The objects that the shipped segmentation finds, with the number of their scene."""
         pipeline = _pipeline(VARIANTS[0])
-        return [(k, one) for k, (cloud, _) in enumerate(self.images) for one in pipeline.segment(cloud).targets]
+        return [(k, target) for k, (cloud, _) in enumerate(self.images) for target in pipeline.segment(cloud).targets]
 
 
 def _load(settings: PerceptionSettings, _path: Path) -> Scenes:
@@ -94,12 +94,12 @@ def _pipeline(variant: Variant) -> Pipeline:
 
 def overlaps(labels: Int32, truth: Int32) -> list[float]:
     """Intersection over union of each true object with the found one that covers it most."""
-    found = []
+    shares = []
     for label in range(FIRST_OBJECT, int(truth.max()) + 1):
         true = truth == label
         covering = labels == 1 + int(np.bincount(labels[true], minlength=2)[1:].argmax())
-        found.append(float((true & covering).sum() / (true | covering).sum()))
-    return found
+        shares.append(float((true & covering).sum() / (true | covering).sum()))
+    return shares
 
 
 def _scores(pipeline: Pipeline, data: Scenes) -> Iterator[tuple[int, float]]:
@@ -113,8 +113,8 @@ def _scores(pipeline: Pipeline, data: Scenes) -> Iterator[tuple[int, float]]:
 
 
 def _accuracy(skill: str, settings: PerceptionSettings, data: Scenes) -> Mapping[str, Row]:
-    found = {}
-    for variant in (one for one in VARIANTS if one.values["skill"] == skill):
+    result = {}
+    for variant in (variant for variant in VARIANTS if variant.values["skill"] == skill):
         pipeline = _pipeline(variant)
         if skill == "score":
             values = list(_scores(pipeline, data))
@@ -122,8 +122,8 @@ def _accuracy(skill: str, settings: PerceptionSettings, data: Scenes) -> Mapping
             labels = [pipeline.segment(cloud).segmentation.labels for cloud, _ in data.images]
             pairs = [overlaps(mine, truth) for mine, (_, truth) in zip(labels, data.images, strict=True)]
             values = [(number, iou) for number, own in enumerate(pairs) for iou in own]
-        found[variant.name] = interval_columns(skill, _mean(values, settings.bootstrap.draws))
-    return found
+        result[variant.name] = interval_columns(skill, _mean(values, settings.bootstrap.draws))
+    return result
 
 
 def _mean(values: Sequence[tuple[int, float]], draws: int) -> ScoreEstimate:
@@ -141,7 +141,7 @@ def _timed(variant: Variant, _settings: PerceptionSettings, data: Scenes) -> Tim
     if variant.values["skill"] == "iou":
         calls: list[Callable[[], object]] = [partial(pipeline.segment, cloud) for cloud, _ in data.images[:_TIMED]]
     else:
-        ordered = sorted((one for _, one in data.targets), key=lambda one: one.cloud.size)
+        ordered = sorted((target for _, target in data.targets), key=lambda target: target.cloud.size)
         chosen = np.linspace(0, len(ordered) - 1, min(_TIMED, len(ordered))).astype(int)  # of all sizes, evenly spread
         calls = [partial(pipeline.plan, ordered[k]) for k in chosen]
     turn = cycle(calls)

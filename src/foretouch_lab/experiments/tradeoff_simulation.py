@@ -18,7 +18,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.tactile import BIOTAC
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.scores import interval_columns
@@ -97,7 +97,7 @@ class Scenes:
     @property
     def sha256(self) -> str:
         """Hash of all."""
-        return hashlib.sha256(" ".join(one.sha256() for one in self.scenes.values()).encode()).hexdigest()
+        return hashlib.sha256(" ".join(scene.sha256() for scene in self.scenes.values()).encode()).hexdigest()
 
     def changed(self, variant: Variant) -> SceneConfig:
         """The scene of a variant."""
@@ -123,40 +123,40 @@ def _load(_settings: SimulationSettings, path: Path) -> Scenes:
 def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[str, Row]:
     """All variants of the scene that the column names, against the first of them."""
     kind, _, name = skill.partition("_")
-    variants = [one for one in VARIANTS if one.values["scene"] == name]
-    found: dict[str, Row] = {}
+    variants = [variant for variant in VARIANTS if variant.values["scene"] == name]
+    result: dict[str, Row] = {}
     if kind == "digits":
         best = _drops(data.changed(variants[0]), settings.compared)
         for variant in variants[1:]:
             mine = _drops(data.changed(variant), settings.compared)
             misses = [np.linalg.norm(mine[k] - best[k]) / np.linalg.norm(best[k]) for k in mine.keys() & best.keys()]
-            digits, least = (-float(np.log10(one)) for one in (np.median(misses), max(misses)))
-            found[variant.name] = {skill: digits, f"{skill}_low": least, f"{skill}_high": digits}
-        return found
+            digits, least = (-float(np.log10(miss)) for miss in (np.median(misses), max(misses)))
+            result[variant.name] = {skill: digits, f"{skill}_low": least, f"{skill}_high": digits}
+        return result
     finest = _samples(data.changed(variants[0]), 2 * settings.train)
     test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
-    names = [one.id for one in test]  # each grasp counts alone
+    names = [sample.id for sample in test]  # each grasp counts alone
     for variant in variants:
         train = _samples(data.changed(variant), settings.train)
         predictor = ContactPredictor(train, labels_of(train), ContactTrainingConfig(trees=settings.trees))
         errors = ObjectErrors.of_predictions(names, predictor.predict(test), labels_of(test), mean, BIOTAC)
-        found[variant.name] = interval_columns(skill, skills(errors, settings.bootstrap)[MEAN])
-    return found
+        result[variant.name] = interval_columns(skill, skills(errors, settings.bootstrap)[MEAN])
+    return result
 
 
 def _drops(scene: SceneConfig, count: int) -> dict[int, Float64]:
     """(2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; those that fail are left out."""
-    engine, found = Engine(scene, EFFECTS), {}
+    engine, drops = Engine(scene, EFFECTS), {}
     for slot in range(count):
         try:
             rest, pressed = engine.run(SampleKey(scene.seed, slot)).readings
         except SimulationError:
             continue
-        found[slot] = (rest - pressed)[:, 1:]
-    return found
+        drops[slot] = (rest - pressed)[:, 1:]
+    return drops
 
 
-def _samples(scene: SceneConfig, count: int) -> list[GraspSample]:
+def _samples(scene: SceneConfig, count: int) -> list[Sample]:
     return list(Simulation(scene).samples(count))
 
 

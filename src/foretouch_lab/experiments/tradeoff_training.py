@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import setting
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.predictors import network
@@ -74,28 +74,28 @@ def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str
             rows += [
                 {"part": fold.name, **row}
                 for row in error_rows(
-                    [one.object for one in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
+                    [sample.object for sample in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
                 )
             ]
         errors[variant.name] = rows
     hours = _robot_seconds(samples) / 3600.0
-    found = skill_rows(skill, errors, settings.bootstrap)
-    return {name: row | {f"robot_h_{skill}": hours * float(np.mean(counts[name]))} for name, row in found.items()}
+    scored = skill_rows(skill, errors, settings.bootstrap)
+    return {name: row | {f"robot_h_{skill}": hours * float(np.mean(counts[name]))} for name, row in scored.items()}
 
 
-def _by_object(samples: Sequence[GraspSample]) -> dict[str, list[GraspSample]]:
+def _by_object(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
     """Samples of each object, objects sorted by name."""
     names = sorted({sample.object for sample in samples})
     return {name: [sample for sample in samples if sample.object == name] for name in names}
 
 
-def _robot_seconds(samples: Sequence[GraspSample]) -> float:
+def _robot_seconds(samples: Sequence[Sample]) -> float:
     """Median time from one grasp of an object to the next, as they were recorded [s]."""
-    gaps = [np.diff(sorted(one.stamp_ns for one in own)) for own in _by_object(samples).values()]
+    gaps = [np.diff(sorted(sample.stamp_ns for sample in own)) for own in _by_object(samples).values()]
     return float(np.median(np.concatenate(gaps))) / 1e9
 
 
-def _chosen(values: Mapping[str, Any], train: Sequence[GraspSample]) -> list[GraspSample]:
+def _chosen(values: Mapping[str, Any], train: Sequence[Sample]) -> list[Sample]:
     """The training samples of a variant, drawn at random; smaller draws are part of larger ones."""
     groups = _by_object(train)
     if "objects" in values:
@@ -116,8 +116,8 @@ def _predict(
     values: Mapping[str, Any],
     settings: TrainingSettings,
     data: Dataset,
-    train: Sequence[GraspSample],
-    test: Sequence[GraspSample],
+    train: Sequence[Sample],
+    test: Sequence[Sample],
 ) -> Float64:
     """(T, 50) predictions of test samples by a variant that is trained on some samples [counts]."""
     if "mean" in values:

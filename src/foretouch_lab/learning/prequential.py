@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError, GraspError, ModelError
 from foretouch.models.calibration import Calibration, tare_offset
-from foretouch.models.touch_model import Estimate, History, TouchModel
+from foretouch.models.touch_model import Estimate, Snapshot, TouchModel
 from foretouch.models.tracker import Level, SensorTracker
 from foretouch.tactile import tdc_of
-from foretouch.types import Bool, Float64, GraspSample, Index, Int64, Touch
+from foretouch.types import Bool, Float64, Index, Int64, Sample, Touch
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,19 +37,16 @@ class TimedReadings:
 
     @classmethod
     def of_samples(
-        cls,
-        samples: Sequence[GraspSample],
-        labels: Float64,
-        expected: Float64,
-        rest: Float64,
-        known: Bool | None = None,
+        cls, samples: Sequence[Sample], labels: Float64, expected: Float64, rest: Float64, known: Bool | None = None
     ) -> Self:
         """From labelled samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
         tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-        read_as = [(one.extra, one.touch.channels) for one in samples if one.touch is not None]  # all of them
-        tdc, tare_tdc = (np.array([tdc_of(*one, prefix) for one in read_as]) for prefix in ("", "tare_"))
+        read_as = [
+            (sample.extra, sample.touch.channels) for sample in samples if sample.touch is not None
+        ]  # all of them
+        tdc, tare_tdc = (np.array([tdc_of(*reading, prefix) for reading in read_as]) for prefix in ("", "tare_"))
         read = {"tares": tares, "tdc": tdc, "tare_tdc": tare_tdc}
         some = {name: None if np.isnan(rows).all() else rows for name, rows in read.items()}
         return cls(stamps, objects, labels, expected, known=known, **some)
@@ -180,7 +177,7 @@ def predict_after(calibration: Calibration, touched: TimedReadings, asked: Timed
     counts, half = np.empty((2, *asked.expected.shape))
     for k, stamp in enumerate(asked.stamps_ns.tolist()):
         estimate = Estimate(asked.expected[k : k + 1], np.array([asked.is_known(k)]))
-        (counts[k],), (half[k],) = History(tracker, stamp, tdc=asked.tdc_before(k)).adapt(estimate)
+        (counts[k],), (half[k],) = Snapshot(tracker, stamp, tdc=asked.tdc_before(k)).adapt(estimate)
     return counts, half
 
 
@@ -188,13 +185,13 @@ def predict_after(calibration: Calibration, touched: TimedReadings, asked: Timed
 class ModelReplay:
     """Replay of samples by a model, in order of time."""
 
-    samples: list[GraspSample]  # S of them
+    samples: list[Sample]  # S of them
     recording: TimedReadings  # readings of unlabelled samples are NaN
     played: Replayed
     scored: Bool  # (S,) False for those of the history
 
 
-def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()) -> ModelReplay:
+def replay_model(model: TouchModel, samples: Sequence[Sample], history: Sequence[Sample] = ()) -> ModelReplay:
     """Predict each sample by a model from vision and all that was read before it.
 
     Args:
@@ -223,19 +220,19 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
             tare = Touch(model.usable_values(sample.tare, sample.id), sample.tare.channels)
             ordered[k] = with_readings(sample, tare=tare)
         try:
-            one = model.estimate_executed(sample.cloud, [sample.grasp])
+            estimate = model.estimate_executed(sample.cloud, [sample.grasp])
         except GraspError as err:
             raise ModelError(f"{sample.id}: {err}") from err
-        expected[k], known[k] = one.counts[0], one.in_distribution[0]
-        where.append(one.where)
+        expected[k], known[k] = estimate.counts[0], estimate.in_distribution[0]
+        where.append(estimate.where)
     recording = TimedReadings.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
-    described = [one for one in where if one is not None]
+    described = [features for features in where if features is not None]
     recording = replace(recording, where=np.concatenate(described)) if len(described) == len(where) else recording
     played = replay(SensorTracker(model.calibration.tracker_parameters), recording)
     return ModelReplay(ordered, recording, played, np.array([mine for _, mine in flagged], np.bool_))
 
 
-def with_readings(sample: GraspSample, **readings: Touch) -> GraspSample:
+def with_readings(sample: Sample, **readings: Touch) -> Sample:
     """The sample with another `touch` or `tare`; its cloud is not read."""
     changed = copy.copy(sample)
     vars(changed).update(readings)

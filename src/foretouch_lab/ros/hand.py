@@ -24,14 +24,14 @@ from std_srvs.srv import Trigger
 
 from foretouch.camera.config import ScheduleConfig
 from foretouch.config import setting
-from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg, sensor_to_msg
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, SimulatedHand
 from foretouch_lab.simulation.message_faults import FaultConfig, MessageFaults
@@ -111,7 +111,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._sensor = sensor = self._hand.sensor
         kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
         self._solver: Worker[tuple[GraspArray, float]] = Worker(
-            "hand-contact", lambda one: self._solve(*one), lambda _, why: self._drop(why), depth=4
+            "hand-contact", lambda job: self._solve(*job), lambda _, why: self._drop(why), depth=4
         )
         self._tactile = self.advertise(kind, TACTILE_TOPIC, depth=_DEPTH)
         self._message_class: Any = kind

@@ -59,7 +59,7 @@ def sensor_to_msg(kind: type, sensor: Sensor, readings: Sequence[Float64], nanos
     message, config = kind(), sensor.config
     ends = np.cumsum([size for _, size in sensor.predicted])
     for finger, values in zip(config.chosen_fingers(), readings, strict=True):
-        known = dict(zip((one.name for one, _ in sensor.predicted), np.split(values, ends), strict=False))
+        known = dict(zip((described.name for described, _ in sensor.predicted), np.split(values, ends), strict=False))
         for channel in (*config.scalars, *config.values):
             path = f"{finger.field}.{channel.field}".strip(".").replace(".[", "[")
             sent = np.full(sensor.series_size if channel in config.values else 1, np.clip(0.0, *channel.limits))
@@ -77,8 +77,8 @@ def _write(owner: Any, steps: Sequence[Any], data: Sequence[Any], convert: Calla
     name, *rest = steps
     kind = owner.get_fields_and_field_types()[name]
     if not rest:
-        found = [convert(kind, one) for one in data]
-        setattr(owner, name, found if kind[-1] in ">]" else found[0])
+        values = [convert(kind, value) for value in data]
+        setattr(owner, name, values if kind[-1] in ">]" else values[0])
         return
     if isinstance(rest[0], str):
         _write(getattr(owner, name), rest, data, convert)
@@ -87,9 +87,9 @@ def _write(owner: Any, steps: Sequence[Any], data: Sequence[Any], convert: Calla
     places, parts = [step], [data]
     if isinstance(step, slice):
         first, stride = step.start or 0, step.step or 1
-        places, parts = list(range(first, first + stride * len(data), stride)), [[one] for one in data]
+        places, parts = list(range(first, first + stride * len(data), stride)), [[value] for value in data]
     elif isinstance(step, tuple):
-        places = [next((k for k, one in enumerate(items) if str(getattr(one, step[0])) == step[1]), len(items))]
+        places = [next((k for k, item in enumerate(items) if str(getattr(item, step[0])) == step[1]), len(items))]
     element = re.split("[<>,[]", kind)[1 if "<" in kind else 0]
     while len(items) <= places[-1]:
         items.append(tactile_class(element)() if "/" in element else 0)

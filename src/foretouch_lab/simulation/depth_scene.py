@@ -337,13 +337,13 @@ def _in_view(solid: Primitive, view: CameraView) -> bool:
     return bool((low > _MARGIN * size).all() and (high < (1.0 - _MARGIN) * size).all())
 
 
-def _collide(one: Primitive, other: Primitive) -> bool:
-    apart = footprint_m(one) + footprint_m(other) + _GAP_M
-    return float(np.linalg.norm((one.position - other.position)[:2])) < apart
+def _collide(body: Primitive, other: Primitive) -> bool:
+    apart = footprint_m(body) + footprint_m(other) + _GAP_M
+    return float(np.linalg.norm((body.position - other.position)[:2])) < apart
 
 
-def _overlap_in_image(one: Primitive, other: Primitive, view: CameraView) -> bool:
+def _overlap_in_image(body: Primitive, other: Primitive, view: CameraView) -> bool:
     """Whether the rectangles around both, one pixel in a hundred apart, share a pixel."""
-    (low_a, high_a), (low_b, high_b) = view.bounds(one.corners()), view.bounds(other.corners())
+    (low_a, high_a), (low_b, high_b) = view.bounds(body.corners()), view.bounds(other.corners())
     gap = 0.01 * view.width
     return bool((low_a < high_b + gap).all() and (low_b < high_a + gap).all())

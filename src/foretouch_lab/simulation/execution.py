@@ -163,10 +163,10 @@ class SimulatedHand:
 
     def press(self, finger: int) -> Counts:
         """(25,) int16, or (V,) float64 of taxels: what a press by a person adds to the thumb, 0, or the middle finger, 1."""
-        one, array = self._resting.world.fingers[finger], self._resting.world.array
+        pressed, array = self._resting.world.fingers[finger], self._resting.world.array
         if array is not None:
             return array.press(finger)
-        return np.asarray(read_press(one) - one.rest).round().astype(np.int16)
+        return np.asarray(read_press(pressed) - pressed.rest).round().astype(np.int16)
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
         """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""
@@ -178,9 +178,9 @@ class SimulatedHand:
         if not len(self._rows):
             self._rows = self.rest(_BLOCK, self._repeat, elapsed_s)
             self._repeat += 1
-        found: Counts = self._rows[0]
+        row: Counts = self._rows[0]
         self._rows = self._rows[1:]
-        return found
+        return row
 
     @property
     def sensor(self) -> Sensor:

@@ -55,9 +55,9 @@ class MessageFaults:
 
     def readings(self, fingers: Mapping[str, _T]) -> dict[str, _T]:
         """The readings that a message carries, by finger: of the wrong one, or those of the first message."""
-        found, frozen = dict(fingers), self.config.frozen
+        sent, frozen = dict(fingers), self.config.frozen
         if frozen:
-            found[frozen] = self._first.setdefault(frozen, found[frozen])
+            sent[frozen] = self._first.setdefault(frozen, sent[frozen])
         if self.config.swapped:
-            found["TH"], found["MF"] = found["MF"], found["TH"]
-        return found
+            sent["TH"], sent["MF"] = sent["MF"], sent["TH"]
+        return sent

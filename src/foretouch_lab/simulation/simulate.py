@@ -19,7 +19,7 @@ import numpy as np
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.processes import one_thread_each, process_pool
 from foretouch.tactile.messages.biotac import FINGERS, OTHERS
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import EffectPlan, Engine, SampleState
 from foretouch_lab.simulation.fingertip import quantise
@@ -53,7 +53,7 @@ class Simulation:
         """How many tries came to nothing, by reason, the most frequent first."""
         return dict(Counter(failure.reason for failure in self.failures).most_common())
 
-    def samples(self, count: int, workers: int = 1) -> Iterator[GraspSample]:
+    def samples(self, count: int, workers: int = 1) -> Iterator[Sample]:
         """The first samples, in the order of their slots.
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, targets and
@@ -94,7 +94,7 @@ def _engine_of(scene: SceneConfig) -> Engine:
 
 
 # Samples, calls and time by effect, failures, and whether they end with a slot that is given up.
-_Block = tuple[list[GraspSample], Counter[str], dict[str, float], list[Failure], bool]
+_Block = tuple[list[Sample], Counter[str], dict[str, float], list[Failure], bool]
 
 
 def _make_block(scene: SceneConfig, slots: range) -> _Block:
@@ -102,7 +102,7 @@ def _make_block(scene: SceneConfig, slots: range) -> _Block:
 
     engine = _engine_of(scene)
     engine.calls, engine.seconds = Counter(), defaultdict(float)
-    samples: list[GraspSample] = []
+    samples: list[Sample] = []
     failures: list[Failure] = []
     with threadpool_limits(1):  # sums of threaded BLAS depend on the number of threads
         for slot in slots:
@@ -136,7 +136,7 @@ def _first_success(
     return None, failures
 
 
-def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -> GraspSample:
+def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -> Sample:
     item = scene.objects[object_index(scene, key.slot)]
     extra = {"seed": float(key.seed), "slot": float(key.slot), "attempt": float(key.attempt)}
     if key.repeat:
@@ -149,7 +149,7 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
         extra[f"area_{finger}_m2"] = float(contact.area_m2)
     if scene.campaign is not None:
         extra |= _campaign_values(state)
-    return GraspSample(
+    return Sample(
         id=f"{item.name}/{slot:06d}",
         object=item.name,
         cloud=state.cloud,

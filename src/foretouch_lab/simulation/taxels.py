@@ -87,7 +87,7 @@ class TaxelArray:
         window = _window(pad, middle, curvature, half)
         weights = _weights(window.points.reshape(-1, 3), sensor.layout.positions, axes, size, config.spread_m)
         channels, area_m2 = sensor.predicted, float(size.prod(axis=1).mean())
-        levels = [_rest_and_gain(one, area_m2 * sensor.size / count) for one, count in channels]
+        levels = [_rest_and_gain(channel, area_m2 * sensor.size / count) for channel, count in channels]
         rest, spread, nominal, gain_spread = _each(levels, channels).T
         drawn = rng.standard_normal((3, 2, len(rest)))
         gain, kelvin = nominal * np.exp(gain_spread * drawn[1]), KELVIN_N * nominal * drawn[2]
@@ -145,12 +145,12 @@ class TaxelArray:
 
     def session(self, rng: np.random.Generator) -> Float64:
         """(2, V): how far rest levels of one session are from the mean; those that are zero stay."""
-        tared = _each([one.rest == "tare" for one, _ in self.sensor.predicted], self.sensor.predicted)
+        tared = _each([channel.rest == "tare" for channel, _ in self.sensor.predicted], self.sensor.predicted)
         return np.asarray(SESSION_N * self.gain * tared * rng.standard_normal(self.gain.shape))
 
     def noise(self, rows: int, rng: np.random.Generator) -> Float64:
         """(T, 2, V) white noise, of the standard deviation that the description states."""
-        stated = _each([one.noise or 0.0 for one, _ in self.sensor.predicted], self.sensor.predicted)
+        stated = _each([channel.noise or 0.0 for channel, _ in self.sensor.predicted], self.sensor.predicted)
         deviation = np.where(stated > 0.0, stated, NOISE_N * np.abs(self.gain))
         return deviation * rng.standard_normal((rows, *deviation.shape))
 
@@ -164,14 +164,14 @@ class TaxelArray:
                 f"{self.sensor.config.name}: {np.count_nonzero(~np.isfinite(series))} values are not finite"
             )
         channels = self.sensor.predicted
-        low, high = _each([one.saturation or one.limits for one, _ in channels], channels).T
-        whole = _each(["int" in one.dtype for one, _ in channels], channels)
-        found = np.clip(np.where(whole, np.rint(series), series.astype(np.float32)), low, high)
+        low, high = _each([channel.saturation or channel.limits for channel, _ in channels], channels).T
+        whole = _each(["int" in channel.dtype for channel, _ in channels], channels)
+        quantised = np.clip(np.where(whole, np.rint(series), series.astype(np.float32)), low, high)
         for finger, valid in enumerate(self.sensor.valid):
             for _, part, of_taxels in self._parts:
                 if of_taxels:
-                    self.sensor.layout.fill(found[:, finger, part].T, valid)
-        return found
+                    self.sensor.layout.fill(quantised[:, finger, part].T, valid)
+        return quantised
 
     @cached_property
     def _parts(self) -> list[tuple[int, slice, bool]]:
@@ -179,8 +179,8 @@ class TaxelArray:
         channels, values = self.sensor.predicted, self.sensor.config.values
         ends = np.cumsum([count for _, count in channels]).tolist()
         return [
-            (_axis(one, self.sensor), slice(end - count, end), one in values)
-            for (one, count), end in zip(channels, ends, strict=True)
+            (_axis(channel, self.sensor), slice(end - count, end), channel in values)
+            for (channel, count), end in zip(channels, ends, strict=True)
         ]
 
     @cached_property
@@ -215,7 +215,7 @@ def _axis(channel: ChannelConfig, sensor: Sensor) -> int:
     """0, 1 or 2 for a force along x, y or the normal."""
     name = channel.name.lower()
     axis = _AXES.get(name[-1] if name[-1] in "xyz" else name)
-    if axis is None and sum(one.predicted for one in sensor.config.values) == 1:
+    if axis is None and sum(value.predicted for value in sensor.config.values) == 1:
         axis = 2
     if axis is None:
         raise ConfigError(

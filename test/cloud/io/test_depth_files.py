@@ -68,6 +68,10 @@ def test_an_archive_brings_its_camera_and_its_scale(tmp_path: Path, depth: Any) 
     assert_array_equal(read_cloud(tmp_path / "b.npz").xyz, Cloud.from_depth(depth, K, scale=0.0005).xyz)
     given = DepthCamera(scale=0.002)
     assert_array_equal(read_cloud(tmp_path / "b.npz", given).xyz, Cloud.from_depth(depth, K, scale=0.002).xyz)
+    np.savez(tmp_path / "c.npz", depth_mm=depth.astype(np.float64), K=MATRIX)
+    assert_array_equal(read_cloud(tmp_path / "c.npz").xyz, Cloud.from_depth(depth, K).xyz)
+    np.savez(tmp_path / "d.npz", depth_m=depth / 1000.0, K=MATRIX)
+    np.testing.assert_allclose(read_cloud(tmp_path / "d.npz").xyz, Cloud.from_depth(depth, K).xyz, rtol=1e-6)
 
 
 def _ros(path: Path) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from seen_solids import Camera, about_vertical, box, can
 
-from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, ObjectSegment, TargetConfig, select_free
+from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, Segment, TargetConfig, select_free
 from foretouch.pipeline import Pipeline, PipelineConfig, Scene
 from foretouch.types import Cloud
 
@@ -59,9 +59,9 @@ def test_no_object_is_free() -> None:
     assert found.reason.endswith(f"object {target.id} is hindered least")
 
 
-def _object(k: int, z: float) -> ObjectSegment:
+def _object(k: int, z: float) -> Segment:
     xyz = np.array([[0.0, 0.01 * k, z]], np.float32)
-    return ObjectSegment(k, Cloud(xyz), np.zeros(1, np.int64), xyz[0].astype(np.float64), np.vstack([xyz, xyz]))
+    return Segment(k, Cloud(xyz), np.zeros(1, np.int64), xyz[0].astype(np.float64), np.vstack([xyz, xyz]))
 
 
 def test_the_rule_by_hand() -> None:
@@ -71,7 +71,7 @@ def test_the_rule_by_hand() -> None:
     def chosen(losses: dict[int, float], **settings: int) -> tuple[list[int], str]:
         asked.clear()
 
-        def loss(one: ObjectSegment) -> tuple[float, str]:
+        def loss(one: Segment) -> tuple[float, str]:
             asked.append(one.id)
             return losses.get(one.id, 0.0), "is blocked"
 

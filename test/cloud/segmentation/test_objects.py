@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.cloud.segmentation.objects import ObjectSegment, TargetConfig, select_targets
+from foretouch.cloud.segmentation.objects import Segment, TargetConfig, select_targets
 from foretouch.errors import ConfigError
 from foretouch.types import Cloud
 
 
-def _object(number: int, centre: tuple[float, float, float], n: int) -> ObjectSegment:
+def _object(number: int, centre: tuple[float, float, float], n: int) -> Segment:
     """A square of n points, 4 cm wide."""
     side = np.stack(np.meshgrid(np.linspace(-0.02, 0.02, n // 10), np.linspace(-0.02, 0.02, 10)), -1).reshape(-1, 2)
     xyz = np.column_stack([side, np.zeros(len(side))]) + centre
     bounds = np.stack([xyz.min(axis=0), xyz.max(axis=0)])
-    return ObjectSegment(number, Cloud(xyz.astype(np.float32)), np.arange(len(xyz)), xyz.mean(axis=0), bounds)
+    return Segment(number, Cloud(xyz.astype(np.float32)), np.arange(len(xyz)), xyz.mean(axis=0), bounds)
 
 
 OBJECTS = [_object(1, (0.0, 0.0, 0.8), 500), _object(2, (0.2, 0.0, 0.9), 1000), _object(3, (-0.2, 0.1, 1.1), 300)]
@@ -46,7 +46,7 @@ def test_the_rule_decides_and_no_target_is_explained() -> None:
 
 
 def test_of_equal_objects_the_previous_or_most_central_then_the_leftmost_is_selected() -> None:
-    def check(reason: str, objects: list[ObjectSegment], config: TargetConfig, chosen: int) -> None:
+    def check(reason: str, objects: list[Segment], config: TargetConfig, chosen: int) -> None:
         found, why = select_targets(objects, config)
         assert [obj.id for obj in found] == [chosen]
         assert why == f"ambiguous_target: objects {reason}; object {chosen} is nearest to the optical axis"

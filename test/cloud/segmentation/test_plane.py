@@ -46,7 +46,7 @@ def test_what_is_no_plane_is_named(rng: np.random.Generator) -> None:
         ("coincide or are collinear", np.ones((100, 3))),
         ("coincide or are collinear", np.linspace((0, 0, 1), (0, 0, 2), 100)),
         ("holds .* of the points, less than 20%", rng.uniform(-1, 1, (5000, 3))),
-        ("mm narrow, less than 20 mm", rng.normal(0, 0.005, (5000, 3))),
+        ("mm wide, less than 20 mm", rng.normal(0, 0.005, (5000, 3))),
         ("a blob", rng.normal((0, 0, 0.8), 0.03, (5000, 3))),
     ]
     every_case(cases, check)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from foretouch.cloud.segmentation.clusters import FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
-from foretouch.cloud.segmentation.objects import ObjectSegment
+from foretouch.cloud.segmentation.objects import Segment
 
 Array = np.ndarray[Any, Any]
 
@@ -42,7 +42,7 @@ def _heights(plane, xyz) -> Array:
     return xyz[..., 0] * a + xyz[..., 1] * b + xyz[..., 2] * c + d
 
 
-def segments(flat, window, width: int, plane) -> Iterator[tuple[int, ObjectSegment, float]]:
+def segments(flat, window, width: int, plane) -> Iterator[tuple[int, Segment, float]]:
     """The solid points of each label."""
     h, w = window.labels.shape
     at = (np.arange(h) + window.rows)[:, None] * width + np.arange(w) + window.columns
@@ -53,7 +53,7 @@ def segments(flat, window, width: int, plane) -> Iterator[tuple[int, ObjectSegme
             columns = part.xyz.T.astype(np.float64, order="C")
             bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
             top = _heights(plane.coefficients.astype(np.float32), part.xyz).max()
-            yield label, ObjectSegment(0, part, pixels, columns.mean(axis=1), bounds), top
+            yield label, Segment(0, part, pixels, columns.mean(axis=1), bounds), top
 
 
 def write_ids(image, window, ids) -> int:

@@ -10,7 +10,7 @@ from run_builders import write_store
 
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Grasp, GraspSample
+from foretouch.types import Cloud, Grasp, Sample
 from foretouch_lab.learning.data import Dataset, load_dataset
 
 torch.set_num_threads(1)  # networks this small only lose time to more
@@ -18,7 +18,7 @@ torch.set_num_threads(1)  # networks this small only lose time to more
 SMALL = ModelConfig(n_points=48, tnet=False, trunk_widths=(16, 32), head_widths=(32, 16), metric_inputs=True)
 
 
-def make_sample(rng: np.random.Generator, name: str, number: int) -> GraspSample:
+def make_sample(rng: np.random.Generator, name: str, number: int) -> Sample:
     """A box whose height sets PDC_TH, grasped at a position that sets the electrodes."""
     size = rng.uniform(0.03, 0.09, 3)
     xyz = rng.uniform(-0.5, 0.5, (120, 3)) * size + [0.0, 0.0, 1.2]
@@ -35,11 +35,11 @@ def make_sample(rng: np.random.Generator, name: str, number: int) -> GraspSample
         )
     )
     stamp = (1_562_000_000 + 60 * number) * 1_000_000_000
-    return GraspSample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)
+    return Sample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)
 
 
 @pytest.fixture(scope="session")
-def samples() -> list[GraspSample]:
+def samples() -> list[Sample]:
     """60 samples of 4 objects, in no order of time."""
     rng = np.random.default_rng(7)
     made = [make_sample(rng, f"box{k % 4}", k) for k in range(60)]

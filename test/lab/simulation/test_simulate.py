@@ -11,7 +11,7 @@ from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, m
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import SimulationError
 from foretouch.tactile import touch_faults
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig
@@ -28,7 +28,7 @@ FULL = {
 LOADED = [CAN | {"mass_kg": 0.05, "colour": [200, 30, 30], "surface": {}}, SPONGE | {"mass_kg": 0.02}]
 
 
-def digest(samples: list[GraspSample]) -> str:
+def digest(samples: list[Sample]) -> str:
     content = hashlib.sha256()
     for one in samples:
         content.update(sample_digest(one))

@@ -18,7 +18,7 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.card import load_calibration, read_card
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.files import packed, read_tensors
-from foretouch.models.hand_history import HandHistory
+from foretouch.models.history import History
 from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
@@ -49,7 +49,7 @@ def rewrite(card: Path, name: str, value: Any, *, calibration: bool = False) -> 
 
 def everything(model: TouchModel) -> np.ndarray:
     """Values and bounds without adaptation, with a tare, and with touches."""
-    history = HandHistory(model)
+    history = History(model)
     for sample in SAMPLES[:3]:
         history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
     found = []

@@ -17,12 +17,12 @@ from sensor_builders import XELA_TYPES
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, SHORT, run, scene
 
-from foretouch.dataset.samples import open_samples
-from foretouch.dataset.topics import CLOUD_TOPIC
+from foretouch.dataset.formats import open_samples
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.tactile.description import packaged_sensor
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import CLOUD_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import GraspArray
 
@@ -54,7 +54,7 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     rest = run(config).tare.values
     model = constant_model(sensor, rest, make_calibration(0, sensor.channels, rest))
     monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
-    monkeypatch.setattr("foretouch.ros.touch.history_keeper.HistoryKeeper.changed", lambda _: None)
+    monkeypatch.setattr("foretouch.models.history_keeper.HistoryKeeper.changed", lambda _: None)
     messages = graph.listen(SensStream, HAND)
     (hand,) = graph.add("hand", scene__path=str(path), scene__samples=1, **SHORT)
     (recorder,) = graph.add(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.pipeline import Pipeline
@@ -56,6 +57,20 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card
     headers = [(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates]
     assert headers == [(CAMERA, 11)] * 5
     assert not feedback[0].grasps  # no field but those of MoveIt
+    for name, reason in (
+        ("nothing", "hand.name: nothing: is neither a file nor one of franka_hand"),
+        ("", "hand.name: "),
+    ):
+        (answer,) = node.set_parameters([Parameter("hand.name", value=name)])
+        assert not answer.successful
+        assert reason in answer.reason
+    assert node.set_parameters([Parameter("hand.name", value="shadow_thumb_middle")])[0].successful  # while it runs
+    _, _, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
+    _, own, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=5))
+    assert {grasp.hand for grasp in own.grasps} == {"shadow_thumb_middle"}, own.grasp_state
+    poses = [pose.pose for pose in feedback[0].grasp_candidates]
+    assert poses == [grasp.pose_of_hand for grasp in own.grasps]
+    assert poses != [grasp.pose for grasp in own.grasps]
     assert not node.internal_errors.counts()
 
 
@@ -81,3 +96,15 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     costs = {rule: cost_of(rule, Grasp(score=4.0), np.array([0.25, 0.75])) for rule in COSTS}
     assert costs == {"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}
     assert np.isposinf([cost_of(rule, Grasp(score=math.nan), np.full(2, np.nan)) for rule in COSTS]).all()
+
+
+def test_a_package_that_cannot_be_loaded_is_told_from_one_that_is_absent(monkeypatch):
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("no_such_msgs", "SampleGraspPoses"))
+    assert grasp_actions.planner_action_class() == (None, "")
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "Absent"))
+    kind, fault = grasp_actions.planner_action_class()
+    assert kind is None
+    assert "sample_grasp_poses: not offered: foretouch_msgs/Absent" in fault
+    assert "AttributeError" in fault
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    assert grasp_actions.planner_action_class() == (SampleGrasps, "")

@@ -6,6 +6,7 @@ import time
 
 import depth_builders
 import numpy as np
+import PIL.Image
 import pytest
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_typestore
@@ -18,8 +19,7 @@ from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.replay import playable
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud
+from foretouch.types import CameraModel, Cloud, stamp_ns
 from foretouch_msgs.msg import TablePlane, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
@@ -263,3 +263,13 @@ def test_which_topics_are_playable():
     for name in ("antigravity/msg/X", "../msg/X", "os.path/msg/X", "", "std_msgs/String"):  # no module is imported
         classes, reasons = playable([Topic("/x", name, 1)], "/foretouch")
         assert (classes, bool(reasons["/x"]), "antigravity" in sys.modules) == ({}, True, False)
+
+
+def test_depth_files_are_played_as_the_clouds_of_the_stated_camera(graph, tmp_path, rng):
+    depth = rng.integers(400, 900, (6, 8), dtype=np.uint16)
+    PIL.Image.fromarray(depth).save(tmp_path / "a-depth.png")
+    stated = {"intrinsics": [10.0, 11.0, 3.5, 2.5], "depth_scale": 0.002}
+    _, received = play(graph, tmp_path, **stated)
+    (message,) = received["points"]
+    expected = Cloud.from_depth(depth, CameraModel(8, 6, 10.0, 11.0, 3.5, 2.5), 0.002)
+    np.testing.assert_array_equal(decode_cloud(message).xyz, expected.xyz)

@@ -25,19 +25,19 @@ from foretouch.cli.live import live_panel
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
-from foretouch.models.hand_history import HandHistory
+from foretouch.models.history import History
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
-from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, stamp_ns
 
 pytestmark = pytest.mark.ros
 
@@ -173,7 +173,7 @@ def test_readings_of_a_described_sensor_move_the_predictions_of_its_model():
     (tared, _), tare = hand.ask(), hand.adapter._recent_tare(hand.config)
     assert tare.channels == sensor.channels
     np.testing.assert_allclose(tare.values, hand.rest, atol=2.0)
-    history = HandHistory(model)
+    history = History(model)
     history.add_tare(hand.now, tare)
     assert_equal([tared], expected(hand, history, tare=True)[:1])
     assert np.abs(tared.value.values - hand.rest).mean() < 0.7 * 40.0  # towards what was read
@@ -204,7 +204,7 @@ def test_predictions_are_those_of_the_core_and_forgetting_undoes_it(card):
     for use_tare in (False, True):
         hand, history = DirectHand(card, use_tare=use_tare), None
         assert_equal(hand.ask(), expected(hand, history))
-        history = HandHistory(hand.model)
+        history = History(hand.model)
         for number in range(3):
             cut = hand.cut(hand.grasp(f"g-{number}", number))
             if use_tare:
@@ -242,7 +242,7 @@ def test_a_touch_is_compared_on_the_table_of_its_cloud_however_many_came_since()
         hand.adapter.predict(hand.cloud, [], **options)
     hand.see = lambda name: None  # the grasp is executed on the first cloud
     cut = hand.cut(hand.grasp("good", 0))
-    history = HandHistory(hand.model)
+    history = History(hand.model)
     history.touched(Object("7", touched[0], table), touched[1], cut.touch, stamp_ns=hand.now)
     found = hand.adapter.predict(hand.cloud, hand.planned, **options)
     assert hand.counts() == {"taken_in": 1}
@@ -326,3 +326,15 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
         done = subprocess.run(command, env=graph.environment(), capture_output=True, text=True, timeout=60, check=False)
         assert (done.returncode, done.stdout) == (status, text), done.stderr
     assert done.stderr == "foretouch: /no/forget_history: no such service within 0.2 s: is the graph running?\n"
+
+
+def test_the_memory_for_clouds_is_bounded_and_named(card) -> None:
+    hand = DirectHand(str(card), pairing=PAIRING | {"kept_mb": 1.0})
+    hand.see("first")
+    assert hand.notes()["clouds.kept"] == "1"
+    for number in range(200):
+        hand.now += MS
+        hand.see(f"cloud {number}")
+    notes = hand.notes()
+    assert 0.9 <= float(notes["clouds.kept_mb"]) <= 1.0
+    assert 20 <= int(notes["clouds.kept"]) < 200

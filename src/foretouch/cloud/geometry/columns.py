@@ -11,8 +11,8 @@ import numpy as np
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64
 
-_centre_points = Kernel("centre_points", np.float64, int, *[np.float64] * 3)
-_bounds = Kernel("bounds", np.float32, int, np.float64, np.float64)
+_centre_points = Kernel("centre_points")
+_bounds = Kernel("bounds")
 
 
 def centred_columns(points: Float64) -> tuple[Float64, Float64, Float64]:
@@ -41,10 +41,10 @@ def distances(columns: Float64) -> Float64:
 def quantiles(values: Float64, shares: Sequence[float]) -> list[float]:
     """Of (N,) values, N > 0: equal to `np.quantile`."""
     ordered, last = np.sort(values), len(values) - 1  # the sort is vectorised; a partition by several indices is not
-    found = []
+    result = []
     for share in shares:
         at = share * last
         k = int(at)
         low, high, t = float(ordered[k]), float(ordered[min(k + 1, last)]), at - k
-        found.append(high - (high - low) * (1.0 - t) if t >= 0.5 else low + (high - low) * t)
-    return found
+        result.append(high - (high - low) * (1.0 - t) if t >= 0.5 else low + (high - low) * t)
+    return result

@@ -10,7 +10,7 @@ import numpy as np
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32
 
-_flying = Kernel("flying_points", np.float32, int, np.float64, np.uint8, np.float64)
+_flying = Kernel("flying_points")
 
 _NEIGHBOURS = 20.0  # that a point has on average, of all whose rays are near
 _GAP_M = 0.008  # in depth, up to which neighbours support each other, as `ClusterConfig.gap_m`,

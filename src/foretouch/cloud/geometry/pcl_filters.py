@@ -10,11 +10,11 @@ from foretouch.errors import CloudError
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Float64, Floating, Int64, Integer
 
-_mean_neighbour_distance = Kernel("mean_neighbour_distance", np.float32, int, int, np.float32, np.uint8)
-_moments_within = Kernel("summed_moments", np.float32, int, np.float32, int, float, np.float32, np.float64)
-_fit_planes = Kernel("fit_planes", np.float64, np.float32, int, float, np.float64, np.float64)
-_voxel_cells = Kernel("voxel_cells", np.float32, int, float, np.int64, np.int64, np.int64)
-_cell_means = Kernel("cell_means", np.float64, int, int, np.int64, np.int64, int, np.float64)
+_mean_neighbour_distance = Kernel("mean_neighbour_distance")
+_moments_within = Kernel("summed_moments")
+_fit_planes = Kernel("fit_planes")
+_voxel_cells = Kernel("voxel_cells")
+_cell_means = Kernel("cell_means")
 
 _CUBE = 0.57  # radii: edge of a cube whose diagonal is shorter than the radius
 _MARGIN = 1.001  # radii: far more than float32 rounding
@@ -49,10 +49,10 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> Voxels:
     if len(xyz) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     per_m = np.float32(1.0) / np.float32(leaf_m)
-    cell, counts, found = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
-    _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, found)
-    if found[0] >= 0:
-        return cell, counts[: found[0]].copy()
+    cell, counts, cell_count = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
+    _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, cell_count)
+    if cell_count[0] >= 0:
+        return cell, counts[: cell_count[0]].copy()
     # The grid is too wide for a table of its cells.
     ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
     ijk -= ijk.min(axis=1, keepdims=True)

@@ -10,10 +10,8 @@ from foretouch.errors import CloudError
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Int32, Int64, Integer
 
-_ray_cells = Kernel("ray_cells", np.float32, int, *[float] * 4, np.float64, np.int32, np.int64)
-_fill_image = Kernel(
-    "fill_image", *(np.float32, int, float, float, np.int32, *[int] * 4, np.float32, np.int32, np.int64)
-)
+_ray_cells = Kernel("ray_cells")
+_fill_image = Kernel("fill_image")
 
 _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its column or row
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
@@ -72,10 +70,14 @@ class PixelGrid:
         Args:
             xyz: (N, 3) float32 [m], finite.
         """
-        found = _on_lattice(xyz, 0.0, np.inf, np.inf)
-        if found is None or found.n_points != len(xyz) or found.height * found.width > _LATTICE_CELLS * len(xyz):
+        lattice = _on_lattice(xyz, 0.0, np.inf, np.inf)
+        if (
+            lattice is None
+            or lattice.n_points != len(xyz)
+            or lattice.height * lattice.width > _LATTICE_CELLS * len(xyz)
+        ):
             return None
-        column, row = found.cells.T.astype(np.int64)
+        column, row = lattice.cells.T.astype(np.int64)
         return cls._cropped(row, column)
 
     @classmethod
@@ -112,17 +114,17 @@ def listed_image(xyz: Float32, low_m: float, high_m: float, tangent: float) -> L
         tangent: Largest |x / z| and |y / z|, beyond which there is no image.
     """
     xyz = np.ascontiguousarray(xyz)
-    found = _on_lattice(xyz, low_m, high_m, tangent)
-    if found is None or found.height * found.width > _LATTICE_CELLS * found.n_points:
+    lattice = _on_lattice(xyz, low_m, high_m, tangent)
+    if lattice is None or lattice.height * lattice.width > _LATTICE_CELLS * lattice.n_points:
         return None
-    shape = found.height, found.width
+    shape = lattice.height, lattice.width
     image, place, result = (
         np.empty((*shape, 3), np.float32),
-        np.empty(found.height * found.width, np.int32),
+        np.empty(lattice.height * lattice.width, np.int32),
         np.zeros(2, np.int64),
     )
-    _fill_image(xyz, len(xyz), low_m, high_m, found.cells, found.column, found.row, *shape, image, place, result)
-    return None if result[1] else ListedImage(image, place, found.n_points, int(result[0]))
+    _fill_image(xyz, len(xyz), low_m, high_m, lattice.cells, lattice.column, lattice.row, *shape, image, place, result)
+    return None if result[1] else ListedImage(image, place, lattice.n_points, int(result[0]))
 
 
 class _Cells(NamedTuple):

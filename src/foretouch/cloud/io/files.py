@@ -14,27 +14,22 @@ import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, DepthCamera, read_image
+from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, DepthCamera
+from foretouch.cloud.io.mask_files import read_image
 from foretouch.cloud.io.point_files import SIZE_LIMIT, check_unpacked, read_pcd, read_ply, write_pcd, write_ply
 from foretouch.errors import CloudError, FileError, described, shown
 from foretouch.files import read_bytes, system_errors
 from foretouch.types import AnyArray, Cloud, Float32
 
 _OPTIONAL: Final = ("rgb", "frame_id", "stamp_ns")
-_DEPTH_NAMES: Final = (
-    "depth",
-    "K",
-    "intrinsics",
-    "intrinsic_matrix",
-    "camera_matrix",
-    "D",
-    "depth_scale",
-    "factor_depth",
-)
+_PER_METRE: Final = {"depth": None, "depth_mm": 1000.0, "depth_m": 1.0}
+"""Names of depth images in archives, with their units per metre; `depth` is of the unit that `DepthCamera` says."""
+
+_DEPTH_FACTS: Final = ("K", "intrinsics", "intrinsic_matrix", "camera_matrix", "D", "depth_scale", "factor_depth")
 _POINT_WIDTH: Final = 8  # numbers of a point in a table
 _FRAME_LIMIT: Final = 256  # characters of a frame's name
 _NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
@@ -100,7 +95,7 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
 
 
 def read_arrays(path: Path, required: Collection[str], optional: Collection[str] | None = None) -> dict[str, AnyArray]:
-    """Some arrays of an `.npz` archive by name, or all; a `FileError` if it is damaged or a required one is missing."""
+    """Return some arrays of an `.npz` archive by name, or all; a `FileError` if it is damaged or a required one is missing."""
     content = read_bytes(path, SIZE_LIMIT)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -118,22 +113,24 @@ def read_arrays(path: Path, required: Collection[str], optional: Collection[str]
 
 
 def _read_numbers(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
-    """The cloud in an image or a file of NumPy, whose points are x, y, z or the depth of pixels."""
+    """Return the cloud in an image or a file of NumPy, whose points are x, y, z or the depth of pixels."""
     if suffix in IMAGE_SUFFIXES:
-        return camera.cloud(path, read_image(path))
+        return camera.cloud(path, read_image(path, "depth"))
     if suffix == ".npy":
         array = _array(path, read_bytes(path, SIZE_LIMIT))
         depth = array.ndim in (2, 3) and array.shape[1] > _POINT_WIDTH and array.shape[-1] != 3  # else a list of points
         return camera.cloud(path, array) if depth else Cloud(_coordinates(path, array))
-    arrays = read_arrays(path, (), ("xyz", *_OPTIONAL, *_DEPTH_NAMES))
-    if "depth" in arrays and "xyz" not in arrays:
-        depth = arrays.pop("depth")
-        return camera.cloud(path, depth, arrays)
+    arrays: dict[str, Any] = read_arrays(path, (), ("xyz", *_OPTIONAL, *_PER_METRE, *_DEPTH_FACTS))
+    name = next((name for name in _PER_METRE if name in arrays), None)
+    if name is not None and "xyz" not in arrays:
+        if (per_metre := _PER_METRE[name]) is not None:
+            arrays.setdefault("factor_depth", per_metre)
+        return camera.cloud(path, arrays[name], arrays)
     return archived_cloud(path, read_arrays(path, ["xyz"], _OPTIONAL))
 
 
 def archived_cloud(path: Path, arrays: Mapping[str, AnyArray]) -> Cloud:
-    """The cloud in the arrays xyz, rgb, frame_id and stamp_ns of an archive; a `FileError` if one is not such an array."""
+    """Return the cloud in the arrays xyz, rgb, frame_id and stamp_ns of an archive; a `FileError` if one is not such an array."""
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U" or frame_id.dtype.itemsize > 4 * _FRAME_LIMIT:
         raise FileError(path, f"is not one text of at most {_FRAME_LIMIT} characters", field="frame_id")
@@ -164,10 +161,10 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
         if math.prod(shape) * dtype.itemsize > len(content):  # NumPy would take the memory first
             raise ValueError(f"shape {shown(shape)} of {dtype} needs more bytes than there are")
         stream.seek(0)
-        found: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
+        array: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
     except _DAMAGE as err:
         raise FileError(path, f"is damaged or contains objects: {described(err)}", field=field) from err
-    return found
+    return array
 
 
 def _coordinates(path: Path, xyz: AnyArray) -> Float32:

@@ -26,12 +26,8 @@ from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Int32, Int64, Plane
 
-_grid_patches = Kernel("grid_patches", *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64))
-_label_window = Kernel(
-    "label_window",
-    *(np.float32, int, int, int, int, int, np.int32, int, int, int, int),
-    *(np.float64, int, int, int, np.uint8, np.int32, np.uint8, np.int64),
-)
+_grid_patches = Kernel("grid_patches")
+_label_window = Kernel("label_window")
 
 NOISE_FACTOR = 2.5  # standard deviations of the depth noise, within which points belong to the table
 MAX_SLOPE = 20.0  # depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees

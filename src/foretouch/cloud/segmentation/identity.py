@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.cloud.segmentation.objects import ObjectSegment
+from foretouch.cloud.segmentation.objects import Segment
 from foretouch.cloud.segmentation.segment import Segmentation
 from foretouch.types import Float64, Int32, Int64
 
@@ -78,7 +78,7 @@ class ObjectIdentity:
         return known
 
 
-def _shared(seen: _Seen, labels: Int32, objects: Sequence[ObjectSegment]) -> list[float]:
+def _shared(seen: _Seen, labels: Int32, objects: Sequence[Segment]) -> list[float]:
     """How much each object of a cloud has in common with one seen before; 0 if it is another."""
     if labels.ndim == 1 or labels.shape != seen.shape:
         apart = [float(np.linalg.norm(one.centroid - seen.centroid)) for one in objects]

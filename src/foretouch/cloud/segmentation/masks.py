@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.segmentation.clusters import NOISE_FACTOR, in_range
-from foretouch.cloud.segmentation.objects import ObjectSegment
+from foretouch.cloud.segmentation.objects import Segment
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.errors import CloudError
 from foretouch.types import Bool, Cloud, Float32, Int32, Plane
@@ -128,8 +128,8 @@ def _together(points: Float32) -> Bool:
     return np.asarray(np.bincount(group)[group] >= _SHARE * len(points), np.bool_)
 
 
-def _object(label: int, pixels: npt.NDArray[np.intp], cloud: Cloud) -> ObjectSegment:
+def _object(label: int, pixels: npt.NDArray[np.intp], cloud: Cloud) -> Segment:
     part = cloud.take(pixels)
     points = part.xyz.astype(np.float64)
     bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-    return ObjectSegment(label, part, pixels.astype(np.int64), points.mean(axis=0), bounds)
+    return Segment(label, part, pixels.astype(np.int64), points.mean(axis=0), bounds)

@@ -15,12 +15,8 @@ from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float64, Int32, Int64, Plane
 
-_collect_members = Kernel(
-    "collect_members",
-    *(np.int32, np.uint8, int, int, int, int, np.float32, int, np.float32, int),
-    *(np.int64, np.int64, np.float32, np.float64, np.float32, np.float32),
-)
-_write = Kernel("write_ids", np.int32, int, int, int, int, np.int32, int, np.int32, np.int64)
+_collect_members = Kernel("collect_members")
+_write = Kernel("write_ids")
 
 AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a rule had to choose between equal objects
 
@@ -33,7 +29,7 @@ _FREE = 0.2  # of the score that others may cost the best grasp of a free object
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectSegment:
+class Segment:
     """One object."""
 
     id: int  # 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`; 0 for background
@@ -61,7 +57,7 @@ def extract_objects(
     config: ClusterConfig,
     labels: Int32,
     reasons: Sequence[Int64] = (),
-) -> tuple[tuple[ObjectSegment, ...], tuple[ObjectSegment, ...], dict[str, int]]:
+) -> tuple[tuple[Segment, ...], tuple[Segment, ...], dict[str, int]]:
     """Extract the clusters of a plausible size as objects, and those that are background.
 
     Args:
@@ -80,8 +76,8 @@ def extract_objects(
     rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)  # once, not for each window: it may be a copy
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
-    found: list[tuple[float, int, int, ObjectSegment]] = []  # distance, window and label, by which they are sorted
-    behind, rejected = found.copy(), []
+    standing: list[tuple[float, int, int, Segment]] = []  # distance, window and label, by which they are sorted
+    behind, rejected = standing.copy(), []
     for number, window in enumerate(windows):
         for label, segment, top_m in _segments(flat, window, image.shape[1], threshold.plane):
             reason = REASONS[reasons[number][label]] if reasons else ""
@@ -89,32 +85,32 @@ def extract_objects(
             if reason == ENTERS or (reason and sized):
                 behind.append((segment.distance_m, number, label, replace(segment, background=reason)))
             elif sized:
-                found.append((segment.distance_m, number, label, segment))
+                standing.append((segment.distance_m, number, label, segment))
             else:
                 rejected.append(segment.n_points)
-    found.sort(key=lambda one: one[:3])
-    behind.sort(key=lambda one: one[:3])
+    standing.sort(key=lambda entry: entry[:3])
+    behind.sort(key=lambda entry: entry[:3])
     ids = [np.zeros(window.n_labels + 1, np.int32) for window in windows]
-    for k, (_, number, label, _) in enumerate(found, 1):
+    for k, (_, number, label, _) in enumerate(standing, 1):
         ids[number][label] = k
-    labelled = sum(_write_ids(image, *one) for one in zip(windows, ids, strict=True))
-    objects = tuple(replace(segment, id=k) for k, (*_, segment) in enumerate(found, 1))
+    labelled = sum(_write_ids(image, *entry) for entry in zip(windows, ids, strict=True))
+    objects = tuple(replace(segment, id=k) for k, (*_, segment) in enumerate(standing, 1))
     background = tuple(segment for *_, segment in behind)
     used = sum(segment.n_points for segment in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
-    counts |= {"n_background": len(background)} | Counter(f"n_{one.background}" for one in background)
+    counts |= {"n_background": len(background)} | Counter(f"n_{entry.background}" for entry in background)
     return objects, background, counts
 
 
-def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, ObjectSegment, float]]:
+def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, Segment, float]]:
     """The clusters of a window with solid points: the label, a segment without an id, and its height [m]."""
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
     columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
     place = (*window.labels.shape, window.rows, window.columns)
     solid, table = window.solid.view(np.uint8), plane.coefficients.astype(np.float32)
-    found = (ends, pixels, points, columns, bounds, tops)
-    _collect_members(window.labels, solid, *place, flat.xyz, width, table, window.n_labels, *found)
+    members = (ends, pixels, points, columns, bounds, tops)
+    _collect_members(window.labels, solid, *place, flat.xyz, width, table, window.n_labels, *members)
     start = 0
     for cluster, end in enumerate(ends.tolist()):
         if end > start:
@@ -122,11 +118,11 @@ def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterat
             part = Cloud(points[start:end], rgb, flat.frame_id, flat.stamp_ns)
             centroid = columns[:, start:end].mean(axis=1)
             box = bounds[cluster].astype(np.float64)
-            yield cluster, ObjectSegment(0, part, pixels[start:end], centroid, box), float(tops[cluster])
+            yield cluster, Segment(0, part, pixels[start:end], centroid, box), float(tops[cluster])
         start = end
 
 
-def _plausible(candidate: ObjectSegment, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
+def _plausible(candidate: Segment, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
     """Neither speckle nor noise or waves of the table, nor a wall."""
     waves_m = 2.0 * threshold.noise_per_m * candidate.centroid[2] ** 2
     return bool(
@@ -168,8 +164,8 @@ class TargetConfig(Settings):
 
 
 def select_targets(
-    objects: Sequence[ObjectSegment], config: TargetConfig, previous: Float64 | None = None
-) -> tuple[list[ObjectSegment], str]:
+    objects: Sequence[Segment], config: TargetConfig, previous: Float64 | None = None
+) -> tuple[list[Segment], str]:
     """Select the objects that get grasps.
 
     Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would
@@ -200,7 +196,7 @@ def select_targets(
     if config.mode == "point":
         point = np.asarray(config.point)
         apart = [obj.cloud.xyz.astype(np.float64) - point for obj in objects]
-        distances = [float(np.sqrt((one * one).sum(axis=1).min())) for one in apart]
+        distances = [float(np.sqrt((steps * steps).sum(axis=1).min())) for steps in apart]
         at = f"the point ({', '.join(f'{p:g}' for p in config.point)})"
         where, nearest = at, min(distances)
         if nearest > config.tolerance_m:
@@ -214,11 +210,11 @@ def select_targets(
 
 
 def select_free(
-    objects: Sequence[ObjectSegment],
+    objects: Sequence[Segment],
     config: TargetConfig,
-    loss: Callable[[ObjectSegment], tuple[float, str]],
+    loss: Callable[[Segment], tuple[float, str]],
     previous: Float64 | None = None,
-) -> tuple[list[ObjectSegment], str]:
+) -> tuple[list[Segment], str]:
     """Select the nearest object whose best grasp is not blocked by another object, for mode `free`.
 
     If there is none, the one that other objects cost least; of several that have no grasp at all, the nearest.
@@ -232,9 +228,9 @@ def select_free(
     Returns:
         The object, and why: which nearer ones are not free, or that none is; "" if the nearest is free.
     """
-    free: list[ObjectSegment] = []
-    blocked: list[tuple[float, ObjectSegment, str]] = []
-    for obj in sorted(objects, key=lambda one: one.distance_m)[: config.max_objects]:
+    free: list[Segment] = []
+    blocked: list[tuple[float, Segment, str]] = []
+    for obj in sorted(objects, key=lambda entry: entry.distance_m)[: config.max_objects]:
         if free and obj.distance_m - free[0].distance_m >= config.margin_m:
             break
         lost, why = loss(obj)
@@ -244,15 +240,15 @@ def select_free(
             blocked.append((lost, obj, f"object {obj.id} {why}"))
     notes = [note for *_, note in blocked]
     if not free:
-        least = min(blocked, key=lambda one: one[0])[1]
+        least = min(blocked, key=lambda entry: entry[0])[1]
         return [least], f"no object is free: {'; '.join(notes)}; object {least.id} is hindered least"
     chosen, tie = select_targets(free, config.updated({"mode": "nearest"}), previous)
     return chosen, "; ".join([tie] * bool(tie) + notes)
 
 
 def _one_of(
-    tied: Sequence[ObjectSegment], previous: Float64 | None, how: str, values: Sequence[str], unit: str
-) -> tuple[list[ObjectSegment], str]:
+    tied: Sequence[Segment], previous: Float64 | None, how: str, values: Sequence[str], unit: str
+) -> tuple[list[Segment], str]:
     """The object that is selected of those that tie, and the reason where there are several."""
     if len(tied) == 1:
         return [tied[0]], ""
@@ -262,7 +258,7 @@ def _one_of(
     return [chosen], f"{AMBIGUOUS_TARGET}: objects {ids} are {how}, {numbers}; object {chosen.id} {why}"
 
 
-def _break_tie(tied: Sequence[ObjectSegment], previous: Float64 | None) -> tuple[ObjectSegment, str]:
+def _break_tie(tied: Sequence[Segment], previous: Float64 | None) -> tuple[Segment, str]:
     if previous is not None:
         nearest = min(tied, key=lambda obj: float(np.linalg.norm(obj.centroid - previous)))
         if np.linalg.norm(nearest.centroid - previous) < _SAME_PLACE_M:

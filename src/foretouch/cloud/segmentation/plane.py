@@ -18,9 +18,9 @@ from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Index, Plane
 
-_count_near = Kernel("count_near", np.float32, np.float32, int, int, float, np.int64)
-_points_near = Kernel("points_near", np.float64, np.float64, int, float, float, np.float64, np.int64)
-_residuals_near = Kernel("residuals_near", *(np.float64, np.float64, int, float, float, float, np.float64, np.int64))
+_count_near = Kernel("count_near")
+_points_near = Kernel("points_near")
+_residuals_near = Kernel("residuals_near")
 
 _SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit
@@ -265,7 +265,7 @@ def _fault(fraction: float, peak: float, spread: float, least: float) -> str:
     if fraction < least:
         return f"the largest plane holds {fraction:.0%} of the points, less than {least:.0%}"
     if spread < _MIN_SPREAD_M:
-        return f"the largest plane is {spread * 1e3:.1f} mm narrow, less than {_MIN_SPREAD_M * 1e3:g} mm"
+        return f"the largest plane is {spread * 1e3:.1f} mm wide, less than {_MIN_SPREAD_M * 1e3:g} mm"
     if peak < _MIN_PEAK:
         return f"the largest plane holds {peak:.0%} of the points around it, less than {_MIN_PEAK:.0%}: a blob"
     return ""

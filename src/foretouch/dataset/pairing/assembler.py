@@ -27,8 +27,8 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
-from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, GraspSample
+from foretouch.tactile.messages.table import TactileReader
+from foretouch.types import Cloud, Float32, Grasp, Sample, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -93,7 +93,7 @@ class SampleAssembler:
     # State.
 
     def sensor_states(self, now_s: float) -> dict[str, str]:
-        """State by finger, and of the camera: `alive`, `no data`, or the fault."""
+        """Return the state by finger, and of the camera: `alive`, `no data`, or the fault."""
         return {**self._health.states, "camera": ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA}
 
     @property
@@ -102,7 +102,7 @@ class SampleAssembler:
         return self._episodes.held_ns
 
     def expects_grasp(self, now_s: float) -> bool:
-        """Whether a grasp is being executed, as far as the fingers show, or is not complete yet."""
+        """Return whether a grasp is being executed, as far as the fingers show, or is not complete yet."""
         return len(self._episodes.touching) > 1 or self.matcher.expects_grasp(now_s)
 
     # Input.
@@ -149,8 +149,8 @@ class SampleAssembler:
             self._health.update(reading.counts)
             if self.readings.anomalies["clock_jump"] != jumps:
                 self._episodes.reset()
-            for one in accepted:
-                episode = self._episodes.update(one.stamp_ns, one.counts)
+            for accepted_reading in accepted:
+                episode = self._episodes.update(accepted_reading.stamp_ns, accepted_reading.counts)
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
         return accepted
@@ -164,17 +164,19 @@ class SampleAssembler:
     # Output.
 
     def poll(self, now_s: float, *, ending: bool = False) -> list[AssembledSample | RejectedGrasp]:
-        """The samples and rejected grasps that are complete by now; at the end, all."""
+        """Return the samples and rejected grasps that are complete by now; at the end, all."""
         if now_s - self._last_tactile_s > _TACTILE_TIMEOUT_S:
             self._health.silence()
         results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled]
         self._unlabelled.clear()
-        for one in self.matcher.poll(now_s, ending=ending):
+        for match in self.matcher.poll(now_s, ending=ending):
             result: AssembledSample | RejectedGrasp
             try:
-                result = one if isinstance(one, RejectedGrasp) else AssembledSample(self._labelled(one), one.cut)
+                result = (
+                    match if isinstance(match, RejectedGrasp) else AssembledSample(self._labelled(match), match.cut)
+                )
             except PairingError as err:
-                name = one.executed.grasp_id if isinstance(one, MatchedGrasp) else one.grasp_id
+                name = match.executed.grasp_id if isinstance(match, MatchedGrasp) else match.grasp_id
                 result = RejectedGrasp(grasp_id=name, reason=err.reason, message=str(err))
             self.results["recorded" if isinstance(result, AssembledSample) else result.reason] += 1
             results.append(result)
@@ -185,7 +187,7 @@ class SampleAssembler:
         return results
 
     def _remove(self, clouds: list[BufferedCloud]) -> None:
-        """Clouds that left the buffer may become samples without a touch."""
+        """Turn clouds that left the buffer into samples without a touch."""
         every_s = self.config.unlabelled_s
         for cloud in clouds:
             plan, last = self.matcher.forget_plan(cloud.stamp_ns), self._last_unlabelled_ns
@@ -206,7 +208,7 @@ class SampleAssembler:
     def _labelled(self, match: MatchedGrasp) -> SampleRecord:
         label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
-        sample = GraspSample(
+        sample = Sample(
             id="",
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
             cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp),
@@ -233,20 +235,22 @@ class SampleAssembler:
         )
 
     def _object_at(self, stamp_ns: int) -> str:
-        """Label of the object on the table at a time, such as when the hand began to close; by default the first."""
-        return next((one for since, one in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
+        """Return the label of the object on the table at a time, such as when the hand began to close; by default the first."""
+        return next((label for since, label in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
 
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:
-        """Temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
-        found: dict[str, float] = {}
+        """Return the temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
+        temperatures: dict[str, float] = {}
         for prefix, row in (("", cut.others), ("tare_", cut.tare_others)):
             named = zip(self._reader.others, row, strict=True)
-            found |= {f"{prefix}{name}": float(value) for name, value in named if name in self._reader.temperatures}
-        return found
+            temperatures |= {
+                f"{prefix}{name}": float(value) for name, value in named if name in self._reader.temperatures
+            }
+        return temperatures
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
-        sample = GraspSample(
+        sample = Sample(
             id="",
             object=self._object_at(cloud.stamp_ns),
             cloud=_object_cloud(cloud, plan.frame_id, grasp),
@@ -258,19 +262,19 @@ class SampleAssembler:
 
 
 def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...], str]:
-    """The grasp, the others planned on the same object, and which of these cannot be decoded and why."""
+    """Return the grasp, the others planned on the same object, and which of these cannot be decoded and why."""
     grasps, faults = [], {}
     for message in plan.grasps:
         try:
             grasps.append(message if isinstance(message, Grasp) else decode_grasp(message))
         except GraspError as err:
             faults[message.id] = str(err)
-    grasp = next((one for one in grasps if one.id == wanted), None)
+    grasp = next((planned for planned in grasps if planned.id == wanted), None)
     if wanted in faults:
         raise PairingError("bad_grasp", faults[wanted])
     if grasp is None:
         raise PairingError("grasp_unknown", f"grasp {wanted}: is not among the grasps of its cloud any more")
-    others = tuple(one for one in grasps if one.object_id == grasp.object_id and one.id != wanted)
+    others = tuple(planned for planned in grasps if planned.object_id == grasp.object_id and planned.id != wanted)
     return grasp, others, "; ".join(f"candidate {name} left out: {fault}" for name, fault in faults.items())
 
 
@@ -283,23 +287,27 @@ def _object_cloud(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Cloud:
     if message.header.frame_id != frame_id:
         raise PairingError("frame_differs", f"cloud in {message.header.frame_id!r}, grasps in {frame_id!r}")
     if cloud.message.by_place and objects:
-        return min((one.cloud for one in objects), key=lambda one: _gap(one, grasp))
+        return min((candidate.cloud for candidate in objects), key=lambda candidate: _gap(candidate, grasp))
     object_id = grasp.object_id
     alone = len(objects) == 1  # then it is the object of a grasp without an id too, as for the prediction
-    match = [one.cloud for one in objects if one.id == object_id or (alone and "" in (one.id, object_id))]
+    match = [
+        candidate.cloud
+        for candidate in objects
+        if candidate.id == object_id or (alone and "" in (candidate.id, object_id))
+    ]
     if len(match) != 1:
         raise PairingError("object_unknown", f"object {object_id!r} is not in the cloud of {cloud.stamp_ns}")
     return match[0]
 
 
 def _gap(cloud: Cloud, grasp: Grasp) -> float:
-    """Distance of the nearest point of an object from the middle of the contacts [m]."""
+    """Return the distance of the nearest point of an object from the middle of the contacts [m]."""
     apart = cloud.xyz.astype(np.float64) - grasp.midpoint
     return float(np.sqrt((apart * apart).sum(axis=1).min()))
 
 
 def _outcome(match: MatchedGrasp) -> Outcome:
-    """The outcome by the operator's label, else by the robot's report."""
+    """Return the outcome by the operator's label, else by the robot's report."""
     if match.label is not None and match.label.outcome != "unknown":
         return match.label.outcome
     success = match.executed.success

@@ -84,7 +84,7 @@ class TouchBuffer:
         return (reading,)
 
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
-        """The readings stamped in [low, high)."""
+        """Return the readings stamped in [low, high)."""
         rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
         return TouchWindow(
             np.array([r.stamp_ns for r in rows], np.int64),
@@ -144,15 +144,15 @@ class SerializedCloud:
     )
 
     def is_same(self, other: "SerializedCloud") -> bool:
-        """Whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
+        """Return whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
         if self.data == other.data:
             return True
         try:
-            one, two = decode_cloud(self.decode()), decode_cloud(other.decode())
+            mine, theirs = decode_cloud(self.decode()), decode_cloud(other.decode())
         except (CloudError, DatasetError):
             return False
-        return (one.frame_id, one.xyz.shape) == (two.frame_id, two.xyz.shape) and np.allclose(
-            one.xyz, two.xyz, rtol=0.0, atol=_SAME_M, equal_nan=True
+        return (mine.frame_id, mine.xyz.shape) == (theirs.frame_id, theirs.xyz.shape) and np.allclose(
+            mine.xyz, theirs.xyz, rtol=0.0, atol=_SAME_M, equal_nan=True
         )
 
 
@@ -182,7 +182,7 @@ class CloudBuffer:
         return len(self._clouds)
 
     def get(self, stamp_ns: int) -> BufferedCloud | None:
-        """The cloud of this stamp, None where there is none or it has been removed."""
+        """Return the cloud of this stamp, None where there is none or it has been removed."""
         return self._clouds.get(stamp_ns)
 
     def add(self, stamp_ns: int, message: SerializedCloud, now_s: float) -> list[BufferedCloud]:

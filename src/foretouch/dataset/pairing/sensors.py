@@ -49,7 +49,7 @@ class ContactEpisodes:
         if not before or self._holding:
             return None
         first, both = sorted(self._onset.values())
-        release = min(one.stamp_ns for one in changes if one.kind == "release")
+        release = min(change.stamp_ns for change in changes if change.kind == "release")
         return Interval(start=first, contact=both, release=release)
 
     def reset(self) -> None:
@@ -65,9 +65,11 @@ class SensorHealth:
         self._channels = channels
         self._last: dict[str, Float32] = {}
         self._same = dict.fromkeys(channels.fingers, 0)
-        first = np.cumsum([0, *(one.size for one in channels.channels)]).tolist()
+        first = np.cumsum([0, *(channel.size for channel in channels.channels)]).tolist()
         pairs = zip(first, channels.channels, strict=False)
-        self._single = {k: one.name for k, one in pairs if one.size == 1 and one.noise > 0.0}  # by place in a finger
+        self._single = {
+            k: channel.name for k, channel in pairs if channel.size == 1 and channel.noise > 0.0
+        }  # by place in a finger
         self._constant = {finger: np.zeros(len(self._single), np.int64) for finger in channels.fingers}
         self.silence()
 
@@ -79,11 +81,11 @@ class SensorHealth:
             self.states[finger] = next(iter(touch_faults(touch, finger)), state)
 
     def silence(self) -> None:
-        """No reading has come for a while."""
+        """Set the state of both fingers after no reading has come for a while."""
         self.states = dict.fromkeys(self._channels.fingers, NO_DATA)
 
     def _state(self, finger: str, counts: Float32) -> str:
-        """Whether all values of a finger, or a single one with noise, are the same for too long."""
+        """Return whether all values of a finger, or a single one with noise, are the same for too long."""
         same = np.full(len(counts), False) if finger not in self._last else self._last[finger] == counts
         frozen = same.all() and may_freeze(counts, self._channels.tared[self._channels.finger_columns[finger]])
         self._same[finger] = self._same[finger] + 1 if frozen else 0

@@ -62,7 +62,7 @@ class McapFile:
         return int(self._writer.register_channel(channel.topic, channel.message_encoding, number, channel.metadata))
 
     def message(self, topic: str, data: bytes, log_time_ns: int, sent_ns: int, sequence: int) -> Message:
-        """A message of a declared topic, to be written; a `DatasetError` if the topic or a time [ns] is invalid."""
+        """Return a message of a declared topic, to be written; a `DatasetError` if the topic or a time [ns] is invalid."""
         if topic not in self._channels:
             raise DatasetError(f"{self.path}: {topic} was not declared by add_topic")
         for name, time_ns in (("log_time_ns", log_time_ns), ("publish_time_ns", sent_ns)):
@@ -72,8 +72,10 @@ class McapFile:
 
     def write_chunk(self, messages: Sequence[Message]) -> None:
         """Append messages as one chunk: afterwards, either all of it is in the file or nothing."""
-        for one in messages:
-            self._writer.add_message(one.channel_id, one.log_time, one.data, one.publish_time, one.sequence)
+        for message in messages:
+            self._writer.add_message(
+                message.channel_id, message.log_time, message.data, message.publish_time, message.sequence
+            )
         self._commit()
 
     def write_attachment(self, attachment: Attachment) -> None:
@@ -92,10 +94,10 @@ class McapFile:
         if self._fd < 0:
             return False
         try:
-            found = self.path.stat()
+            status = self.path.stat()
         except OSError:
             return True
-        return not os.path.samestat(found, os.fstat(self._fd))
+        return not os.path.samestat(status, os.fstat(self._fd))
 
     @property
     def free_bytes(self) -> int:

@@ -38,15 +38,15 @@ class RecordedDataset:
         files = [RecordingFile(file) for file in recorded_files(self.path)]
         self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
-        self.unfinished = [one.path for one in files if not one.finished]  # read as far as they are intact
-        self._samples = [(one, message) for one in files for message in samples_in(one)]
+        self.unfinished = [file.path for file in files if not file.finished]  # read as far as they are intact
+        self._samples = [(file, message) for file in files for message in samples_in(file)]
         self._files = files
 
     def __len__(self) -> int:
         return len(self._samples)
 
     def __getitem__(self, index: int) -> StoredSample:
-        """One sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
+        """Read one sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
         stored = self.as_recorded(index)
         return stored._replace(record=self.edits.apply(stored.record))
 
@@ -55,7 +55,7 @@ class RecordedDataset:
             yield self[k]
 
     def as_recorded(self, index: int) -> StoredSample:
-        """One sample before any edit (raises as indexing)."""
+        """Read one sample before any edit (raises as indexing)."""
         file, message = self._samples[index]
         try:
             return decode_sample(file.content(message), self.stated_sensor)
@@ -63,21 +63,21 @@ class RecordedDataset:
             raise FileError(file.path, str(err), field=f"sample at byte {message.offset}") from err
 
     def message_counts(self) -> dict[str, dict[str, Any]]:
-        """The message counts by topic, summed over the last ones of each recording."""
+        """Return the message counts by topic, summed over the last ones of each recording."""
         total = MessageCounts()
         for file in self._files:
             total.add(file.counts or MessageCounts())
         return total.to_record()
 
     def name(self, index: int) -> str:
-        """File and offset of a sample, for messages; in a compressed chunk also that in its content."""
+        """Return file and offset of a sample, for messages; in a compressed chunk also that in its content."""
         file, message = self._samples[index]
         inside = f"+{message.start}" if message.chunk else ""
         return f"{file.path}[{message.offset}{inside}]"
 
 
 def recognise(path: Path) -> bool:
-    """Whether a path is a recorded dataset, or an MCAP file that foretouch recorded."""
+    """Return whether a path is a recorded dataset, or an MCAP file that foretouch recorded."""
     if path.is_dir():
         return is_dataset(path)
     if path.suffix != ".mcap" or not path.is_file():
@@ -88,7 +88,7 @@ def recognise(path: Path) -> bool:
 
 
 def open_set(path: Path, unfinished: bool) -> SampleSet:
-    """The samples of a recorded dataset (raises as `RecordedDataset`)."""
+    """Return the samples of a recorded dataset (raises as `RecordedDataset`)."""
     dataset = RecordedDataset(path)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
@@ -109,28 +109,28 @@ def open_set(path: Path, unfinished: bool) -> SampleSet:
 
 
 def samples_in(file: RecordingFile) -> list[RecordedMessage]:
-    """The messages with samples in a file, in order, up to its end or to where it is cut off.
+    """Return the messages with samples in a file, in order, up to its end or to where it is cut off.
 
     Raises a `FileError` at the first invalid record, unless the file merely ends within it, and if a finished file holds
     another number of samples than it counts.
     """
     for only in (SAMPLE_TYPES, ()):  # other tools may have put samples into chunks behind other messages
-        found = []
+        messages = []
         for item in file.messages(only):
             if isinstance(item, RecordedMessage):
-                found += [item] if item.type in SAMPLE_TYPES else []
+                messages += [item] if item.type in SAMPLE_TYPES else []
             elif not file.finished and (item.rule.startswith("cut off") or len(file.data) < len(MAGIC)):
                 break
             else:
                 raise item.error(file.path)
         counted = (file.counts or MessageCounts()).topics.get(SAMPLE_TOPIC, TopicCounts()).written
-        if not file.finished or counted == len(found):
-            return found
-    raise FileError(file.path, f"damaged: holds {len(found)} samples, and counts {counted}", field="samples")
+        if not file.finished or counted == len(messages):
+            return messages
+    raise FileError(file.path, f"damaged: holds {len(messages)} samples, and counts {counted}", field="samples")
 
 
 def readable(file: RecordingFile, message: RecordedMessage) -> StoredSample | None:
-    """The sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
+    """Return the sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
     try:
         return decode_sample(file.content(message))
     except VersionError:
@@ -140,12 +140,12 @@ def readable(file: RecordingFile, message: RecordedMessage) -> StoredSample | No
 
 
 def recorded_ids(path: Path) -> set[str]:
-    """The ids in a dataset, including those after damage that `repair` would save; a `FileError` for damage of a finished file."""
+    """Return the ids in a dataset, including those after damage that `repair` would save; a `FileError` for damage of a finished file."""
     ids = set()
     for session in session_files(path):
         file = RecordingFile(session)
-        for one in samples_in(file) if file.finished else file.messages():
-            stored = None if isinstance(one, Damage) else readable(file, one)
+        for item in samples_in(file) if file.finished else file.messages():
+            stored = None if isinstance(item, Damage) else readable(file, item)
             if stored is not None:
                 ids.add(stored.record.sample.id)
             elif file.finished:
@@ -154,7 +154,7 @@ def recorded_ids(path: Path) -> set[str]:
 
 
 def known_sessions(path: Path) -> dict[str, str]:
-    """The ids of the sessions in a dataset by file: those that the manifest states, and of others what is in the file."""
+    """Return the ids of the sessions in a dataset by file: those that the manifest states, and of others what is in the file."""
     known: dict[str, str] = stated(path, SESSIONS)
     for session in session_files(path):
         if session.name not in known:
@@ -163,7 +163,7 @@ def known_sessions(path: Path) -> dict[str, str]:
 
 
 def session_id(path: Path) -> str:
-    """The id in a session; "" if it has none, as before 0.4."""
+    """Return the id in a session; "" if it has none, as before 0.4."""
     file = RecordingFile(path)
     next(file.messages(only=SAMPLE_TYPES), None)
     return file.metadata.get(ABOUT, {}).get("id", "")

@@ -29,10 +29,8 @@ from foretouch.models.contact.above import seen_from_above
 from foretouch.models.novelty import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, Grasps, Int32, Int64, Plane
 
-_sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)
-_describe_contacts = Kernel(
-    "describe_contacts", np.float64, int, np.float64, np.int64, np.int32, *[np.float64] * 3, int, np.float64
-)
+_sort_into_cells = Kernel("sort_into_cells")
+_describe_contacts = Kernel("describe_contacts")
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
 _PAD: Final = 0.02  # about the size of a pad [m]

@@ -33,13 +33,9 @@ _DTYPES: Final = {
 }
 
 
-_forest_means = Kernel(
-    "forest_means",
-    *(np.float32, int, int, np.int32, np.int32, np.int64, np.uint16, np.int64, int, int),
-    *(np.int32, np.float64, np.float64),
-)
-_city_distances = Kernel("city_distances", np.float64, int, int, np.float64, int, np.float64)
-_weighted_sums = Kernel("weighted_sums", np.float64, int, int, np.float64, int, np.float64)
+_forest_means = Kernel("forest_means")
+_city_distances = Kernel("city_distances")
+_weighted_sums = Kernel("weighted_sums")
 _ROWS_AT_ONCE, _KNOWN_AT_ONCE, _OUTPUTS_AT_ONCE = 64, 32, 56  # by the compiled functions
 
 

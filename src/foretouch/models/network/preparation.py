@@ -24,7 +24,7 @@ MINIMUM_POINTS = 32
 
 SAMPLER_SEED = 0
 """Of the points that prediction chooses."""
-_nearest_squares = Kernel("nearest_squares", np.float32, int, np.float32, int, np.float32)
+_nearest_squares = Kernel("nearest_squares")
 
 LENGTHS: Final = ("range_m", "radius_m", "width_m", "offset_m", "gap_m")
 """Distance of the cloud from the camera, its radius about its centroid, the distance of the contacts from each

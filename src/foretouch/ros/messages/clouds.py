@@ -17,7 +17,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import decode_objects
-from foretouch.cloud.segmentation.objects import ObjectSegment
+from foretouch.cloud.segmentation.objects import Segment
 from foretouch.pipeline import Object
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.types import AnyArray, Cloud, Plane
@@ -90,7 +90,7 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
     return cloud_to_msg(Cloud(xyz, rgb, frame_id, nanoseconds), **columns)
 
 
-def object_to_msg(segment: ObjectSegment, *, target: bool) -> ObjectMsg:
+def object_to_msg(segment: Segment, *, target: bool) -> ObjectMsg:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
     low, high = segment.bounds
     return ObjectMsg(

@@ -12,7 +12,6 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
-from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.grasp import GraspPlan
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
@@ -22,9 +21,11 @@ from foretouch.ros.runtime.processing_node import Input
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
 from foretouch.ros.steps.grasping import GraspSettings, GraspStep
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
+from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import GraspArray, TablePlane
 
 
@@ -51,7 +52,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
 
     def _setup(self) -> None:
         self._planner, self._touch = GraspStep(self), TouchStep(self)
-        self.steps = (self._planner, self._touch)
+        self.steps = (self._planner, self._touch, TouchServices(self, self._touch))
         if self.config.input == "objects":  # subscriptions come last, so that no answer is lost
             super()._setup()
         else:
@@ -83,8 +84,8 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         if targets:
             grasps, plans = self._planner.plan(targets, header, reason)
         if grasps.grasps:
-            answer, budget = self._touch.answer_plans(targets, plans, grasps, item.arrived)
-            self._touch.publish(answer, budget, grasps, message)
+            answer = self._touch.answer_plans(targets, plans, grasps)
+            self._touch.publish(answer, grasps, message)
             status, reason = answer.summary
         else:
             status, reason = grasps.status, grasps.reason

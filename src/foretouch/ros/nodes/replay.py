@@ -17,6 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 from ament_index_python import has_resource
@@ -24,18 +25,18 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
+from foretouch.cloud.io.depth_files import DepthCamera
 from foretouch.cloud.messages import read_header, with_stamp
 from foretouch.config import setting
 from foretouch.dataset.bag import Topic
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.source import Source, open_source
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import ASSUMED_TABLE, Plane
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.types import ASSUMED_TABLE, Plane, stamp_ns
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
@@ -91,6 +92,16 @@ class ReplayConfig(NodeConfig):
 
     path: str = setting("", "Recording, folder of clouds or samples, or file", read_only=True)
     topic: str = setting("", "Topic of the clouds, for a recording that holds several", read_only=True)
+    intrinsics: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0, 0.0),
+        "fx, fy, cx, cy of depth files; zeros take the camera of the files",
+        unit="px",
+        read_only=True,
+    )
+    camera_info: str = setting("", "File with the camera of depth files; empty for that of the files", read_only=True)
+    depth_scale: float = setting(
+        0.0, "Metres per unit of depth files; 0 for that of the files", bounds=(0.0, 1.0), read_only=True
+    )
     table: tuple[float, ...] = setting(
         tuple(map(float, ASSUMED_TABLE.coefficients)),
         "a, b, c, d of the plane published with `object_cloud`",
@@ -121,8 +132,19 @@ class ReplayConfig(NodeConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if len(self.intrinsics) != 4:
+            raise ConfigError(f"intrinsics: {list(self.intrinsics)} is not fx, fy, cx, cy")
         if len(self.table) != 4 or not any(self.table[:3]):
             raise ConfigError(f"table: {list(self.table)} is not a plane a, b, c, d")
+
+    @property
+    def camera(self) -> DepthCamera:
+        """The camera of depth files, as far as it is stated."""
+        return DepthCamera(
+            intrinsics=self.intrinsics if any(self.intrinsics) else (),
+            info=Path(self.camera_info) if self.camera_info else None,
+            scale=self.depth_scale or None,
+        )
 
 
 class ReplayNode(ForetouchNode[ReplayConfig]):
@@ -164,7 +186,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         try:
             if not config.path:
                 raise ConfigError("path: is empty; set it to a recording, a folder or a file")
-            self._source = open_source(config.path, config.topic or None, frame_id=_FRAME)
+            self._source = open_source(config.path, config.topic or None, frame_id=_FRAME, camera=config.camera)
         except ForetouchError as err:
             self.outcome, self.reason, self.has_failed = "failed", str(err), True
             raise

@@ -6,7 +6,6 @@ from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.pipeline import Object
 from foretouch.ros.messages.requests import (
     Latest,
@@ -19,10 +18,11 @@ from foretouch.ros.messages.requests import (
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
+from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import ASSUMED_TABLE
+from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
+from foretouch.types import ASSUMED_TABLE, stamp_ns
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
 _TABLES = 16  # one has the stamp of the latest object_cloud
@@ -45,7 +45,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
 
     def _setup(self) -> None:
         self._step = TouchStep(self)  # before subscribing, so that no answer is lost
-        self.steps = (self._step,)
+        self.steps = (self._step, TouchServices(self, self._step))
         self.subscribe(TablePlane, "table", self._remember_table)
         super()._setup()
 
@@ -58,8 +58,8 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         table = self._tables.get(stamp_ns(cloud.header.stamp))  # without one, the camera is taken to look straight down
         plane = read_table(table, item.header) if table else ASSUMED_TABLE
         targets = read_targets(cloud, plane, self.config.limits)
-        answer, budget = self._step.answer(targets, grasps.grasps, item.header, None, item.arrived)
-        self._step.publish(answer, budget, grasps, lambda: cloud)
+        answer = self._step.answer(targets, grasps.grasps, item.header, None)
+        self._step.publish(answer, grasps, lambda: cloud)
         return answer.summary
 
     def _remember_table(self, message: TablePlane) -> None:

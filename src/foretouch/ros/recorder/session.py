@@ -21,19 +21,18 @@ from foretouch.dataset.pairing.assembler import Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
+from foretouch.dataset.recording.operator import Action, Operator, OperatorState
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
-from foretouch.ros.recorder.operator import Action, Operator, OperatorState
+from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
-from foretouch.ros.recorder.touch_hold import HoldEvaluator
 from foretouch.ros.runtime.subscription import type_name
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import GraspSample
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.types import Sample, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
@@ -224,7 +223,7 @@ class RecordingSession:
             self.writer.drop(one.topic, "paused")
         return []
 
-    def _prediction(self, sample: GraspSample) -> TouchPrediction | None:
+    def _prediction(self, sample: Sample) -> TouchPrediction | None:
         """What was predicted for the grasp of a sample, if that was received."""
         data = self._predictions.get(sample.cloud.stamp_ns)
         found: Sequence[Any] = () if data is None else read_serialized(data, TouchPredictionArray).predictions

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Targets and their grasps -> `touch`, for the sensor of the model, with the services and actions for planners.
+"""Targets and their grasps -> `touch`, for the sensor of the model.
 
 If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
 tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the
@@ -10,38 +10,35 @@ again retries.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
-from foretouch.dataset.topics import EXECUTED_TOPIC
 from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig, GraspPlan
+from foretouch.models.equal_pressure import scale_of
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object
-from foretouch.report.equal_pressure import scale_of
-from foretouch.report.taxel_view import TaxelView
 from foretouch.ros.messages.answers import TouchAnswer
+from foretouch.ros.messages.conversions import duration_to_msg
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import GraspArrays, Latest
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.steps.selection import SELECTED
-from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.description import require_same
-from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.types import Grasp, Predictions
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.taxel_view import TaxelView
+from foretouch.topics import EXECUTED_TOPIC
+from foretouch.types import LATE, Grasp, Predictions, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
-
-if TYPE_CHECKING:  # loaded only for a budget
-    from foretouch.models.budget import Answer
 
 
 class TouchStep(Step):
@@ -64,16 +61,12 @@ class TouchStep(Step):
         self._keeper: HistoryKeeper | None = None
         self._other_hand = ""  # why readings of the hand are not those of the model's sensor
         self._used_tare = config.use_tare
-        self._warned = False  # that no level meets the budget
         self.predictor = Predictor(config.model, config.fallback_model)
         if self.predictor.fault:
             node.get_logger().error(self.predictor.fault)
-        if config.latency_budget_ms > 0.0:
-            self.predictor.keep_to(config.latency_budget_ms, config, node.get_logger().info)
         self._adapt()
         self._touch = node.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = node.advertise(MarkerArray, "markers")
-        self._services = TouchServices(node, self)
 
     def configure(self, config: TouchSettings) -> None:
         """Use other settings; touches with and without a tare cannot be combined, so a change of `use_tare` forgets them."""
@@ -84,18 +77,14 @@ class TouchStep(Step):
 
     # The topic.
 
-    def answer_plans(
-        self, targets: Sequence[Object], plans: Sequence[GraspPlan], grasps: GraspArray, arrived: float
-    ) -> "tuple[TouchAnswer, Answer | None]":
-        """Predict for the plans of all targets, whose message is `grasps`; the rest as `answer`."""
-        budget = self._begin(len(grasps.grasps), arrived)
-        model = None if budget is None else budget.level.model
+    def answer_plans(self, targets: Sequence[Object], plans: Sequence[GraspPlan], grasps: GraspArray) -> TouchAnswer:
+        """Predict for the plans of all targets, whose message is `grasps`."""
         parts = []
         for target, plan in zip(targets, plans, strict=True):
             posed = Predictions.refused(plan.grasps, self.predictor.channels, "ok", "")  # no value yet
-            parts.append(self.predictor.predict(target, posed, self._node.config, model))
+            parts.append(self.predictor.predict(target, posed, self._node.config))
         answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
-        return self._end(answer, budget), budget
+        return self._end(answer)
 
     def answer(
         self,
@@ -103,24 +92,14 @@ class TouchStep(Step):
         grasps: Sequence[Any] | GraspArrays,
         header: Header,
         posing: GeoGraspConfig | None,
-        arrived: float,
-    ) -> "tuple[TouchAnswer, Answer | None]":
-        """Predict for grasps of messages (see `Predictor.answer`) that arrived at a time [s].
+    ) -> TouchAnswer:
+        """Predict for grasps of messages (see `Predictor.answer`)."""
+        return self._end(self.predictor.answer(targets, grasps, header, self._node.config, posing))
 
-        The answer is to be made a message by `Predictor.end`, with what is returned beside it, right before it is sent.
-        """
-        budget = self._begin(len(grasps), arrived)
-        model = None if budget is None else budget.level.model
-        return self._end(
-            self.predictor.answer(targets, grasps, header, self._node.config, posing, model), budget
-        ), budget
-
-    def publish(
-        self, answer: TouchAnswer, budget: "Answer | None", grasps: GraspArray, cloud: Callable[[], PointCloud2]
-    ) -> None:
+    def publish(self, answer: TouchAnswer, grasps: GraspArray, cloud: Callable[[], PointCloud2]) -> None:
         """Publish the answer to planned grasps; `cloud` makes the message of their objects."""
         answer.flags += tuple(flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
-        self._touch.publish(self.predictor.end(answer, budget))
+        self._touch.publish(answer.message)
         if self.adapter is not None:
             self.adapter.add_grasps(answer.header, cloud, grasps.grasps)
         if self._markers.get_subscription_count():  # the answer is out: an error must not refuse the cloud
@@ -143,7 +122,7 @@ class TouchStep(Step):
 
     def warnings(self) -> tuple[str, ...]:
         """Why the model does not adapt to readings, and whether it is made for another hand than they come from."""
-        model, found = self.predictor.model, [*self._services.warnings()]
+        model, found = self.predictor.model, list[str]()
         if model is not None and model.calibration is None:
             reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
             found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
@@ -164,28 +143,22 @@ class TouchStep(Step):
             found |= {"model": model.name, "model_sha256": model.sha256}
             if self.adapter is None:
                 found["regime"] = self._other_hand or "none: the model's card holds no calibration"
-        for part in (self.predictor.budget, self.adapter, self._keeper, self._services):
+        for part in (self.adapter, self._keeper):
             found |= part.notes() if part is not None else {}
         return found
 
     # Details.
 
-    def _begin(self, count: int, arrived: float) -> "Answer | None":
-        """Choose the level of the model for a number of grasps; None without a budget."""
-        if self.predictor.budget is None:
-            return None
-        answer = self.predictor.budget.begin(count, arrived)
-        if not (answer.affordable or self._warned):  # rclpy's own `once` takes 0.5 ms each time
-            self._warned = True
-            limit = f"budget: {self._node.config.latency_budget_ms:g} ms: no level of the model meets it for"
-            self._node.get_logger().warning(f"{limit} {count} grasps: the fastest is used, {answer.level.name}")
+    def _end(self, answer: TouchAnswer) -> TouchAnswer:
+        """Add the model, the age of the input and the flags of both."""
+        age_s, late_after_s = self._node.age_s(stamp_ns(answer.header.stamp)), self._node.config.late_after_s
+        answer.age = duration_to_msg(age_s)
+        answer.flags += self.predictor.flags
+        if 0.0 < late_after_s < age_s:
+            answer.flags += (LATE,)
+        if (model := self.predictor.model) is not None:
+            answer.model, answer.model_sha256 = model.name, model.sha256
         return answer
-
-    def _end(self, answer: TouchAnswer, budget: "Answer | None") -> TouchAnswer:
-        """Add model, age and flags."""
-        age_s = self._node.age_s(stamp_ns(answer.header.stamp))
-        reduced = budget is not None and budget.reduced
-        return self.predictor.finish(answer, age_s, self._node.config.late_after_s, reduced=reduced)
 
     def _draw(self, answer: TouchAnswer) -> None:
         """Publish the markers of the first prediction."""

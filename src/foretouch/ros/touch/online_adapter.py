@@ -5,7 +5,7 @@ Tactile messages give a tare. The touch of an executed grasp is assembled exactl
 added to the history of the hand.
 
 Ids of objects are valid within one cloud only. Therefore the current object is identified by its position and size (see
-`HandHistory.is_current`). A different object that looks the same at the same position cannot be distinguished: after
+`History.is_current`). A different object that looks the same at the same position cannot be distinguished: after
 changing the object, call `forget_touches` or wait for `forget_after_s`.
 
 Threads: callbacks store, under one lock; the thread that predicts first adds the touches that are complete, under
@@ -29,14 +29,14 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.history_keeper import HistoryKeeper
+from foretouch.models.touch_model import Snapshot, TouchModel
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
-from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
-from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch
+from foretouch.tactile.live_tare import LiveTare
+from foretouch.tactile.messages.table import TactileReader
+from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
@@ -139,11 +139,10 @@ class OnlineAdapter:
         *,
         limits: ObjectLimits,
         reach: ReachConfig,
-        model: TouchModel | None = None,
         table: Plane | None = None,
     ) -> Predictions:
-        """Predict as `TouchModel.predict`, adapted to the readings so far; `model` may be a reduced form of the model."""
-        config, model = self._config(), model or self._model
+        """Predict as `TouchModel.predict`, adapted to the readings so far."""
+        config, model = self._config(), self._model
         self.process_touches()
         tare = self._recent_tare(config)
         history = self._history_for(cloud, tare, config) if config.use_touches else None
@@ -165,7 +164,7 @@ class OnlineAdapter:
                     return
                 del self._tables[oldest]
 
-    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> History | None:
+    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> Snapshot | None:
         """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
         now_ns, others = self._now_ns(), self._others
         tdc = (

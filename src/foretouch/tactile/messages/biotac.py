@@ -15,8 +15,8 @@ import numpy as np
 
 from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile import ELECTRODES
-from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Float32
+from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading
+from foretouch.types import Float32, stamp_ns
 
 FINGERS: Final = ("TH", "MF")
 FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")  # order of the fingers in `BiotacAll.tactiles`
@@ -27,13 +27,8 @@ _PER_SENSOR: Final = 54
 _FIELDS: Final = 1 + len(_SENSORS) * _PER_SENSOR
 
 
-def default_fingers(kind: str) -> tuple[str, str]:
-    """Names of thumb and middle finger in messages of a type."""
-    return ("0", "1") if kind == "std_msgs/String" else FINGERS
-
-
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder for the chosen fingers; a `ConfigError` for a name that the type does not have."""
+    """Return the decoder for the chosen fingers; a `ConfigError` for a name that the type does not have."""
     read, known, others = {
         "std_msgs/String": (_csv, _SENSORS, ("TAC", "TDC")),
         "tactile_msgs/TactileState": (_tactile_state, config.fingers, ()),
@@ -47,7 +42,7 @@ def make_reader(config: TactileConfig) -> TactileReader:
 
 
 def _read(fingers: Sequence[str], read: Any, message: Any) -> TactileReading:
-    """A reading from (25 + K,) numbers of each finger: PDC, electrodes and others."""
+    """Return a reading from (25 + K,) numbers of each finger: PDC, electrodes and others."""
     th, mf = read(message, fingers)
     end = 1 + ELECTRODES
     counts = np.concatenate([th[:1], mf[:1], th[1:end], mf[1:end]])
@@ -58,19 +53,19 @@ def _read(fingers: Sequence[str], read: Any, message: Any) -> TactileReading:
 
 
 def finger_counts(message: Any, finger: str) -> Float32:
-    """(1 + n,) float32 counts of one finger in `BiotacAll`: PDC, then the electrodes."""
+    """Return (1 + n,) float32 counts of one finger in `BiotacAll`: PDC, then the electrodes."""
     tactile = message.tactiles[FINGER_ORDER.index(finger)]
     return np.array([tactile.pdc, *tactile.electrodes], np.float32)
 
 
 def _biotac_all(message: Any, fingers: Sequence[str]) -> list[Float32]:
-    found = []
+    rows = []
     for finger in fingers:
         counts, tactile = finger_counts(message, finger), message.tactiles[FINGER_ORDER.index(finger)]
         if len(counts) != 1 + ELECTRODES:
             raise TactileError(f"{finger}: {len(counts) - 1} electrodes, a BioTac SP has {ELECTRODES}")
-        found.append(np.append(counts, [np.float32(getattr(tactile, name.lower())) for name in OTHERS]))
-    return found
+        rows.append(np.append(counts, [np.float32(getattr(tactile, name.lower())) for name in OTHERS]))
+    return rows
 
 
 def _tactile_state(message: Any, fingers: Sequence[str]) -> list[Float32]:
@@ -91,5 +86,5 @@ def _csv(message: Any, fingers: Sequence[str]) -> list[Float32]:
         values = np.array(fields[1:], np.float32).reshape(len(_SENSORS), _PER_SENSOR)[:, ::2]  # every second is PAC
     except ValueError as err:
         raise TactileError(f"CSV: {err}") from err
-    found = [values[int(finger)] for finger in fingers]
-    return [np.r_[one[ELECTRODES], one[:ELECTRODES], one[ELECTRODES + 1 :]] for one in found]
+    rows = [values[int(finger)] for finger in fingers]
+    return [np.r_[row[ELECTRODES], row[:ELECTRODES], row[ELECTRODES + 1 :]] for row in rows]

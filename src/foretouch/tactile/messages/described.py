@@ -15,17 +15,17 @@ import numpy as np
 from foretouch.errors import ConfigError, TactileError, shown
 from foretouch.tactile.description import STAMP_UNITS, Sensor
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Bool, Float64
+from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading
+from foretouch.types import Bool, Float64, stamp_ns
 
 _FLOAT32 = float(np.finfo(np.float32).max)
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
+    """Return the decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
     sensor = config.described
     _require_noise(sensor)
-    names = [one.name for one in sensor.config.scalars if not one.predicted]
+    names = [scalar.name for scalar in sensor.config.scalars if not scalar.predicted]
     others = tuple(f"{name}_{finger}" for finger in sensor.channels.fingers for name in names)
     flags = () if sensor.config.source.stamp else (ARRIVAL_STAMPED,)
     return TactileReader(SensorReader(sensor, config.fingers).read, others, flags, sensor)
@@ -33,10 +33,10 @@ def make_reader(config: TactileConfig) -> TactileReader:
 
 def _require_noise(sensor: Sensor) -> None:
     """Refuse a channel of floats with neither noise nor range: there is no least change that means contact."""
-    for one in (*sensor.config.scalars, *sensor.config.values):
-        if one.predicted and not one.noise and not all(map(math.isfinite, one.limits)):
+    for scalar in (*sensor.config.scalars, *sensor.config.values):
+        if scalar.predicted and not scalar.noise and not all(map(math.isfinite, scalar.limits)):
             raise ConfigError(
-                f"sensor: {sensor.config.name}: {one.name}: state its noise or its range in the description"
+                f"sensor: {sensor.config.name}: {scalar.name}: state its noise or its range in the description"
             )
 
 
@@ -55,18 +55,18 @@ class SensorReader:
         config = sensor.config
         self.sensor = sensor
         self._fingers = [
-            (one.name, FieldPath(one.field), np.isin(np.arange(sensor.size), one.dead))
-            for one in config.chosen_fingers(fingers)
+            (finger.name, FieldPath(finger.field), np.isin(np.arange(sensor.size), finger.dead))
+            for finger in config.chosen_fingers(fingers)
         ]
         self._values, self._scalars = (
-            [FieldPath(one.field) for one in part] for part in (config.values, config.scalars)
+            [FieldPath(channel.field) for channel in part] for part in (config.values, config.scalars)
         )
-        self._range = np.clip([one.limits for one in config.values], -_FLOAT32, _FLOAT32).T
-        self._marks = np.array([one.name in config.source.invalid for one in config.scalars], np.bool_)
-        self._mark_range = np.array([one.limits for one in config.scalars]).reshape(-1, 2).T
+        self._range = np.clip([value.limits for value in config.values], -_FLOAT32, _FLOAT32).T
+        self._marks = np.array([scalar.name in config.source.invalid for scalar in config.scalars], np.bool_)
+        self._mark_range = np.array([scalar.limits for scalar in config.scalars]).reshape(-1, 2).T
         self._stamp = FieldPath(config.source.stamp)
-        self._predicted_scalars = np.array([one.predicted for one in config.scalars], np.bool_)
-        self._predicted_values = np.array([one.predicted for one in config.values], np.bool_)
+        self._predicted_scalars = np.array([scalar.predicted for scalar in config.scalars], np.bool_)
+        self._predicted_values = np.array([value.predicted for value in config.values], np.bool_)
 
     def read(self, message: Any) -> TactileReading:
         """Decode a message; values of a finger that was not read are NaN.
@@ -81,11 +81,11 @@ class SensorReader:
         for number, (finger, path, dead) in enumerate(self._fingers):
             try:
                 content = path.get(message)
-                scalars[number] = [_numbers(one, content, 1)[0] for one in self._scalars]
+                scalars[number] = [_numbers(scalar, content, 1)[0] for scalar in self._scalars]
                 if (self._marks & ~_within(scalars[number], self._mark_range)).any():
                     invalid["not_read"] += size[1]
                     continue
-                series = [_numbers(one, content, self.sensor.series_size) for one in self._values]
+                series = [_numbers(value, content, self.sensor.series_size) for value in self._values]
                 values[number] = np.transpose(series)[self.sensor.places]
             except TactileError as err:
                 raise TactileError(f"{self.sensor.config.name}: {finger}: {err}") from err
@@ -110,16 +110,16 @@ class SensorReader:
     def _stamp_ns(self, message: Any) -> int | None:
         if not self._stamp.text:
             return None
-        found = self._stamp.get(message)
-        if hasattr(found, "nanosec"):
-            return stamp_ns(found)
-        if isinstance(found, np.generic):
-            found = found.item()
+        stamp = self._stamp.get(message)
+        if hasattr(stamp, "nanosec"):
+            return stamp_ns(stamp)
+        if isinstance(stamp, np.generic):
+            stamp = stamp.item()
         unit_ns = STAMP_UNITS[self.sensor.config.source.stamp_unit]
-        if not isinstance(found, int | float) or not 0 <= found < 2**63 / unit_ns:  # NaN is not either
-            raise TactileError(f"{self._stamp.text}: {shown(found)} is not a time")
-        whole = int(found // 1)
-        return whole * unit_ns + round(float(found - whole) * unit_ns)
+        if not isinstance(stamp, int | float) or not 0 <= stamp < 2**63 / unit_ns:  # NaN is not either
+            raise TactileError(f"{self._stamp.text}: {shown(stamp)} is not a time")
+        whole = int(stamp // 1)
+        return whole * unit_ns + round(float(stamp - whole) * unit_ns)
 
 
 def _within(values: Float64, limits: Float64) -> Bool:
@@ -128,9 +128,9 @@ def _within(values: Float64, limits: Float64) -> Bool:
 
 def _numbers(path: FieldPath, content: Any, count: int) -> Float64:
     try:
-        found = np.asarray(path.get(content), np.float64)
+        numbers = np.asarray(path.get(content), np.float64)
     except (TypeError, ValueError):
         raise TactileError(f"{path.text}: holds no numbers") from None
-    if found.size != count:
-        raise TactileError(f"{path.text}: {found.size} numbers, not {count}")
-    return found.ravel()
+    if numbers.size != count:
+        raise TactileError(f"{path.text}: {numbers.size} numbers, not {count}")
+    return numbers.ravel()

@@ -125,7 +125,9 @@ class Experiment:
 
 def list_experiments() -> list[Experiment]:
     """The experiments of this package, by name."""
-    return sorted([one for module in _modules() for one in _held_by(module)], key=lambda one: one.name)
+    return sorted(
+        [experiment for module in _modules() for experiment in _held_by(module)], key=lambda experiment: experiment.name
+    )
 
 
 def find_experiment(name: str) -> Experiment:
@@ -139,28 +141,32 @@ def find_experiment(name: str) -> Experiment:
     module, _, own = name.partition(":")
     if "." not in module:
         places = sorted(_modules(), key=lambda place: not place.endswith(f".{name}"))  # imports as few as it can
-        if known := next((one for place in places for one in _held_by(place) if one.name == name), None):
+        if known := next(
+            (candidate for place in places for candidate in _held_by(place) if candidate.name == name), None
+        ):
             return known
-        raise ConfigError(f"experiment: {none_of(name, [one.name for one in list_experiments()])}")
+        raise ConfigError(f"experiment: {none_of(name, [experiment.name for experiment in list_experiments()])}")
     try:
-        found = _held_by(module)
+        experiments = _held_by(module)
     except ModuleNotFoundError as err:
         raise ConfigError(f"experiment: {name}: {err}") from err
-    if not found:
+    if not experiments:
         raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
-    chosen = [one for one in found if own in ("", one.name)]
+    chosen = [candidate for candidate in experiments if own in ("", candidate.name)]
     if len(chosen) != 1:
-        raise ConfigError(f"experiment: {name!r} is not one of {', '.join(f'{module}:{one.name}' for one in found)}")
+        raise ConfigError(
+            f"experiment: {name!r} is not one of {', '.join(f'{module}:{candidate.name}' for candidate in experiments)}"
+        )
     return chosen[0]
 
 
 def _modules() -> list[str]:
     """Modules and folders of the package."""
-    return [f"{_PACKAGE}.{one.name}" for one in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)]
+    return [f"{_PACKAGE}.{module.name}" for module in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)]
 
 
 def _held_by(module: str) -> list[Experiment]:
     """Experiments of a module; none if it is not an experiment."""
     held = importlib.import_module(module)
-    found = getattr(held, "EXPERIMENTS", [getattr(held, "EXPERIMENT", None)])
-    return [one for one in found if isinstance(one, Experiment)]
+    listed = getattr(held, "EXPERIMENTS", [getattr(held, "EXPERIMENT", None)])
+    return [experiment for experiment in listed if isinstance(experiment, Experiment)]

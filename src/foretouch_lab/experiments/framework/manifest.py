@@ -28,8 +28,8 @@ from foretouch import __version__
 from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.files import TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
-from foretouch.models.timing import cpu_name
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.framework.timing import cpu_name
 
 MANIFEST_FILE: Final = "manifest.json"
 RESULTS_FILE: Final = "results.csv"
@@ -85,8 +85,8 @@ def open_folder(out: Path, fixed: Mapping[str, Any], resumable: Sequence[str] = 
 def require_experiment(out: Path, name: str) -> None:
     """Raise `ConfigError` for the folder of another experiment; one without a manifest is accepted."""
     file = out / MANIFEST_FILE
-    if file.exists() and (found := require_schema(file, read_json(file), dict).get("experiment")) != name:
-        raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
+    if file.exists() and (written := require_schema(file, read_json(file), dict).get("experiment")) != name:
+        raise ConfigError(f"{file}: experiment: {written!r} is not {name!r}")
 
 
 def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
@@ -106,7 +106,7 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
     Raises:
         FileError: If a file is damaged, or its cell was run with other values.
     """
-    found = {}
+    rows_of = {}
     for cell in cells:
         file = _cell_file(out, cell)
         if not file.exists():
@@ -114,8 +114,8 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
         record = require_schema(file, read_json(file), {"values?": dict, "rows?": [dict]})
         if record.get("values") != json.loads(json.dumps(cell.values)) or "rows" not in record:
             raise FileError(file, "was run with other values than the experiment has now; start a new sweep")
-        found[cell.key] = [{**record["values"], **row} for row in record["rows"]]
-    return found
+        rows_of[cell.key] = [{**record["values"], **row} for row in record["rows"]]
+    return rows_of
 
 
 def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> list[Row]:

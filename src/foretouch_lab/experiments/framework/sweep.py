@@ -92,8 +92,8 @@ def run_sweep(
         manifests.write_manifest(out, manifest)
         name, text = f"{experiment.module}:{experiment.name}", json.dumps(plain, sort_keys=True)
         run = partial(run_cell, name, text, str(path.absolute()), data.sha256)
-        found = in_processes(run, left, workers) if address is None else ray_results(run, left, address, workers)
-        for number, (cell, rows, error) in enumerate(found if left else (), len(done) + 1):
+        results = in_processes(run, left, workers) if address is None else ray_results(run, left, address, workers)
+        for number, (cell, rows, error) in enumerate(results if left else (), len(done) + 1):
             seconds = 0.0
             if rows is None:
                 result.failures[cell.key] = error
@@ -133,9 +133,9 @@ def run_cell(experiment: str, settings: str, data: str, sha256: str, cell: Cell)
         sha256: Hash of the data.
         cell: The cell.
     """
-    one, resolved, content = _loaded(experiment, settings, data, sha256)
+    loaded, resolved, content = _loaded(experiment, settings, data, sha256)
     start = time.process_time()
-    return one.run(cell, resolved, content), time.process_time() - start
+    return loaded.run(cell, resolved, content), time.process_time() - start
 
 
 @lru_cache(maxsize=1)

@@ -20,7 +20,6 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, none_of
-from foretouch.models.timing import MachineLoad, cpu_name, time_calls
 from foretouch.report.panels import Axes, new_figure, save_small
 from foretouch_lab.experiments.framework.experiment import (
     Cell,
@@ -30,6 +29,7 @@ from foretouch_lab.experiments.framework.experiment import (
     find_experiment,
     list_experiments,
 )
+from foretouch_lab.experiments.framework.timing import MachineLoad, cpu_name, time_calls
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 _PREFIX: Final = "tradeoff_"
@@ -102,27 +102,33 @@ class Area(Experiment):
         skills = {row["variant"]: row for row in rows}
         names = [name for name in dict.fromkeys(name for row in rows for name in row) if name != "variant"]
         return [
-            {"variant": one.name, "factor": one.factor, **dict.fromkeys(names), **skills.get(one.name, {}), **row}
-            for one, row in _time_variants(self, settings, data, progress)
+            {
+                "variant": variant.name,
+                "factor": variant.factor,
+                **dict.fromkeys(names),
+                **skills.get(variant.name, {}),
+                **row,
+            }
+            for variant, row in _time_variants(self, settings, data, progress)
         ]
 
     def facts(self, rows: Sequence[Row], /) -> dict[str, Any]:
         """Variants on the frontier of each panel."""
-        lines = {one.title: [row["variant"] for row in frontier(rows, one)] for one in self.panels}
+        lines = {panel.title: [row["variant"] for row in frontier(rows, panel)] for panel in self.panels}
         return {"area": self.area, "frontier": lines}
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
         """What the area summarises, and a table of the skills and times of all variants."""
         rows = _best_state(rows)
-        skills = list(dict.fromkeys(one.skill for one in self.panels if one.skill in rows[0]))
-        lines = {one: {row["variant"] for panel in self.panels if panel.skill == one for row in frontier(rows, panel)}
-                 for one in skills}  # fmt: skip
+        skills = list(dict.fromkeys(panel.skill for panel in self.panels if panel.skill in rows[0]))
+        lines = {skill: {row["variant"] for panel in self.panels if panel.skill == skill for row in frontier(rows, panel)}
+                 for skill in skills}  # fmt: skip
         requests = sorted({row["request"] for row in rows if row["request"]})
         times = {(row["variant"], row["request"]): times_text(row, rows) for row in rows}
         body = [
             [
                 row["variant"] + " *" * (row["factor"] == "shipped"),
-                *("• " * (row["variant"] in lines[one]) + (_interval(row, one) or "–") for one in skills),
+                *("• " * (row["variant"] in lines[skill]) + (_interval(row, skill) or "–") for skill in skills),
                 *(times.get((row["variant"], request), "–") for request in requests),
             ]
             for row in {row["variant"]: row for row in rows}.values()
@@ -139,7 +145,7 @@ class Area(Experiment):
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
         """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier."""
-        panels = [one for one in self.panels if frontier(rows, one)]
+        panels = [panel for panel in self.panels if frontier(rows, panel)]
         if not panels:
             return []
         figure = new_figure(9.0, 0.5 + 4.4 * len(panels))
@@ -164,19 +170,19 @@ def make_area(
     columns = list(dict.fromkeys(panel.skill for panel in panels))
 
     def cells(settings: Any, _data: Any) -> list[Cell]:
-        if unknown := [one for one in settings.skills if one not in columns]:
+        if unknown := [skill for skill in settings.skills if skill not in columns]:
             raise ConfigError(f"skills: {none_of(unknown[0], columns)}")
-        return [Cell(one, {"measured": one}) for one in settings.skills or columns]
+        return [Cell(skill, {"measured": skill}) for skill in settings.skills or columns]
 
     def run(cell: Cell, settings: Any, data: Any) -> list[Row]:
         return [{"variant": name, **row} for name, row in accuracy(cell.values["measured"], settings, data).items()]
 
     def tabulate(_settings: Any, rows: Sequence[Row]) -> list[Row]:
-        found: dict[str, Row] = {}
+        merged: dict[str, Row] = {}
         for row in rows:
-            found.setdefault(row["variant"], {}).update(row)
-            del found[row["variant"]]["measured"]
-        return list(found.values())
+            merged.setdefault(row["variant"], {}).update(row)
+            del merged[row["variant"]]["measured"]
+        return list(merged.values())
 
     given = {"settings": TradeoffSettings, "summarise": lambda _: (), "results": "tradeoff.csv", **others}
     timing = ("skills", "timing_s", "pause_s", "requests")
@@ -185,7 +191,7 @@ def make_area(
 
 def list_areas() -> list[Area]:
     """The areas of this package, sorted by name."""
-    return [one for one in list_experiments() if isinstance(one, Area)]
+    return [experiment for experiment in list_experiments() if isinstance(experiment, Area)]
 
 
 def find_area(name: str) -> Area:
@@ -194,11 +200,11 @@ def find_area(name: str) -> Area:
     Raises:
         ConfigError: If there is none.
     """
-    areas = {one.area: one for one in list_areas()}
-    found = find_experiment(name) if "." in name else areas.get(name)
-    if not isinstance(found, Area):
+    areas = {area.area: area for area in list_areas()}
+    chosen = find_experiment(name) if "." in name else areas.get(name)
+    if not isinstance(chosen, Area):
         raise ConfigError(f"tradeoff: {none_of(name, areas)}")
-    return found
+    return chosen
 
 
 def _time_variants(
@@ -209,7 +215,7 @@ def _time_variants(
 
     sizes = sorted(settings.requests)
     with threadpool_limits(1):
-        ready = {one.name: area.timed(one, settings, data) for one in area.variants}
+        ready = {variant.name: area.timed(variant, settings, data) for variant in area.variants}
         load = MachineLoad()
         calls = {name: call for name, (call, _) in ready.items()}
         times = time_calls(calls, sizes, settings.timing_s, progress, settings.pause_s)
@@ -242,15 +248,15 @@ def _of_panel(rows: Sequence[Row], panel: Panel) -> list[Row]:
 
 def frontier(rows: Sequence[Row], panel: Panel) -> list[Row]:
     """Rows that no other beats in both skill and time, by ascending time."""
-    skill, found = panel.skill, _of_panel(rows, panel)
-    column, skills = time_column(found), {row["variant"]: float(row[skill]) for row in found}
+    skill, shown = panel.skill, _of_panel(rows, panel)
+    column, skills = time_column(shown), {row["variant"]: float(row[skill]) for row in shown}
 
     def level(row: Row) -> float:
         """Skill of the one that it equals; its own where they were not compared."""
         return skills.get(row.get(f"{skill}_equals"), float(row[skill]))
 
     result: list[Row] = []
-    for row in sorted(found, key=lambda one: (one[column], -level(one))):
+    for row in sorted(shown, key=lambda row: (row[column], -level(row))):
         if not result or level(row) > level(result[-1]):
             result.append(row)
     return result
@@ -298,8 +304,8 @@ def _draw_panel(axes: Axes, panel: Panel, rows: Sequence[Row]) -> None:
     axes.set_xscale("log")
     ratio = max(row[column] for row in own) / min(row[column] for row in own)
     labelled = "123456789" if ratio < 10.0 else "125" if ratio < 3000.0 else "1"  # first digits of ticks with a label
-    for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
-        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in labelled else "")
+    for set_formatter in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        set_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in labelled else "")
     axes.set_ylim(floor - 0.1 * (high - floor), high + 0.2 * (high - floor))
     axes.grid(visible=True, which="both", alpha=0.2)
     axes.set_xlabel("wall time, median [ms]" if column == "ms_p50" else "processor time, median (loaded machine) [ms]")

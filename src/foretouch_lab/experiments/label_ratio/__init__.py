@@ -92,10 +92,10 @@ def _cells(settings: LabelRatioSettings, _data: Dataset) -> list[Cell]:
         for modality in settings.modalities
         for model in MODELS
     ]
-    srgans = [one for one in pairs if one["model"] == SRGAN]
-    readings = [{**one, "trial": trial} for one in srgans for trial in settings.readings]
+    srgans = [pair for pair in pairs if pair["model"] == SRGAN]
+    readings = [{**srgan, "trial": trial} for srgan in srgans for trial in settings.readings]
     trees = [{"ratio": ratio, "model": TREES, "seed": 0} for ratio in settings.ratios]
-    return list({cell.key: cell for cell in (Cell(_key(one), one) for one in trees + pairs + readings)}.values())
+    return list({cell.key: cell for cell in (Cell(_key(tree), tree) for tree in trees + pairs + readings)}.values())
 
 
 def _key(values: Row) -> str:
@@ -110,9 +110,9 @@ def _run(cell: Cell, settings: LabelRatioSettings, data: Dataset) -> list[Row]:
     if model == TREES:
         # For all modalities at once, also those that are not asked for: a run may be extended by further ones.
         train, test = split.sides(data.samples)
-        found = geometry_trees(train, labels_of(train), test, seed)
+        by_trees = geometry_trees(train, labels_of(train), test, seed)
         return [
-            {"modality": name, **error_row(data, (name,), split, found[:, BIOTAC.columns([name])])}
+            {"modality": name, **error_row(data, (name,), split, by_trees[:, BIOTAC.columns([name])])}
             for name in MODALITIES
         ]
     inputs = prepared(data, settings.model.replace(outputs=(cell.values["modality"],)), settings.cached_points)
@@ -123,9 +123,9 @@ def _run(cell: Cell, settings: LabelRatioSettings, data: Dataset) -> list[Row]:
 
 def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
     return [
-        {"srgan": name, **found}
+        {"srgan": name, **row}
         for name in (CHOSEN, *settings.readings)
-        for found in compare_models(_rows_of(settings, rows, name), settings.model.ranges.ranges, settings.draws)
+        for row in compare_models(_rows_of(settings, rows, name), settings.model.ranges.ranges, settings.draws)
     ]
 
 

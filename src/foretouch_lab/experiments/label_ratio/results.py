@@ -69,30 +69,30 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]
     Raises:
         DatasetError: If the compared models were not tested on the same samples.
     """
-    found = {(row["ratio"], row["modality"], row["model"], row["seed"]): row for row in rows}
+    by_run = {(row["ratio"], row["modality"], row["model"], row["seed"]): row for row in rows}
     seeds = sorted(set(unique(rows, "seed")))
     result = []
     for name, ratio in product(MODALITIES, sorted(set(unique(rows, "ratio")))):
-        pairs = [[found.get((ratio, name, model, seed)) for model in MODELS] for seed in seeds]
-        runs = [[one for one in pair if one is not None] for pair in pairs if None not in pair]
+        pairs = [[by_run.get((ratio, name, model, seed)) for model in MODELS] for seed in seeds]
+        runs = [[row for row in pair if row is not None] for pair in pairs if None not in pair]
         if not runs:
             continue
-        first, trees = runs[0][0], found.get((ratio, name, TREES, 0))
+        first, trees = runs[0][0], by_run.get((ratio, name, TREES, 0))
         tested = [
-            {name: own["reference"] for name, own in one["objects"].items()}
-            for one in [*chain.from_iterable(runs), trees or first]
+            {name: own["reference"] for name, own in run["objects"].items()}
+            for run in [*chain.from_iterable(runs), trees or first]
         ]
-        if any(one != tested[0] for one in tested):
+        if any(reference != tested[0] for reference in tested):
             raise DatasetError("label_ratio: the compared models were not tested on the same samples")
         sizes = [len(first["objects"][name]["squared"]) for name in sorted(first["objects"])]
         row: Row = {"modality": name, "ratio": ratio, "runs": len(runs), "samples": sum(sizes)}
         row |= {key: first[key] for key in ("labelled", "updates")}
         pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
         low, high = ranges.of(name)
-        for model, squared, one in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
+        for model, squared, first_run in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
             rmse = np.sqrt(squared.mean(axis=1))
             deviation, percent = rmse.std(ddof=1) if len(runs) > 1 else None, 100.0 * rmse.mean() / (high - low)
-            values = {"trial": one["trial"], "rmse": rmse.mean(), "sd": deviation, "percent": percent}
+            values = {"trial": first_run["trial"], "rmse": rmse.mean(), "sd": deviation, "percent": percent}
             row |= {f"{model}_{key}": value for key, value in values.items()}
         change, least, most = _change(srgan, pointnet, sizes, draws)
         verdict = (

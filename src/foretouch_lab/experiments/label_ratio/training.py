@@ -35,7 +35,7 @@ from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.tactile import BIOTAC
-from foretouch.types import Float32, Float64, GraspSample, Integer
+from foretouch.types import Float32, Float64, Integer, Sample
 from foretouch_lab.dataset.store_writer import StoreWriter
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.learning.data import Dataset, labels_of
@@ -71,7 +71,9 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {**_RECIPES, "P2": {"batch_norm": "per_source", "batch_size": 32, "epochs": 50}},
     SRGAN: {
         **{
-            f"{one}, {name}": _reading(one, name) for one in ("batch_means", "as_printed", "srgan") for name in _RECIPES
+            f"{statistics}, {name}": _reading(statistics, name)
+            for statistics in ("batch_means", "as_printed", "srgan")
+            for name in _RECIPES
         },
         "batch_means w_U 0.1 w_F 0.01, batch 0.001": _reading(
             "batch_means", "batch 0.001", weight_unlabeled=0.1, weight_fake=0.01
@@ -153,7 +155,7 @@ def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> 
     )
 
 
-def _one(sample: GraspSample, config: ModelConfig, count: int, rng: np.random.Generator) -> tuple[Float32, Float32]:
+def _one(sample: Sample, config: ModelConfig, count: int, rng: np.random.Generator) -> tuple[Float32, Float32]:
     """Random points of a cloud, with normals and in the unit sphere of the whole cloud; and the grasp."""
     try:
         usable = finite_points(sample.cloud, config)
@@ -227,8 +229,8 @@ def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Flo
     actual, mean = labels_of(test)[:, own], labels_of(train)[:, own].mean(axis=0)
     both = {"squared": ((predicted - actual) ** 2).mean(axis=1), "reference": ((mean - actual) ** 2).mean(axis=1)}
     names = np.array([sample.object for sample in test])
-    found = {
+    errors = {
         str(name): {what: values[names == name].round(3).tolist() for what, values in both.items()}
         for name in np.unique(names)
     }
-    return {"labelled": len(split.train), "objects": found}
+    return {"labelled": len(split.train), "objects": errors}

@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.experiments.prequential.results import (
     CONSTANT,
@@ -57,7 +57,7 @@ class PrequentialSettings(Settings):
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
-def ordered(data: Dataset) -> list[GraspSample]:
+def ordered(data: Dataset) -> list[Sample]:
     """Labelled samples in order of time."""
     return sorted(labelled(data), key=lambda sample: sample.stamp_ns)
 
@@ -65,7 +65,11 @@ def ordered(data: Dataset) -> list[GraspSample]:
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
     """A cell for each predictor and object."""
     objects = sorted({sample.object for sample in labelled(data)})
-    return [Cell(f"{one}+{name}", {"predictor": one, "name": name}) for one in settings.predictors for name in objects]
+    return [
+        Cell(f"{predictor}+{name}", {"predictor": predictor, "name": name})
+        for predictor in settings.predictors
+        for name in objects
+    ]
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
@@ -78,13 +82,13 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
         row: Row = {"run": run, "runs": int(runs[-1]) + 1, "readings": whole.readings[runs == run].tolist()}
         if run > 0:
             shown = replace(whole.take(runs <= run), expected=expected_before(samples, runs <= run, runs < run, fit))
-            found = predict_run(shown, *parameters)
-            row |= {what: {name: one.tolist() for name, one in own.items()} for what, own in found.items()}
+            predicted = predict_run(shown, *parameters)
+            row |= {what: {name: values.tolist() for name, values in own.items()} for what, own in predicted.items()}
         rows.append(row)
     return rows
 
 
-def recording_without(samples: Sequence[GraspSample], target: str, fit: Baseline) -> TimedReadings:
+def recording_without(samples: Sequence[Sample], target: str, fit: Baseline) -> TimedReadings:
     """All readings with predictions that know neither the object of the reading nor the target."""
     names, labels = np.array([sample.object for sample in samples]), labels_of(samples)
     expected = np.empty_like(labels)
@@ -94,25 +98,25 @@ def recording_without(samples: Sequence[GraspSample], target: str, fit: Baseline
     return TimedReadings.of_samples(samples, labels, expected, rest).ordered()
 
 
-def _predicted(samples: Sequence[GraspSample], train: Any, tested: Any, fit: Baseline) -> Float64:
+def _predicted(samples: Sequence[Sample], train: Any, tested: Any, fit: Baseline) -> Float64:
     """(T, 50) predictions of the samples of a mask, by a fit to those of another one."""
     known, asked = (list(compress(samples, mask)) for mask in (train, tested))
     return fit(known, labels_of(known), asked, _SEED)
 
 
-def expected_before(samples: Sequence[GraspSample], shown: Any, past: Any, fit: Baseline) -> Float64:
+def expected_before(samples: Sequence[Sample], shown: Any, past: Any, fit: Baseline) -> Float64:
     """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it.
 
     `shown` and `past` are masks of the samples in order of time: up to the end of the run, and before it.
     """
     names = np.array([sample.object for sample in samples])
     target, count = names[shown][-1], int(shown.sum())
-    found = np.tile(labels_of(list(compress(samples, past))).mean(axis=0), (count, 1))
+    expected = np.tile(labels_of(list(compress(samples, past))).mean(axis=0), (count, 1))
     for name in np.unique(names[shown]):
         train = past & ~np.isin(names, [name, target])
         if len(np.unique(names[train])) >= _FEWEST_OBJECTS:
-            found[names[shown] == name] = _predicted(samples, train, shown & (names == name), fit)
-    return found
+            expected[names[shown] == name] = _predicted(samples, train, shown & (names == name), fit)
+    return expected
 
 
 def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:

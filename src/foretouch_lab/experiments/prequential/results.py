@@ -83,16 +83,18 @@ def _joined(rows: Sequence[Row]) -> _Scored:
     return _Scored(TimedReadings(runs, objects.astype(np.str_), readings, counts[NOTHING]), counts, half)
 
 
-def score_sources(found: Mapping[str, Sequence[Row]], config: BootstrapConfig) -> list[Row]:
+def score_sources(by_predictor: Mapping[str, Sequence[Row]], config: BootstrapConfig) -> list[Row]:
     """Rows of `results.csv`.
 
     Args:
-        found: By name of a predictor by vision, the rows of its cells; those of a predictor that lacks a run are left out.
+        by_predictor: By name of a predictor by vision, the rows of its cells; those of a predictor that lacks a run are left out.
         config: Configuration of the bootstrap.
     """
-    scored = {name: _joined(rows) for name, rows in found.items() if len(rows) == rows[0]["runs"]}
+    scored = {name: _joined(rows) for name, rows in by_predictor.items() if len(rows) == rows[0]["runs"]}
     rows = [
-        {"vision": name} | row for name, one in scored.items() for row in _score_rows(one, scored.get(CONSTANT), config)
+        {"vision": name} | row
+        for name, predictions in scored.items()
+        for row in _score_rows(predictions, scored.get(CONSTANT), config)
     ]
     return [{name: row.get(name) for name in _COLUMNS} for row in rows]
 
@@ -139,8 +141,8 @@ def predict_run(
             played["history + touches + last temperature"] = (tracker, earlier)
     half = {}
     for sources, (parameters, recording) in played.items():
-        found = replay(SensorTracker(parameters), recording, keep_sensors=parameters is tracker)
-        counts[sources], half[sources] = found.counts[last], found.half[last]
+        replayed = replay(SensorTracker(parameters), recording, keep_sensors=parameters is tracker)
+        counts[sources], half[sources] = replayed.counts[last], replayed.half[last]
     return {"counts": counts, "half": half}
 
 
@@ -164,16 +166,16 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
     for regime, (low, high) in REGIMES.items():
         chosen = (touches >= low) & (touches <= high) & np.isfinite(recording.expected).all(axis=1)
         names, known = recording.objects[chosen].tolist(), (recording.readings[chosen], reference[chosen])
-        for sources in (one for one in SOURCES if one in scored.counts):
+        for sources in (source for source in SOURCES if source in scored.counts):
             errors, without = (
-                ObjectErrors.of_predictions(names, one.counts[sources][chosen], *known, BIOTAC)
-                for one in (scored, constant or scored)
+                ObjectErrors.of_predictions(names, predictor.counts[sources][chosen], *known, BIOTAC)
+                for predictor in (scored, constant or scored)
             )
-            found = {ALL_OBJECTS: skills(errors, config)}
+            scores = {ALL_OBJECTS: skills(errors, config)}
             if regime == "later" and sources == EVERYTHING:
-                found |= {name: skills(errors.only(name), config) for name in errors.objects}
+                scores |= {name: skills(errors.only(name), config) for name in errors.objects}
             versus = None if constant is None or constant is scored else compare(errors, without, config)
-            for name, skill in found.items():
+            for name, skill in scores.items():
                 where = chosen if name == ALL_OBJECTS else chosen & (recording.objects == name)
                 for modality in MODALITIES:
                     row: Row = {"sources": sources, "regime": regime, "object": name, "modality": modality}

@@ -14,7 +14,7 @@ import numpy as np
 
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.learning.data.training_set import TrainingSet, predict_set
 from foretouch_lab.learning.evaluation import baselines
 from foretouch_lab.learning.evaluation.baselines import Baseline
@@ -33,7 +33,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         changes: Settings of the recipe that differ, by dotted name.
     """
 
-    def _predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    def _predict(train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int) -> Float64:
         from foretouch_lab.learning.training.run_config import load_run_config
         from foretouch_lab.learning.training.supervised import train_network
 
@@ -45,7 +45,7 @@ def network(name: str, training_fraction: float, changes: Mapping[str, Any] | No
         train_index, test_index = np.arange(len(train)), np.arange(len(train), len(data))
         predicted = np.empty((len(test), TOUCH_SIZE))
         together = model.outputs == MODALITIES
-        for outputs in [MODALITIES] if together else [(one,) for one in MODALITIES]:
+        for outputs in [MODALITIES] if together else [(modality,) for modality in MODALITIES]:
             part = replace(data, config=model.replace(outputs=outputs))
             predicted[:, BIOTAC.columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
         if not together:
@@ -65,7 +65,7 @@ def _trees(baseline: Callable[..., Float64], training_fraction: float) -> Baseli
 
 
 def contact_predictor(
-    training_fraction: float, train: Sequence[GraspSample], labels: Float64, seed: int
+    training_fraction: float, train: Sequence[Sample], labels: Float64, seed: int
 ) -> ContactPredictor:
     """The default model, which has its own adaptation to touches, with a share of its trees."""
     from foretouch_lab.learning.training.run_config import load_run_config

@@ -4,7 +4,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from foretouch.tactile import BIOTAC, MODALITIES
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.shared.tables import ALL_OBJECTS, grouped
 from foretouch_lab.learning.data import Dataset
@@ -18,7 +18,7 @@ from foretouch_lab.learning.evaluation.metrics import (
 )
 
 
-def labelled(data: Dataset) -> list[GraspSample]:
+def labelled(data: Dataset) -> list[Sample]:
     """Samples that have a touch, in order."""
     return [sample for sample in data.samples if sample.touch is not None]
 
@@ -53,10 +53,10 @@ def score_table(
 def _complete(rows: Sequence[Row]) -> dict[str, dict[int, list[Row]]]:
     """Rows by predictor and seed, of the predictors that have every part of the table."""
     parts = {seed: {row["part"] for row in own} for seed, own in grouped(rows, "seed")}
-    found = {name: dict(grouped(own, "seed")) for name, own in grouped(rows, "predictor")}
+    by_predictor = {name: dict(grouped(own, "seed")) for name, own in grouped(rows, "predictor")}
     return {
         name: seeds
-        for name, seeds in found.items()
+        for name, seeds in by_predictor.items()
         if all({row["part"] for row in own} == parts[seed] for seed, own in seeds.items())
     }
 
@@ -72,8 +72,8 @@ def _predictor_rows(
             versus[other] = compare(_errors(seeds, common), _errors(complete[other], common), config)
     head = {**head, "seeds": len(seeds)}
     result = _rows({**head, "object": ALL_OBJECTS}, errors, config, {name: versus.get(name) for name in references})
-    for one in errors.objects if len(errors.objects) > 1 else ():
-        result += _rows({**head, "object": one}, errors.only(one), config, dict.fromkeys(references))
+    for object_ in errors.objects if len(errors.objects) > 1 else ():
+        result += _rows({**head, "object": object_}, errors.only(object_), config, dict.fromkeys(references))
     return result
 
 
@@ -90,8 +90,11 @@ def _rows(
     for modality in (*MODALITIES, MEAN):  # a mean of errors of different sensors has no meaning
         row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", own[modality])}
         for name, differences in versus.items():
-            one = differences[modality] if differences else None
-            row |= {**interval_columns(f"vs_{name}", one), f"vs_{name}_verdict": one.verdict if one else None}
+            difference = differences[modality] if differences else None
+            row |= {
+                **interval_columns(f"vs_{name}", difference),
+                f"vs_{name}_verdict": difference.verdict if difference else None,
+            }
         result.append(row)
     return result
 
@@ -113,12 +116,12 @@ def skill_rows(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: Bootstra
         rows: By variant, of `error_rows` on the same grasps.
         bootstrap: Of the intervals.
     """
-    errors = {one: ObjectErrors.of_rows(own, BIOTAC) for one, own in rows.items()}
-    found = {one: skills(own, bootstrap)[MEAN] for one, own in errors.items()}
-    best = max(found, key=lambda one: found[one].value)
+    errors = {variant: ObjectErrors.of_rows(own, BIOTAC) for variant, own in rows.items()}
+    skill_of = {variant: skills(own, bootstrap)[MEAN] for variant, own in errors.items()}
+    best = max(skill_of, key=lambda variant: skill_of[variant].value)
     result = {}
-    for one, own in errors.items():
-        equal = one == best or compare(own, errors[best], bootstrap)[MEAN].verdict == "tie"
+    for variant, own in errors.items():
+        equal = variant == best or compare(own, errors[best], bootstrap)[MEAN].verdict == "tie"
         rmse = {f"{name}_rmse_{modality}": value for modality, value in own.rmse().items()}
-        result[one] = interval_columns(name, found[one]) | rmse | {f"{name}_equals": best if equal else None}
+        result[variant] = interval_columns(name, skill_of[variant]) | rmse | {f"{name}_equals": best if equal else None}
     return result

@@ -42,11 +42,11 @@ def unique(rows: Iterable[Mapping[str, Any]], column: str) -> list[Any]:
 
 def grouped(rows: Iterable[R], *columns: str) -> list[tuple[Any, list[R]]]:
     """Each value of a column, or tuple of values of several, with its rows; in order of their first rows."""
-    found: dict[Any, list[R]] = {}
+    groups: dict[Any, list[R]] = {}
     for row in rows:
         key = row[columns[0]] if len(columns) == 1 else tuple(row[name] for name in columns)
-        found.setdefault(key, []).append(row)
-    return list(found.items())
+        groups.setdefault(key, []).append(row)
+    return list(groups.items())
 
 
 def pivot(
@@ -62,7 +62,7 @@ def pivot(
     """
     body = []
     for name, own in grouped(rows, line):
-        cells = {key: text(*found) for key, found in grouped(own, "modality")}
+        cells = {key: text(*selected) for key, selected in grouped(own, "modality")}
         body.append([label(name), *(cells.get(key, "") for key in names)])
     return body
 
@@ -106,7 +106,7 @@ def _cell(row: Row, references: Sequence[str], of_table: Sequence[Row]) -> str:
     if row["skill_low"] is not None and row["skill_low"] != row["skill_high"]:
         text += f"\n[{short(row['skill_low'])}, {short(row['skill_high'])}]"
     own = select(of_table, predictor=row["predictor"], modality=row["modality"])
-    single = [(one["skill"], one["object"]) for one in own if one["object"] != ALL_OBJECTS]
+    single = [(row["skill"], row["object"]) for row in own if row["object"] != ALL_OBJECTS]
     if len({skill for skill, _ in single}) > 1:
         skill, name = min(single)
         text += f"\n{name} {short(skill)}"

@@ -10,14 +10,15 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from foretouch.dataset.samples import only_finite, open_samples
+from foretouch.dataset.formats import open_samples
+from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import filled, usable, with_dead_taxels
 from foretouch.tactile.description import Sensor, packaged_sensor, sensor_files
-from foretouch.types import Float64, GraspSample, Touch
+from foretouch.types import Float64, Sample, Touch
 from foretouch_lab.dataset.store_writer import SampleFacts
 from foretouch_lab.learning.data.folds import Fold, Indices
 from foretouch_lab.learning.data.splits import SIDES, SPLITS_FILE, make_splits, parse_splits, read_splits
@@ -50,7 +51,7 @@ class Dataset:
     """
 
     name: str
-    samples: tuple[GraspSample, ...]
+    samples: tuple[Sample, ...]
     sha256: str
     splits: dict[str, list[Fold]]
     aliases: tuple[str, ...] = ()
@@ -59,19 +60,19 @@ class Dataset:
     sensor: Sensor = BIOTAC_SP
 
     @cached_property
-    def masked(self) -> tuple[GraspSample, ...]:
+    def masked(self) -> tuple[Sample, ...]:
         """The samples with NaN in touches and tares where a taxel is dead, was not read or is out of its range."""
         return self._with(lambda values: usable(values, self.sensor.channels, self.sensor.valid_values))
 
     @cached_property
-    def filled(self) -> tuple[GraspSample, ...]:
+    def filled(self) -> tuple[Sample, ...]:
         """The samples with `filled` touches and tares."""
         return self._with(lambda values: filled(values, self.sensor))
 
-    def _with(self, change: Callable[[Float64], Float64]) -> tuple[GraspSample, ...]:
+    def _with(self, change: Callable[[Float64], Float64]) -> tuple[Sample, ...]:
         samples = list(self.samples)
         for name in ("touch", "tare"):
-            read = [(k, touch) for k, one in enumerate(samples) if (touch := getattr(one, name)) is not None]
+            read = [(k, touch) for k, sample in enumerate(samples) if (touch := getattr(sample, name)) is not None]
             values = np.array([touch.values for _, touch in read]).reshape(len(read), self.sensor.channels.size)
             for (k, touch), old, new in zip(read, values, change(values), strict=True):
                 if not np.array_equal(old, new):
@@ -124,14 +125,14 @@ class Dataset:
         return Fold(train, np.empty(0, np.intp), unlabelled=np.setdiff1d(np.arange(len(self.samples)), train))
 
 
-class LazySample(GraspSample):
+class LazySample(Sample):
     """A sample in memory but for its cloud, which is read from the store whenever it is used and is not kept.
 
     Clouds that are used in the order of the store cost one read of each batch. A pickle holds the path of the store.
     """
 
     @classmethod
-    def of(cls, sample: GraspSample, store: Store, number: int) -> Self:
+    def of(cls, sample: Sample, store: Store, number: int) -> Self:
         """Sample `number` of a store, read before."""
         stored = cls.__new__(cls)
         vars(stored).update({**vars(sample), "_place": (store, number)})
@@ -146,7 +147,7 @@ class LazySample(GraspSample):
         return only_finite(store[number]).cloud
 
 
-def sample_hash(sample: GraspSample) -> str:
+def sample_hash(sample: Sample) -> str:
     """What identifies a recorded grasp in any dataset, by whatever name: 16 hexadecimal digits.
 
     They cover the finite points, the contacts and the reading as float32, which every format keeps; not the rotation,
@@ -172,7 +173,7 @@ def load_dataset(path: str | Path) -> Dataset:
     path = Path(path)
     opened = open_samples(path)
     store = Store(path) if opened.kind == "store" else None
-    samples: list[GraspSample] = []
+    samples: list[Sample] = []
     content = hashlib.sha256()  # as `content_sha256`, in the same pass
     for read in (record.sample for record in opened.records()) if store is None else store:
         sample = only_finite(read)
@@ -185,7 +186,7 @@ def load_dataset(path: str | Path) -> Dataset:
 
 
 def dataset_of(
-    samples: Sequence[GraspSample],
+    samples: Sequence[Sample],
     name: str = "samples",
     sensor: Sensor | None = None,
     path: Path | None = None,
@@ -207,7 +208,7 @@ def dataset_of(
         raise DatasetError(f"{name}: holds no sample")
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path or name}: two samples have one id")
-    labels = [one.touch for one in samples if one.touch is not None]
+    labels = [sample.touch for sample in samples if sample.touch is not None]
     if sensor is None:
         known = labels[0].channels.sensor if labels else BIOTAC_SP.config.name
         sensor = packaged_sensor(known) if known in sensor_files() else BIOTAC_SP
@@ -219,7 +220,7 @@ def dataset_of(
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
     stored = path is not None and (path / SPLITS_FILE).is_file()
     parts, omitted = read_splits(path) if stored and path else parse_splits(make_splits(facts).encode())
-    places = {one.id: k for k, one in enumerate(samples)}
+    places = {sample.id: k for k, sample in enumerate(samples)}
     splits = {kind: [_fold(part, places) for part in parts[kind]] for kind in parts}
     values = [touch.values for touch in labels if touch.channels == sensor.channels]
     sensor = with_dead_taxels(sensor, np.array(values)) if values else sensor
@@ -228,9 +229,11 @@ def dataset_of(
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
     """A part of `splits.json`, from the place of each sample by its id."""
-    if unknown := [one for side in SIDES for one in part.get(side, ()) if one not in places]:
+    if unknown := [sample_id for side in SIDES for sample_id in part.get(side, ()) if sample_id not in places]:
         raise DatasetError(f"split {part['name']}: {unknown[0]}: is not among the samples")
-    train, test, unlabelled = (np.array([places[one] for one in part.get(side, ())], np.intp) for side in SIDES)
+    train, test, unlabelled = (
+        np.array([places[sample_id] for sample_id in part.get(side, ())], np.intp) for side in SIDES
+    )
     return Fold(np.sort(train), test, part["name"], unlabelled)
 
 

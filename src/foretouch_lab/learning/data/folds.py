@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError, none_of
 from foretouch.processes import process_pool
-from foretouch.types import Float64, GraspSample, Index
+from foretouch.types import Float64, Index, Sample
 from foretouch_lab.dataset.store_writer import SampleFacts
 
 SPLITS: Final = ("random", "time", "object")
@@ -44,7 +44,7 @@ class Fold:
     name: str = ""  # name of the test side
     unlabelled: Indices = field(default_factory=lambda: np.empty(0, np.intp))  # samples to learn from without labels
 
-    def sides(self, samples: Sequence[GraspSample]) -> tuple[list[GraspSample], list[GraspSample]]:
+    def sides(self, samples: Sequence[Sample]) -> tuple[list[Sample], list[Sample]]:
         """Those to learn from with their labels, and those to evaluate on."""
         return [samples[k] for k in self.train], [samples[k] for k in self.test]
 
@@ -60,10 +60,10 @@ def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: i
     """
     parts = zip(*[(predict, fold) for predict, folds in jobs.values() for fold in folds], strict=True)
     with process_pool(workers, _one_thread) if workers > 1 else nullcontext() as pool:
-        found = iter(list(map(_predict, *parts) if pool is None else pool.map(_predict, *parts)))
+        predicted = iter(list(map(_predict, *parts) if pool is None else pool.map(_predict, *parts)))
     result = {}
     for name, (_, folds) in jobs.items():
-        rows = np.concatenate(list(islice(found, len(folds))))
+        rows = np.concatenate(list(islice(predicted, len(folds))))
         result[name] = np.empty_like(rows)
         result[name][np.concatenate([fold.test for fold in folds])] = rows
     return result
@@ -79,7 +79,7 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def make_folds(samples: Sequence[GraspSample | SampleFacts], split: str, seed: int | np.random.Generator) -> list[Fold]:
+def make_folds(samples: Sequence[Sample | SampleFacts], split: str, seed: int | np.random.Generator) -> list[Fold]:
     """The folds of one of `SPLITS`; the seed is that of the random split.
 
     Raises:

@@ -103,8 +103,8 @@ def parse_splits(text: bytes, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     require_schema(file, kinds, {kind: [_PART] for kind in kinds}, "splits")
     require_schema(file, omitted, dict.fromkeys(omitted, str), "omitted")
     for part in (part for parts in kinds.values() for part in parts):
-        ids = Counter(one for side in SIDES for one in part.get(side, ()))
-        if twice := [one for one, count in ids.items() if count > 1]:
+        ids = Counter(sample_id for side in SIDES for sample_id in part.get(side, ()))
+        if twice := [sample_id for sample_id, count in ids.items() if count > 1]:
             raise FileError(file, f"split {shown(part['name'])}: {shown(min(twice))} is listed twice")
     return kinds, omitted
 
@@ -122,7 +122,7 @@ def _parts(kind: str, samples: Sequence[SampleFacts], rng: np.random.Generator) 
         never = [sample.id for sample in samples if not sample.labelled]
         test, ratios = _label_ratios(groups, rng)
         for name, (train, without) in ratios.items():
-            unlabelled = {"unlabelled": found} if (found := ids(without) + never) else {}
+            unlabelled = {"unlabelled": unlabelled_ids} if (unlabelled_ids := ids(without) + never) else {}
             yield {"name": name, "train": ids(train), "test": ids(test), **unlabelled}
         return
     by_fives = kind == "object" and len(set(groups)) >= FOLDS

@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 
 from foretouch.cloud.geometry.sampling import sample_indices
 from foretouch.errors import DatasetError
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 
 
 class TouchDataset(Dataset[tuple[Tensor, Tensor, Tensor]]):
@@ -29,18 +29,18 @@ class TouchDataset(Dataset[tuple[Tensor, Tensor, Tensor]]):
         DatasetError: If no sample is labelled, or a cloud has no finite point.
     """
 
-    def __init__(self, samples: Iterable[GraspSample], points: int = 1024, seed: int = 0) -> None:
+    def __init__(self, samples: Iterable[Sample], points: int = 1024, seed: int = 0) -> None:
         self._items: list[tuple[Tensor, Tensor, Tensor]] = []
-        for one in samples:
-            if one.touch is None:
+        for sample in samples:
+            if sample.touch is None:
                 continue
-            xyz = one.cloud.xyz.reshape(-1, 3)
+            xyz = sample.cloud.xyz.reshape(-1, 3)
             xyz = xyz[np.isfinite(xyz).all(axis=1)]
             if not len(xyz):
-                raise DatasetError(f"{one.id}: cloud: has no finite point")
-            grasp = np.concatenate([one.grasp.g1, one.grasp.g2, one.grasp.rotation.ravel()])
+                raise DatasetError(f"{sample.id}: cloud: has no finite point")
+            grasp = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()])
             chosen = xyz[sample_indices(len(xyz), points, np.random.default_rng(seed))]
-            parts = (torch.from_numpy(np.asarray(part, np.float32)) for part in (chosen, grasp, one.touch.values))
+            parts = (torch.from_numpy(np.asarray(part, np.float32)) for part in (chosen, grasp, sample.touch.values))
             self._items.append((next(parts), next(parts), next(parts)))
         if not self._items:
             raise DatasetError("samples: none is labelled")

@@ -30,7 +30,7 @@ from foretouch.models.network.preparation import (
 )
 from foretouch.tactile import TOUCH_SIZE, touch_faults
 from foretouch.tactile.description import require_same
-from foretouch.types import Float32, Float64, GraspSample, Integer
+from foretouch.types import Float32, Float64, Integer, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data.folds import Indices
 
@@ -95,7 +95,7 @@ class TrainingSet:
     config: ModelConfig  # the network configuration
 
     @classmethod
-    def build(cls, samples: Sequence[GraspSample], config: ModelConfig, *, unlabelled: bool = False) -> TrainingSet:
+    def build(cls, samples: Sequence[Sample], config: ModelConfig, *, unlabelled: bool = False) -> TrainingSet:
         """Prepare samples.
 
         Args:
@@ -130,12 +130,12 @@ class TrainingSet:
         return np.stack([c[sample_indices(len(c), count, rng)] for c in chosen])
 
 
-def labels_of(samples: Sequence[GraspSample]) -> Float64:
+def labels_of(samples: Sequence[Sample]) -> Float64:
     """(S, D) float64 labels [counts]; a `DatasetError` names a sample without one, or with a broken sensor's."""
     return np.array([_label(sample) for sample in samples])
 
 
-def channels_of(samples: Sequence[GraspSample]) -> Channels:
+def channels_of(samples: Sequence[Sample]) -> Channels:
     """Of the touches of labelled samples; a `TactileError` names one of another sensor, a `DatasetError` if there is none."""
     touches = [(sample.id, sample.touch) for sample in samples if sample.touch is not None]
     if not touches:
@@ -146,7 +146,7 @@ def channels_of(samples: Sequence[GraspSample]) -> Channels:
     return channels
 
 
-def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
+def _prepared(sample: Sample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
     """All points, the grasp and the lengths of one sample."""
     try:
         usable = finite_points(sample.cloud, config)
@@ -159,7 +159,7 @@ def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float3
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def _label(sample: GraspSample) -> Float64:
+def _label(sample: Sample) -> Float64:
     if sample.touch is None:
         raise DatasetError(f"{sample.id}: touch: is not labelled")
     if faults := touch_faults(sample.touch):
@@ -175,9 +175,9 @@ def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
     grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
     rows = []
     for i in index:
-        one = np.array([i])
-        points = torch.from_numpy(data.points(one, np.random.default_rng(SAMPLER_SEED))).to(device)
-        grasp = None if grasps is None else grasps[one]
+        row = np.array([i])
+        points = torch.from_numpy(data.points(row, np.random.default_rng(SAMPLER_SEED))).to(device)
+        grasp = None if grasps is None else grasps[row]
         with torch.inference_mode():
             rows.append(net.counts(points, grasp))
     return torch.cat(rows).cpu().numpy().astype(np.float64)

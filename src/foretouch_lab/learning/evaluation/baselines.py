@@ -11,14 +11,14 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from foretouch.types import Float64, GraspSample
+from foretouch.types import Float64, Sample
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.data.folds import Fold
 
 _CONTACT_RADIUS_M: Final = 0.02  # about the size of a fingertip's pad
 
 
-def geometry_features(sample: GraspSample) -> Float64:
+def geometry_features(sample: Sample) -> Float64:
     """(44,) float64: lengths in metres, camera frame; contacts relative to the centroid.
 
     Centroid, extents, spreads along the principal axes, radius and logarithm of the number of points; g1, g2, width, offset
@@ -63,7 +63,7 @@ def _spreads(centred: Float64) -> Float64:
     return np.asarray(np.sqrt(np.maximum(values, 0.0)), np.float64)
 
 
-def pose_free_features(sample: GraspSample) -> Float64:
+def pose_free_features(sample: Sample) -> Float64:
     """(28,) float64: `geometry_features` without the pose of the camera.
 
     Centroid, extents along the camera's axes, rotation and the number of points are left out; places of the contacts, and of
@@ -83,16 +83,16 @@ _MEMORY_DAYS: Final = 10.0
 _LEAF: Final = 3
 _FEATURE_SHARE: Final = 0.5
 
-Baseline: TypeAlias = Callable[[Sequence[GraspSample], Float64, Sequence[GraspSample], int], Float64]
+Baseline: TypeAlias = Callable[[Sequence[Sample], Float64, Sequence[Sample], int], Float64]
 """Fits to training samples and their (S, D) labels, and gives (T, D) predictions of test samples [counts]; the last is the seed."""
 
 
-def training_mean(_train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:
+def training_mean(_train: Sequence[Sample], labels: Float64, test: Sequence[Sample], _seed: int) -> Float64:
     """The mean of all labels for every sample: skill 0 by definition."""
     return np.tile(labels.mean(axis=0), (len(test), 1))
 
 
-def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+def object_mean(train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int) -> Float64:
     """The mean of the labels of the same object; the training mean where the object is new."""
     predicted = training_mean(train, labels, test, seed)
     known = np.array([sample.object for sample in train])
@@ -102,7 +102,7 @@ def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[Gr
 
 
 def object_time_trees(
-    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+    train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
     """Extremely randomised trees on object and time of recording alone."""
     names = sorted({sample.object for sample in train})
@@ -110,7 +110,7 @@ def object_time_trees(
 
 
 def geometry_trees(
-    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+    train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
     """Extremely randomised trees on `geometry_features`."""
     known, asked = (np.array([geometry_features(sample) for sample in side]) for side in (train, test))
@@ -118,14 +118,14 @@ def geometry_trees(
 
 
 def geometry_trees_pose_free(
-    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+    train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
     """Extremely randomised trees on `pose_free_features`: what a model knows that ignores where the camera is."""
     known, asked = (np.array([pose_free_features(sample) for sample in side]) for side in (train, test))
     return _forest(known, labels, asked, seed, trees)
 
 
-def clock(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], _seed: int) -> Float64:
+def clock(train: Sequence[Sample], labels: Float64, test: Sequence[Sample], _seed: int) -> Float64:
     """The level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
 
     The mean of a Gaussian process in time [Rasmussen and Williams 2006, eq. 2.25]: a level with a memory of 10 days, an
@@ -139,23 +139,23 @@ def clock(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSam
     return np.asarray(mean + _level(wanted, known) @ weight, np.float64)
 
 
-def _level(one: Float64, other: Float64) -> Float64:
-    return np.asarray(np.exp(-np.abs(one[:, None] - other) / _MEMORY_DAYS), np.float64)
+def _level(days: Float64, other: Float64) -> Float64:
+    return np.asarray(np.exp(-np.abs(days[:, None] - other) / _MEMORY_DAYS), np.float64)
 
 
-def predict_part(baseline: Baseline, samples: Sequence[GraspSample], seed: int, fold: Fold) -> Float64:
+def predict_part(baseline: Baseline, samples: Sequence[Sample], seed: int, fold: Fold) -> Float64:
     """(T, D) predictions of the test side of a fold by a baseline that is fitted to its training side [counts]."""
     train, test = fold.sides(samples)
     return baseline(train, labels_of(train), test, seed)
 
 
 BASELINES: Final[dict[str, Baseline]] = {
-    one.__name__: one
-    for one in (training_mean, object_mean, object_time_trees, geometry_trees, geometry_trees_pose_free)
+    predict.__name__: predict
+    for predict in (training_mean, object_mean, object_time_trees, geometry_trees, geometry_trees_pose_free)
 }
 
 
-def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Float64:
+def _object_time(samples: Sequence[Sample], names: Sequence[str]) -> Float64:
     """(S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
     days = [sample.stamp_ns / _DAY_NS for sample in samples]
     return np.column_stack([days, [[float(sample.object == name) for name in names] for sample in samples]])

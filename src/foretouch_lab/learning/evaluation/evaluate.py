@@ -16,7 +16,7 @@ from foretouch.models.card import card_sensor, read_card
 from foretouch.models.registry import find_card, load_model
 from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
-from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types import Bool, Float64, Sample
 from foretouch_lab.learning.data.dataset import Dataset
 from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
@@ -97,7 +97,7 @@ def evaluate_model(
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for name, value in values.items():
         scored = score(value, labels, reference, ranges, modalities, valid)
-        scores[name] = {key: {**one, "coverage90": None} for key, one in scored.items()}
+        scores[name] = {key: {**row, "coverage90": None} for key, row in scored.items()}
     if not np.isnan(half).any():
         inside = np.abs(labels - counts) <= half
         for key, row in scores[MODEL].items():
@@ -118,7 +118,7 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
             " nevertheless with --training-scores"
         )
     scores = {
-        who: {key: {"coverage90": None, **one} for key, one in table[kind].items()} for who, table in tables.items()
+        who: {key: {"coverage90": None, **row} for key, row in table[kind].items()} for who, table in tables.items()
     }
     facts = {"samples": card["data"]["samples"], "unfamiliar": None, "split": kind, "scored": "cross_validation"}
     return {"scores": scores, **facts}
@@ -131,31 +131,31 @@ def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool
         same = card["data"].get("sha256") in (data.sha256, *data.aliases) and card["split"].get("name") is None
         return np.full(len(index), True) if same else None
     trained = {text[k : k + 16] for k in range(0, len(text), 16)}
-    return np.array([one in trained for one in data.hashes(index)], np.bool_)
+    return np.array([hash_ in trained for hash_ in data.hashes(index)], np.bool_)
 
 
 _Predictions = tuple[Float64, Float64, int, Ranges]
 """(S, D) predictions, NaN for modalities without; (S, D) half widths of intervals, NaN without [counts]; how many are flagged."""
 
 
-def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
+def _by_model(card_path: Path, samples: Sequence[Sample]) -> _Predictions:
     """Predict as everywhere else, each sample on its own, with its tare where it has one."""
     model = load_model(card_path)
     counts, half = np.full((2, len(samples), model.sensor.channels.size), np.nan)
     unfamiliar = 0
     for k, sample in enumerate(samples):
         tare = sample.tare if model.calibration is not None else None
-        (one,) = model.predict(sample.cloud, [sample.grasp], tare=tare)
-        if not one.ok:
-            raise ModelError(f"{sample.id}: {one.reason}")
-        counts[k] = one.value.values
-        if one.calibrated:
-            half[k] = (one.upper.values - one.lower.values) / 2.0
-        unfamiliar += "unfamiliar" in one.flags
+        (prediction,) = model.predict(sample.cloud, [sample.grasp], tare=tare)
+        if not prediction.ok:
+            raise ModelError(f"{sample.id}: {prediction.reason}")
+        counts[k] = prediction.value.values
+        if prediction.calibrated:
+            half[k] = (prediction.upper.values - prediction.lower.values) / 2.0
+        unfamiliar += "unfamiliar" in prediction.flags
     return counts, half, unfamiliar, model.ranges
 
 
-def _by_network(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
+def _by_network(card_path: Path, samples: Sequence[Sample]) -> _Predictions:
     """Predict by a network that may cover only some of the modalities, all samples at once."""
     from foretouch.models.network.checkpoint import load_network
     from foretouch_lab.learning.network.networks import TouchNet

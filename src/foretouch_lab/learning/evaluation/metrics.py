@@ -94,7 +94,7 @@ def score(
 
 def mean_skill(scores: Mapping[str, Mapping[str, float]]) -> float:
     """Skill averaged over the modalities: the number by which models are selected."""
-    return float(np.mean([one["skill"] for one in scores.values()]))
+    return float(np.mean([score["skill"] for score in scores.values()]))
 
 
 LEAST_OBJECTS: Final = 6
@@ -208,19 +208,19 @@ def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str
     return _estimates(errors, _skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)))
 
 
-def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
+def compare(errors: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
     """Skill of `one` minus that of `other`, by modality and `MEAN`, in the same draws.
 
     Raises:
         DatasetError: If they were not tested on the same grasps against the same training means.
     """
-    same = one.objects == other.objects and np.array_equal(one.counts, other.counts)
-    if not same or not np.allclose(one.reference, other.reference, rtol=1e-9):
+    same = errors.objects == other.objects and np.array_equal(errors.counts, other.counts)
+    if not same or not np.allclose(errors.reference, other.reference, rtol=1e-9):
         raise DatasetError("comparison: the two predictors were not tested on the same grasps")
-    everyone = np.ones((1, len(one.objects)))
-    weights = _weights(len(one.objects), config)
-    value = _skill(one, everyone) - _skill(other, everyone)
-    return _estimates(one, value, _skill(one, weights) - _skill(other, weights))
+    everyone = np.ones((1, len(errors.objects)))
+    weights = _weights(len(errors.objects), config)
+    value = _skill(errors, everyone) - _skill(other, everyone)
+    return _estimates(errors, value, _skill(errors, weights) - _skill(other, weights))
 
 
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:

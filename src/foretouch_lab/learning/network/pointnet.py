@@ -123,9 +123,9 @@ class Layer(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Apply the layer."""
-        found = self.map_of(x)
-        if found is not None:  # saves two passes over the points, and their gradients
-            y = functional.linear(x, *found)
+        affine = self.map_of(x)
+        if affine is not None:  # saves two passes over the points, and their gradients
+            y = functional.linear(x, *affine)
         else:
             y = self.linear(x)
             y = y if self.norm is None else self.norm(y.flatten(0, -2)).view_as(y)
@@ -154,11 +154,11 @@ def pool(layers: nn.Sequential, points: Tensor, precision: torch.dtype = torch.f
     """
     last = layers[-1]
     hidden: Tensor = layers[:-1](points)
-    found = last.map_of(hidden) if isinstance(last, Layer) else None
-    if found is None:
+    affine = last.map_of(hidden) if isinstance(last, Layer) else None
+    if affine is None:
         features: Tensor = last(hidden).amax(dim=1)
         return features
-    weight, bias = found
+    weight, bias = affine
     clouds, size = hidden.shape[:2]
     rows = winners(hidden, weight, precision) + size * torch.arange(clouds, device=hidden.device)[:, None]
     won = hidden.flatten(0, 1).index_select(0, rows.flatten()).view(*rows.shape, -1)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError
 from foretouch.models.calibration import Calibration, CalibrationGroup, tare_offset
-from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types import Bool, Float64, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of
 from foretouch_lab.learning.data.folds import Fold, HoldOut, make_folds, object_folds, predict_folds
@@ -58,7 +58,7 @@ class HeldOutPredictions:
         return replace(self, **arrays)
 
 
-def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
+def calibration_folds(samples: Sequence[Sample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
     """Folds by which training samples are held out for a calibration.
 
     Where an object has fewer samples than there are blocks of time, random folds of the seed replace these.
@@ -80,7 +80,7 @@ def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tu
     return {"known": (time_folds, blocks.astype(np.str_)), "new": (object_folds(list(objects)), objects)}
 
 
-def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
+def rest_level(samples: Sequence[Sample]) -> tuple[Float64, bool]:
     """Sensor readings without contact, and whether they were measured.
 
     Without any tare they are estimated from the labels, value by value: those that contact raises from their low end,
@@ -102,7 +102,7 @@ def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
     return rest, False
 
 
-def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
+def resting_labels(samples: Sequence[Sample], labels: Float64, rest: Float64) -> Float64:
     """(S, D) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
     shifted = labels.copy()
     for k, sample in enumerate(samples):
@@ -112,7 +112,7 @@ def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float6
 
 
 def calibrate_on_folds(
-    samples: Sequence[GraspSample],
+    samples: Sequence[Sample],
     labels: Float64,
     predict: HoldOut,
     seed: int,
@@ -143,11 +143,11 @@ def calibrate_on_folds(
     channels = channels_of(samples)
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])
-    found = {
+    held_out = {
         name: HeldOutPredictions(predicted[name], labels, objects, sessions, channels)
         for name, (_, sessions) in conditions.items()
     }
-    calibration, facts = make_calibration(rest, found)
+    calibration, facts = make_calibration(rest, held_out)
     if all(sample.stamp_ns > 0 for sample in samples):
         recording = replace(TimedReadings.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
@@ -286,15 +286,15 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
         The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out
         of the calibration, by modality and by object.
     """
-    regimes = {name: fit_group(one, new=name == "new") for name, one in held_out.items()}
+    regimes = {name: fit_group(predictions, new=name == "new") for name, predictions in held_out.items()}
     facts = {
         name: {
-            "objects": len(np.unique(one.objects)),
-            "samples": len(one.labels),
-            "cut": round(conformal_level(len(np.unique(one.objects))), 4),
-            "coverage": coverage_by_object(one),
+            "objects": len(np.unique(predictions.objects)),
+            "samples": len(predictions.labels),
+            "cut": round(conformal_level(len(np.unique(predictions.objects))), 4),
+            "coverage": coverage_by_object(predictions),
         }
-        for name, one in held_out.items()
+        for name, predictions in held_out.items()
     }
     return Calibration(held_out["new"].channels, rest, regimes), {"level": COVERAGE, "regimes": facts}
 
@@ -303,11 +303,11 @@ def guarantee(calibration: Mapping[str, Any]) -> str:
     """One line for a card, from the facts of `make_calibration`: the coverage that this many objects can guarantee."""
     new = calibration["regimes"]["new"]
     objects = new["objects"]
-    found = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
+    coverage = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
     least = min(min(table.values()) for table in new["coverage"].values())
     return (
         f"Intervals of {calibration['level']:.0%}: from {objects} objects, a distribution-free guarantee for one more cannot exceed "
-        f"{objects / (objects + 1):.0%}. Mean coverage of objects left out: {found}; of the worst of them {least:.2f}."
+        f"{objects / (objects + 1):.0%}. Mean coverage of objects left out: {coverage}; of the worst of them {least:.2f}."
     )
 
 
@@ -316,15 +316,15 @@ def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, floa
 
     Empty for a single object, which leaves none to calibrate on.
     """
-    found: dict[str, dict[str, float]] = {modality: {} for modality in held_out.channels.modalities}
+    by_modality: dict[str, dict[str, float]] = {modality: {} for modality in held_out.channels.modalities}
     names = np.unique(held_out.objects)
     for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
         inside = np.abs(mine.labels - mine.predicted) <= _half_widths(held_out.take(held_out.objects != name))
-        for modality, shares in found.items():
+        for modality, shares in by_modality.items():
             shares[str(name)] = round(float(inside[:, held_out.channels.modality_columns[modality]].mean()), 3)
     return {
         modality: {"mean": round(float(np.mean(list(shares.values()))), 3), **shares}
-        for modality, shares in found.items()
+        for modality, shares in by_modality.items()
         if shares
     }

@@ -28,7 +28,7 @@ from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
 from foretouch.models.novelty import object_sizes, standardisation
 from foretouch.tactile import BIOTAC, P2_RANGES, Ranges, TactileRanges
-from foretouch.types import Bool, Float64, GraspSample
+from foretouch.types import Bool, Float64, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.learning.data import channels_of, labels_of
 from foretouch_lab.learning.data.folds import Fold, Indices, object_folds
@@ -64,7 +64,7 @@ def choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], channel
         return max(_RIDGES), np.zeros(len(channels.modalities))
     products, powers = _held_out(rows, scaled, np.asarray(objects), channels)
     best = int(np.argmin((powers - 2.0 * products).sum(axis=(1, 2))))
-    return _RIDGES[best], np.array([shrunken_slope(*one) for one in zip(products[best], powers[best], strict=True)])
+    return _RIDGES[best], np.array([shrunken_slope(*terms) for terms in zip(products[best], powers[best], strict=True)])
 
 
 def _held_out(
@@ -128,26 +128,26 @@ class ContactTrainingConfig(Settings):
     ranges: TactileRanges = P2_RANGES
 
 
-def describe_samples(samples: Sequence[GraspSample]) -> Float64:
+def describe_samples(samples: Sequence[Sample]) -> Float64:
     """(S, F) float64 features of each sample's grasp; raises `DatasetError` if a cloud cannot be used."""
     return np.concatenate(
-        [_of(sample, lambda one: HandFrameFeatures(one.cloud.xyz).describe([one.grasp])) for sample in samples]
+        [_of(sample, lambda shown: HandFrameFeatures(shown.cloud.xyz).describe([shown.grasp])) for sample in samples]
     )
 
 
-def describe_objects(samples: Sequence[GraspSample]) -> Float64:
+def describe_objects(samples: Sequence[Sample]) -> Float64:
     """(S, 8) float64 `object_sizes` of each sample's cloud; raises as `describe_samples`."""
-    return np.array([_of(sample, lambda one: object_sizes(one.cloud.xyz)) for sample in samples])
+    return np.array([_of(sample, lambda shown: object_sizes(shown.cloud.xyz)) for sample in samples])
 
 
-def _of(sample: GraspSample, describe: Callable[[GraspSample], Float64]) -> Float64:
+def _of(sample: Sample, describe: Callable[[Sample], Float64]) -> Float64:
     try:
         return describe(sample)
     except CloudError as err:
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def describe_thinned(samples: Sequence[GraspSample], config: ContactTrainingConfig) -> Float64 | None:
+def describe_thinned(samples: Sequence[Sample], config: ContactTrainingConfig) -> Float64 | None:
     """As `describe_samples`, on clouds with a random share of their points, by the seed; None if the share is 1."""
     if config.thinned == 1.0:
         return None
@@ -198,7 +198,9 @@ def fit_contact(
     # Of a value that never changes, such as the force of a taxel beyond all contacts.
     deviation = np.where(deviation > 0.0, deviation, channels.resolution)
     same = np.ptp(labels, axis=0) == 0.0
-    noisy = channels.by_modality([one.noise > 0.0 for one in channels.channel_of.values()])  # and so never the same
+    noisy = channels.by_modality(
+        [channel.noise > 0.0 for channel in channels.channel_of.values()]
+    )  # and so never the same
     if (constant := same & (noisy | same.all())).any():
         raise DatasetError(f"contact model: value {int(np.argmax(constant))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
@@ -247,7 +249,7 @@ class ContactPredictor:
         rows: (S, F) features of the training samples.
     """
 
-    def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactTrainingConfig) -> None:
+    def __init__(self, train: Sequence[Sample], labels: Float64, config: ContactTrainingConfig) -> None:
         self._channels = channels_of(train)
         self.rest, _ = rest_level(train)
         self.rows = describe_samples(train)
@@ -269,11 +271,11 @@ class ContactPredictor:
         thinned = None if self._thinned is None or config.thinned == 1.0 else self._thinned[chosen]
         return fit_contact(self.rows[chosen], self._resting[chosen], objects, config, thinned, self._ranges)
 
-    def predict(self, samples: Sequence[GraspSample]) -> Float64:
+    def predict(self, samples: Sequence[Sample]) -> Float64:
         """(S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""
         return self._estimate(samples)[0]
 
-    def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> tuple[Float64, Float64]:
+    def predict_after(self, touched: Sequence[Sample], samples: Sequence[Sample]) -> tuple[Float64, Float64]:
         """Predictions after touches of the same object, without tares, as `TouchModel.predict` gives them.
 
         Returns:
@@ -285,7 +287,7 @@ class ContactPredictor:
         earlier = sorted(touched, key=lambda sample: sample.stamp_ns)
         return predict_after(self.calibration[0], *(self._recording(part) for part in (earlier, samples)))
 
-    def _recording(self, samples: Sequence[GraspSample]) -> TimedReadings:
+    def _recording(self, samples: Sequence[Sample]) -> TimedReadings:
         """Samples with their predictions by vision, without their tares."""
         expected, familiar = self._estimate(samples)
         labels = labels_of(samples) if samples else expected
@@ -299,12 +301,12 @@ class ContactPredictor:
     def _without(self, fold: Fold) -> Float64:
         return self.fit(fold.train).predict_rows(self.rows[fold.test])[0]
 
-    def _estimate(self, samples: Sequence[GraspSample]) -> tuple[Float64, Bool]:
+    def _estimate(self, samples: Sequence[Sample]) -> tuple[Float64, Bool]:
         """Predictions before any touch and at rest level; each sample is described only once."""
         new = [sample for sample in samples if sample.id not in self._predicted]
         if new:
             pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)
             self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
-        found = [self._predicted[sample.id] for sample in samples]
-        counts = np.array([counts for counts, _ in found]).reshape(len(found), self._channels.size)
-        return counts, np.array([familiar for _, familiar in found], np.bool_)
+        predictions = [self._predicted[sample.id] for sample in samples]
+        counts = np.array([counts for counts, _ in predictions]).reshape(len(predictions), self._channels.size)
+        return counts, np.array([familiar for _, familiar in predictions], np.bool_)

@@ -8,15 +8,13 @@ from typing import Any
 
 from foretouch.dataset.samples import SampleSet
 from foretouch.models import TouchModel, load_model
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.learning.data.dataset import dataset_of, load_dataset
 from foretouch_lab.learning.training.run import train_run
 from foretouch_lab.learning.training.run_config import load_run_config
 
 
-def fit(
-    samples: SampleSet | Sequence[GraspSample] | str | Path, recipe: str, settings: Mapping[str, Any]
-) -> TouchModel:
+def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str, settings: Mapping[str, Any]) -> TouchModel:
     """See `foretouch.fit`; the files of the model are in a temporary folder that lives as long as the model."""
     if isinstance(samples, str | Path):
         data = load_dataset(samples)

@@ -122,16 +122,18 @@ def compare_splits(
     samples, labels, seed = learner.samples, learner.labels, learner.config.seed
     ranges, results = learner.config.ranges(learner.sensor.channels), {}
     predictors = {MODEL: learner.predict_fold}
-    predictors |= {name: partial(predict_part, one, samples, seed) for name, one in BASELINES.items()}
+    predictors |= {name: partial(predict_part, baseline, samples, seed) for name, baseline in BASELINES.items()}
     for split in splits:
         condition = {"time": "known", "object": "new"}.get(split)  # whose folds are those of the calibration
         folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
         predicted = predict_folds({name: (predictor, folds) for name, predictor in predictors.items()}, workers)
         reference, valid = predicted[training_mean.__name__], learner.sensor.valid_values
-        results[split] = {name: score(one, labels, reference, ranges, valid=valid) for name, one in predicted.items()}
-        for name, one in results[split].items():
-            skills = {modality: round(row["skill"], 3) for modality, row in one.items()}
-            report({"split": split, "who": name, "mean_skill": round(mean_skill(one), 3), "skill": skills})
+        results[split] = {
+            name: score(values, labels, reference, ranges, valid=valid) for name, values in predicted.items()
+        }
+        for name, scores in results[split].items():
+            skills = {modality: round(row["skill"], 3) for modality, row in scores.items()}
+            report({"split": split, "who": name, "mean_skill": round(mean_skill(scores), 3), "skill": skills})
     return results
 
 
@@ -179,8 +181,8 @@ def _release_facts(
     rounded = {
         split: {
             name: {key: {"rmse": round(s["rmse"], 2), "nrmse": round(s["nrmse"], 4), "skill": round(s["skill"], 4)}
-                   for key, s in one.items()}
-            for name, one in scores.items()
+                   for key, s in by_modality.items()}
+            for name, by_modality in scores.items()
         }
         for split, scores in results.items()
     }  # fmt: skip

@@ -75,7 +75,7 @@ class RunConfig(Settings):
         if self.calibrate is None:
             object.__setattr__(self, "calibrate", not self.has_network)
         for group, methods in GROUPS.items():
-            given, default = (getattr(one, group).to_mapping() for one in (self, type(self)))
+            given, default = (getattr(config, group).to_mapping() for config in (self, type(self)))
             changed = [key for key in given if given[key] != default[key]]
             if self.method not in methods and changed:
                 raise ConfigError(f"{group}.{changed[0]}: has no effect on method {self.method!r}")
@@ -127,7 +127,7 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
     """
     path = Path(config)
     folder = Path(str(resources.files("foretouch_lab.learning"))) / _RECIPES
-    recipes = {one.stem: one for one in sorted(folder.glob("*.yaml"))}
+    recipes = {recipe_file.stem: recipe_file for recipe_file in sorted(folder.glob("*.yaml"))}
     if path.is_file() or path.suffix or len(path.parts) > 1 or str(config) in recipes:
         file = path if path.is_file() else recipes.get(str(config), path)
         mapping = _with_network(load_yaml(file), file.parent)

@@ -59,8 +59,8 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         seal = plain.pop(_SEAL)
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(path, f"is not a state of training: {' '.join(str(err).split())}") from err
-    if seal != (found := _digest(tensors, plain)):
-        raise FileError(path, f"{found} is not {shown(seal)}: the file was changed", field=_SEAL)
+    if seal != (digest := _digest(tensors, plain)):
+        raise FileError(path, f"{digest} is not {shown(seal)}: the file was changed", field=_SEAL)
     return tensors, plain
 
 

@@ -132,11 +132,11 @@ class SrganTrainer(Trainer):
         """
         used = [labelled, unlabelled, *([fake] if self.config.loss.loss_variant != "as_printed" else [])]
         features = self.net.features
-        if self.config.batch_norm == "frozen" and all(one.shape[1:] == labelled.shape[1:] for one in used):
+        if self.config.batch_norm == "frozen" and all(cloud.shape[1:] == labelled.shape[1:] for cloud in used):
             return list(features(torch.cat(used)).chunk(len(used)))
         known = features(labelled)
         with statistics_kept(self.net):
-            return [known, *(features(one) for one in used[1:])]
+            return [known, *(features(cloud) for cloud in used[1:])]
 
     def _fake(self, count: int) -> Tensor:
         noise = draw_noise(count, self.config.generator, torch.default_generator)

@@ -72,8 +72,8 @@ def fit_tracker(recording: TimedReadings, new: CalibrationGroup, known: Calibrat
         np.ones(len(channels.modalities)),
     )
     replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters)
-    found = _least(replayed.losses, _PRIOR[0], _LIMITS, len(channels.modalities))
-    slow, fast, lasting, slow_s, fast_s, tare, noise = np.exp(found)[replayed.owner].T
+    solution = _least(replayed.losses, _PRIOR[0], _LIMITS, len(channels.modalities))
+    slow, fast, lasting, slow_s, fast_s, tare, noise = np.exp(solution)[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
     states = {"slow": slow * replayed.lasting, "fast": fast * replayed.lasting, "object": objects}
@@ -112,7 +112,7 @@ class _Replay:
     def with_slopes(self, parameters: TrackerParameters) -> TrackerParameters:
         """The same parameters with the most likely slopes of the taxels of each finger."""
         fingers = len(self._channels.fingers)
-        taxels = [k for k, one in enumerate(self._channels.channel_of.values()) if one.size > 1]
+        taxels = [k for k, channel in enumerate(self._channels.channel_of.values()) if channel.size > 1]
         unit = np.where(np.isin(self._channels.modality_of_value, taxels), 1.0, 0.0)
         inverse = np.linalg.inv(parameters.basis)
         mean_of, variance_of = inverse @ unit, inverse**2 @ unit
@@ -130,8 +130,8 @@ class _Replay:
             prior_loss = 0.5 * (((tried - _SLOPE_PRIOR[0]) / _SLOPE_PRIOR[1]) ** 2).sum(axis=2)
             return np.asarray(total[:, taxels].reshape(len(tried), -1, fingers).sum(axis=1) + prior_loss, np.float64)
 
-        found = _least(losses, _SLOPE_PRIOR[0], _SLOPE_LIMITS, fingers)
-        mean, deviation = found[self._channels.finger_of_value].T
+        fitted = _least(losses, _SLOPE_PRIOR[0], _SLOPE_LIMITS, fingers)
+        mean, deviation = fitted[self._channels.finger_of_value].T
         return replace(parameters, slope=unit * mean, slope_sd=unit * np.exp(deviation))
 
     def losses(self, logs: Float64) -> Float64:
@@ -165,11 +165,11 @@ class _Replay:
 
 def _temperature(tdc: Float64) -> Float64:
     """(S, 2) difference of TDC from its first value; the one before where none was read, 0 before the first."""
-    found = tdc.copy()
-    for k in range(1, len(found)):
-        found[k] = np.where(np.isnan(found[k]), found[k - 1], found[k])
-    first = [column[np.isfinite(column)][:1].sum() for column in found.T]
-    return np.asarray(np.nan_to_num(found - first), np.float64)
+    filled = tdc.copy()
+    for k in range(1, len(filled)):
+        filled[k] = np.where(np.isnan(filled[k]), filled[k - 1], filled[k])
+    first = [column[np.isfinite(column)][:1].sum() for column in filled.T]
+    return np.asarray(np.nan_to_num(filled - first), np.float64)
 
 
 def _least(losses: Callable[[Float64], Float64], start: Float64, limits: Float64, groups: int) -> Float64:
@@ -184,12 +184,12 @@ def _least(losses: Callable[[Float64], Float64], start: Float64, limits: Float64
 
     def total(flat: Float64) -> tuple[float, Float64]:
         values = flat.reshape(groups, -1)
-        found = losses(np.concatenate([values[None], values + steps]))
-        return float(found[0].sum()), ((found[1:] - found[0]) / _STEP).T.reshape(-1)
+        all_losses = losses(np.concatenate([values[None], values + steps]))
+        return float(all_losses[0].sum()), ((all_losses[1:] - all_losses[0]) / _STEP).T.reshape(-1)
 
     bounds, options = np.tile(limits, (groups, 1)), {"maxiter": _ITERATIONS}
-    found = minimize(total, np.tile(start, groups), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return np.asarray(found.x.reshape(groups, -1), np.float64)
+    minimum = minimize(total, np.tile(start, groups), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return np.asarray(minimum.x.reshape(groups, -1), np.float64)
 
 
 def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int, x: Float64 | None) -> Float64:
@@ -232,9 +232,9 @@ def fit_places(parameters: TrackerParameters, recording: TimedReadings) -> Track
     best, highest = parameters, -np.inf
     for length in _LENGTHS:
         tried = [replace(patient, where_scale=length * unit, where_ratio=none + ratio) for ratio in _RATIOS]
-        found = np.array([nowhere, *(count * _likelihood(one, recording) for one in tried)])
-        if (total := found.max(axis=0).sum()) > highest:
-            ratio = np.array([0.0, *_RATIOS])[found.argmax(axis=0)]
+        likelihoods = np.array([nowhere, *(count * _likelihood(candidate, recording) for candidate in tried)])
+        if (total := likelihoods.max(axis=0).sum()) > highest:
+            ratio = np.array([0.0, *_RATIOS])[likelihoods.argmax(axis=0)]
             highest, best = total, replace(parameters, where_scale=length * unit, where_ratio=ratio)
     return best
 

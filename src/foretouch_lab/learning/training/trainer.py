@@ -69,10 +69,10 @@ class EpochsConfig(Settings):
     @property
     def resolved_device(self) -> str:
         """`cpu` or `cuda`; a `ConfigError` if a GPU is configured and there is none."""
-        found = torch.cuda.is_available()
-        if self.device == "cuda" and not found:
+        has_cuda = torch.cuda.is_available()
+        if self.device == "cuda" and not has_cuda:
             raise ConfigError("device: cuda: torch finds no GPU; choose auto or cpu")
-        return "cuda" if found and self.device != "cpu" else "cpu"
+        return "cuda" if has_cuda and self.device != "cpu" else "cpu"
 
 
 def other_default(name: str, default: Any) -> Any:

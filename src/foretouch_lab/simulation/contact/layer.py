@@ -55,7 +55,7 @@ _TABLE = 2401
 _WAVES = 30.0  # t beyond which M - 1 is below 1e-20
 _CACHED = 64  # spectra kept, 130 kB each at N = 64
 
-_layer_descent = Kernel("layer_descent", *[np.float64] * 2, int, float, int, float, float, int, *[np.float64] * 2)
+_layer_descent = Kernel("layer_descent")
 
 
 def _layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:

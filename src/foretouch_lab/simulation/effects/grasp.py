@@ -135,12 +135,12 @@ def _first_touch(job: Job, state: SampleState) -> None:
         if array:
             middle = array.middle
             start = ContactFrame(finger.origin + tip @ (middle.origin - aimed.origin), tip @ middle.rotation)
-            found = _meet(array.window.depth, state.bodies[0], start, array.window.x, array.window.y)
+            meeting = _meet(array.window.depth, state.bodies[0], start, array.window.x, array.window.y)
         else:
-            found = _meet(pad_depth(pad_config, aimed, x, y), state.bodies[0], finger, x, y)
-        if found is None:
+            meeting = _meet(pad_depth(pad_config, aimed, x, y), state.bodies[0], finger, x, y)
+        if meeting is None:
             raise SimulationError(f"{item.name}: the {name} closes beside the object", "misses")
-        point, normal, way_m = found
+        point, normal, way_m = meeting
         slope = _slope(-float(normal @ finger.normal))
         if slope > item.friction:
             raise SimulationError(

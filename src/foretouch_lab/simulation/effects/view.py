@@ -97,7 +97,7 @@ def _against(bodies: list[Body], body: Body, rng: np.random.Generator) -> Body:
 
 def _free_path(body: Body, other: Body, towards: Float64) -> float:
     """How far a body can move along a unit vector (3,) until it touches another [m]: vertices of one on faces of the other."""
-    mine, theirs = (one.position + (one.mesh.vertices * one.size) @ one.rotation.T for one in (body, other))
+    mine, theirs = (solid.position + (solid.mesh.vertices * solid.size) @ solid.rotation.T for solid in (body, other))
     ahead = other.cast(mine, np.broadcast_to(towards, mine.shape)).t
     back = body.cast(theirs, np.broadcast_to(-towards, theirs.shape)).t
     return float(min(ahead.min(), back.min()))
@@ -203,10 +203,10 @@ def _cloud(job: Job, state: SampleState) -> None:
 def _segmented(job: Job, state: SampleState) -> None:
     depth = np.where(np.isfinite(state.depth), state.depth, np.nan)
     image = (job.world.rays * depth[..., None]) @ job.world.view.R_world_camera
-    found = segment(Cloud(image.astype(np.float32), None, CAMERA_FRAME))
-    seen = max((np.isin(state.pixels, one.pixels) for one in found.objects), key=np.count_nonzero, default=None)
+    scene = segment(Cloud(image.astype(np.float32), None, CAMERA_FRAME))
+    seen = max((np.isin(state.pixels, object_.pixels) for object_ in scene.objects), key=np.count_nonzero, default=None)
     if seen is None or np.count_nonzero(seen) < _FEWEST_POINTS:
-        raise SimulationError(f"{job.item.name}: segmentation does not find it: {found.reason}", "too_few_points")
+        raise SimulationError(f"{job.item.name}: segmentation does not find it: {scene.reason}", "too_few_points")
     state.cloud, state.pixels = state.cloud.take(seen), state.pixels[seen]
 
 

@@ -67,25 +67,23 @@ def _read(path: str, content: bytes) -> TriangleMesh:
 
     suffix = Path(path).suffix.lower()
     try:  # of the content alone: a file that it names is not opened
-        found: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], force="mesh", process=False)
-        usable = (
-            np.isfinite(found.vertices).all() and found.faces.min() >= 0 and found.faces.max() < len(found.vertices)
-        )
-        if usable and len(found.faces) <= _MOST_FACES:
-            found.merge_vertices(merge_tex=True, merge_norm=True)
-            found.update_faces(found.nondegenerate_faces() & found.unique_faces())
-            found.remove_unreferenced_vertices()
-            closed = found.is_watertight and found.is_winding_consistent and found.extents.min() > 0.0
+        mesh: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], force="mesh", process=False)
+        usable = np.isfinite(mesh.vertices).all() and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
+        if usable and len(mesh.faces) <= _MOST_FACES:
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+            mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+            mesh.remove_unreferenced_vertices()
+            closed = mesh.is_watertight and mesh.is_winding_consistent and mesh.extents.min() > 0.0
     except Exception as err:  # whatever a damaged file makes of the reader
         raise FileError(path, f"holds no triangle that can be read: {described(err)}") from err
     if not usable:
-        raise FileError(path, f"a face of the mesh names no vertex of the {len(found.vertices)}, or one is not finite")
-    if len(found.faces) > _MOST_FACES:
-        raise FileError(path, f"holds {len(found.faces)} triangles, more than {_MOST_FACES}")
+        raise FileError(path, f"a face of the mesh names no vertex of the {len(mesh.vertices)}, or one is not finite")
+    if len(mesh.faces) > _MOST_FACES:
+        raise FileError(path, f"holds {len(mesh.faces)} triangles, more than {_MOST_FACES}")
     if not closed:
         raise FileError(path, "the mesh is flat, or has an edge that is not shared by two faces")
-    vertices, faces = np.array(found.vertices, np.float64), np.array(found.faces, np.int64)
-    if found.volume < 0.0:  # it is inside out
+    vertices, faces = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64)
+    if mesh.volume < 0.0:  # it is inside out
         faces = np.ascontiguousarray(faces[:, ::-1])
     if suffix == ".glb":  # glTF has y up, all others as they were drawn: z up here
         vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

@@ -137,8 +137,8 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
         mesh = _BUILDERS[shape]()
     else:
         sha256, _, path = shape.partition(":")
-        mesh, found = read_mesh_file(path)
-        if found != sha256:
+        mesh, digest = read_mesh_file(path)
+        if digest != sha256:
             raise SimulationError(f"{path}: has changed since the scene was read", "mesh")
     return mesh.in_unit_box()
 
@@ -195,7 +195,7 @@ def _rounded_box(edge_radius: float, cells: int = 6) -> TriangleMesh:
     # Equal angles on the rounding: tan spaces the grid so that normals turn by equal steps.
     bend = inner + edge_radius * np.tan(np.linspace(0.0, np.pi / 4.0, _ROUNDING + 1)[1:])
     line = np.concatenate([-bend[::-1], np.linspace(-inner, inner, cells + 1), bend])
-    u, v = (one.ravel() for one in np.meshgrid(line, line, indexing="ij"))
+    u, v = (grid.ravel() for grid in np.meshgrid(line, line, indexing="ij"))
     index = np.arange(len(u)).reshape(len(line), len(line))
     quads = _quads(index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
     sides: list[Float64] = []

@@ -294,7 +294,7 @@ def scene_hash(settings: dict[str, Any], sensor: Sensor | None = None) -> str:
     """SHA-256 of a scene's plain settings, and of the array of taxels if it has one; paths of meshes and sensors do not count."""
     counted = _counted(settings, _CONSTANTS)
     if sensor is not None:
-        noise = [one.noise for one in (*sensor.config.values, *sensor.config.scalars)]
+        noise = [channel.noise for channel in (*sensor.config.values, *sensor.config.scalars)]
         counted["taxels"] = {**_TAXELS, "sensor": sensor.sha256, "noise": noise, "valid": sensor.valid.tolist()}
     text = json.dumps(counted, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()

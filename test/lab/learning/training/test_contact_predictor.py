@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 from recording_builders import read_folder
 
 from foretouch.models.contact.estimator import save_contact
-from foretouch.models.hand_history import HandHistory
+from foretouch.models.history import History
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC
-from foretouch.types import GraspSample
+from foretouch.types import Sample
 from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
 from foretouch_lab.learning.training.contact import ContactPredictor, describe_samples, fit_contact
@@ -35,9 +35,9 @@ def tared() -> ContactPredictor:
     return ContactPredictor(TARED[:40], labels_of(TARED[:40]), FEW_TREES)
 
 
-def by_touch_model(model: TouchModel, touched: list[GraspSample], sample: GraspSample) -> np.ndarray:
+def by_touch_model(model: TouchModel, touched: list[Sample], sample: Sample) -> np.ndarray:
     """(2, 50) value and half width by the history of a hand."""
-    history = HandHistory(model)
+    history = History(model)
     for one in touched:
         history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
     read = history.snapshot(max([sample.stamp_ns, *(one.stamp_ns for one in touched)]), same_object=True)

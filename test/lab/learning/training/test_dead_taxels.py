@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from run_builders import run_config, write_store
 
-from foretouch.models.hand_history import HandHistory
+from foretouch.models.history import History
 from foretouch.models.registry import load_model
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
-from foretouch.types import GraspSample, Touch
+from foretouch.types import Sample, Touch
 from foretouch_lab.learning.data import Dataset, load_dataset
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model
 from foretouch_lab.learning.training.run import train_run
@@ -22,7 +22,7 @@ CONTACT = {"method": "contact", "contact": {"trees": 4}}
 FIFTH, ELEVENTH = BIOTAC_SP.taxel_columns[0, [5, 11], 0]
 
 
-def damaged(sample: GraspSample, column: int = FIFTH, value: float = 800.0) -> GraspSample:
+def damaged(sample: Sample, column: int = FIFTH, value: float = 800.0) -> Sample:
     assert sample.touch is not None
     values = np.where(np.arange(50) == column, value, sample.touch.values)
     return replace(sample, touch=Touch(values, sample.touch.channels))
@@ -56,6 +56,7 @@ def test_the_card_names_it_and_its_predictions_are_not_valid(broken: Dataset, ca
     assert "out_of_range" not in one.flags  # by the mean of the neighbours, not by 800
 
 
+@pytest.mark.slow
 def test_it_is_left_out_of_scores_and_others_score_as_without_it(broken: Dataset, card: Path) -> None:
     scores = evaluate_model(card, broken, "random", training_scores=True)
     assert scores["not_scored"] == {"TH": [5]}
@@ -74,7 +75,7 @@ def test_what_a_dead_electrode_reads_does_not_matter_to_a_hand(broken: Dataset, 
     asked = broken.samples[1]
 
     def after(column: int, value: float, tare: bool) -> np.ndarray:
-        hand, sample = HandHistory(model), damaged(broken.samples[0], column, value)
+        hand, sample = History(model), damaged(broken.samples[0], column, value)
         assert sample.touch is not None
         if tare:
             hand.add_tare(10**9, sample.touch)

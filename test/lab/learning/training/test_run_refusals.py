@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError, ModelError
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, GraspSample
+from foretouch.types import Cloud, Sample
 from foretouch_lab.learning.data import Dataset
 from foretouch_lab.learning.training.run import train_run
 from foretouch_lab.learning.training.run_config import RunConfig
@@ -27,7 +27,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def with_first(data: Dataset, sample: GraspSample) -> Dataset:
+def with_first(data: Dataset, sample: Sample) -> Dataset:
     return replace(data, samples=(sample, *data.samples[1:]))
 
 

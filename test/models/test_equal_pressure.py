@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from foretouch.cloud.io.files import read_cloud
+from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
-from foretouch.report.equal_pressure import EQUAL_PRESSURE, equal_groups, flag_equal_pressures
 from foretouch.types import ASSUMED_TABLE, Predictions
 
 CAN = Path(__file__).parents[2] / "examples" / "data" / "can.ply"

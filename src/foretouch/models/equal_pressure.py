@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foretouch.models.touch_model import TouchModel
-from foretouch.report.taxel_view import TaxelView
 from foretouch.tactile import Ranges
+from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Float64, Index, Predictions, Touch
 
 EQUAL_PRESSURE: Final = "equal_pressure"

@@ -28,18 +28,18 @@ class TaxelView:
     def channel(self) -> Channel:
         """The channel of the taxels that is shown: the last one that contact moves in one direction, else the last."""
         channels = self.sensor.taxel_channels
-        return next((one for one in reversed(channels) if one.contact), channels[-1])
+        return next((channel for channel in reversed(channels) if channel.contact), channels[-1])
 
     @cached_property
     def modalities(self) -> list[str]:
         """Those of the scalars and of the shown channel."""
         shown = (*self.sensor.scalar_channels, self.channel)
-        return [name for name, one in self.sensor.channels.channel_of.items() if one in shown]
+        return [name for name, channel in self.sensor.channels.channel_of.items() if channel in shown]
 
     def columns(self, finger: int) -> Index:
         """(N,) columns of a touch: the values of the shown channel."""
-        found: Index = self.sensor.taxel_columns[finger, :, self.sensor.taxel_channels.index(self.channel)]
-        return found
+        taxels: Index = self.sensor.taxel_columns[finger, :, self.sensor.taxel_channels.index(self.channel)]
+        return taxels
 
     def has_rest(self, rest: Touch | None) -> bool:
         """Whether changes from rest are known: with a reading at rest, or where that is zero."""
@@ -60,9 +60,13 @@ class TaxelView:
 
     def label(self, *, from_rest: bool) -> str:
         """What `levels` are, with their unit."""
-        one = self.channel
-        change = {-1: "drop", 0: "change", 1: "rise"}[one.contact]
-        return f"{change} of {one.name} from rest [{one.unit}]" if from_rest else f"{one.name} [{one.unit}]"
+        channel = self.channel
+        change = {-1: "drop", 0: "change", 1: "rise"}[channel.contact]
+        return (
+            f"{change} of {channel.name} from rest [{channel.unit}]"
+            if from_rest
+            else f"{channel.name} [{channel.unit}]"
+        )
 
     def shares(self, values: Float64, rest: Touch | None, ranges: Ranges, finger: int) -> Float64:
         """(..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.
@@ -87,23 +91,23 @@ class TaxelView:
 
         By the first scalar that contact raises or lowers; where there is none, by the mean of the shares of the valid taxels.
         """
-        for k, one in enumerate(self.sensor.scalar_channels):
-            if one.contact:
+        for k, channel in enumerate(self.sensor.scalar_channels):
+            if channel.contact:
                 columns = self.sensor.scalar_columns[:, k]
                 low, high = ranges.low[columns], ranges.high[columns]
-                moved = values[..., columns] - low if one.contact > 0 else high - values[..., columns]
+                moved = values[..., columns] - low if channel.contact > 0 else high - values[..., columns]
                 return np.asarray(moved / (high - low), np.float64)
         fingers = range(len(self.fingers))
         shares = [self.shares(values, rest, ranges, k)[..., self.sensor.valid[k]] for k in fingers]
         none = np.full(values.shape[:-1], np.nan)
-        return np.stack([one.mean(axis=-1) if one.shape[-1] else none for one in shares], axis=-1)
+        return np.stack([share.mean(axis=-1) if share.shape[-1] else none for share in shares], axis=-1)
 
     def scalars(self, finger: int, value: Touch, around: Prediction | None = None) -> str:
         """The scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""
         texts = []
-        for one, column in zip(self.sensor.scalar_channels, self.sensor.scalar_columns[finger], strict=True):
+        for channel, column in zip(self.sensor.scalar_channels, self.sensor.scalar_columns[finger], strict=True):
             half = ""
             if around is not None and around.calibrated:
-                half = f" ± {one.text((around.upper.values[column] - around.lower.values[column]) / 2.0)}"
-            texts.append(f"{one.name} {one.text(value.values[column])}{half}")
+                half = f" ± {channel.text((around.upper.values[column] - around.lower.values[column]) / 2.0)}"
+            texts.append(f"{channel.name} {channel.text(value.values[column])}{half}")
         return ", ".join(texts)

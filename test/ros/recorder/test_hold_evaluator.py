@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from foretouch.dataset.pairing.matcher import SETTLE_NS
 from foretouch.models.touch_hold import load_touch_hold
-from foretouch.ros.recorder.touch_hold import HoldEvaluator
+from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import packaged_sensor
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg

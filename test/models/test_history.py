@@ -18,11 +18,11 @@ from numpy.testing import assert_array_equal
 from safetensors.numpy import load, save
 
 from foretouch.errors import CloudError, FileError, TactileError
-from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
+from foretouch.models.history import History, HistoryFile, read_history
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import TouchModel
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, GraspSample, Prediction, Touch
+from foretouch.types import Cloud, Prediction, Sample, Touch
 
 CARD = {"name": "small", "sha256": "0" * 64}
 SAMPLES = make_samples(3, 6)
@@ -35,7 +35,7 @@ def model() -> TouchModel:
     return TouchModel(small_estimator(), CARD, make_tracked_calibration())
 
 
-def read(history: HandHistory, samples: list[GraspSample], *, tare: Touch | None = None) -> HandHistory:
+def read(history: History, samples: list[Sample], *, tare: Touch | None = None) -> History:
     for number, one in enumerate(samples):
         if tare is not None:
             history.add_tare(one.stamp_ns, tare)
@@ -43,7 +43,7 @@ def read(history: HandHistory, samples: list[GraspSample], *, tare: Touch | None
     return history
 
 
-def predict(history: HandHistory, sample: GraspSample, stamp_ns: int = 0, *, same: bool = False) -> Prediction:
+def predict(history: History, sample: Sample, stamp_ns: int = 0, *, same: bool = False) -> Prediction:
     at = history.snapshot(stamp_ns or sample.stamp_ns, same_object=same)
     (found,) = history.model.predict(sample.cloud, [sample.grasp], history=at)
     return found
@@ -52,14 +52,14 @@ def predict(history: HandHistory, sample: GraspSample, stamp_ns: int = 0, *, sam
 def test_readings_of_another_object_move_predictions_and_narrow_them(model: TouchModel) -> None:
     sample = SECOND[0]
     (unread,) = model.predict(sample.cloud, [sample.grasp])
-    history = read(HandHistory(model), FIRST)
+    history = read(History(model), FIRST)
     after = predict(history, sample)
     assert (unread.reference, after.reference) == ("none", "history")
     assert (after.evidence.touches, after.evidence.readings) == (0, 6)
     assert after.evidence.reading_age_s == pytest.approx((sample.stamp_ns - FIRST[-1].stamp_ns) / S)
     assert (half(after) < half(unread)).all()
     assert not np.allclose(after.value.values, unread.value.values)
-    own = predict(read(HandHistory(model), FIRST), FIRST[0], FIRST[-1].stamp_ns, same=True)
+    own = predict(read(History(model), FIRST), FIRST[0], FIRST[-1].stamp_ns, same=True)
     assert (own.reference, own.evidence.touches, own.evidence.touch_age_s) == ("touches", 6, 0.0)
 
 
@@ -75,7 +75,7 @@ def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
     assert (shift > 0.0).all()
     assert 10.0 < shift.mean() < 40.0  # part of its way from rest
     assert (half(tared) < half(unread)).mean() > 0.9
-    history = HandHistory(model)
+    history = History(model)
     history.add_tare(sample.stamp_ns, tare)
     history.add_tare(sample.stamp_ns + 30 * S, biotac_touch(REST - 40.0))  # within a minute of the last one
     at = history.snapshot(sample.stamp_ns, same_object=False, tare=True)
@@ -84,7 +84,7 @@ def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
 
 
 def test_an_object_is_recognised_by_place_and_size(model: TouchModel) -> None:
-    history = read(HandHistory(model), FIRST)
+    history = read(History(model), FIRST)
     cloud = FIRST[-1].cloud
     squares_overflow = cloud.xyz.copy()
     squares_overflow[:2, 1] = 3e38
@@ -105,7 +105,7 @@ def test_an_object_is_recognised_by_place_and_size(model: TouchModel) -> None:
 
 
 def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
-    history = read(HandHistory(model), FIRST[:2])
+    history = read(History(model), FIRST[:2])
     before = history.to_tensors()
     dead = biotac_touch(np.zeros(50))
     one = FIRST[2]
@@ -121,10 +121,10 @@ def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
 
 def test_a_restart_in_the_middle_changes_no_bit(model: TouchModel, tmp_path: Path) -> None:
     tare = biotac_touch(REST + 15.0)
-    whole = read(HandHistory(model), FIRST, tare=tare)
+    whole = read(History(model), FIRST, tare=tare)
     file = HistoryFile(tmp_path / "right.safetensors", "right")
     assert file.read(model) is None
-    half_way = read(HandHistory(model), FIRST[:3], tare=tare)
+    half_way = read(History(model), FIRST[:3], tare=tare)
     file.write(half_way)
     file.close()
     again = HistoryFile(tmp_path / "right.safetensors", "right").read(model)
@@ -139,7 +139,7 @@ def test_a_restart_in_the_middle_changes_no_bit(model: TouchModel, tmp_path: Pat
 @pytest.fixture
 def path(model: TouchModel, tmp_path: Path) -> Path:
     file = HistoryFile(tmp_path / "right.safetensors", "right")
-    file.write(read(HandHistory(model), FIRST))
+    file.write(read(History(model), FIRST))
     file.close()
     return file.path
 
@@ -186,7 +186,7 @@ def test_every_damage_and_impossible_values_though_sealed_are_refused(model: Tou
 
 def test_one_process_at_a_time_uses_a_file(path: Path) -> None:
     file = HistoryFile(path, "right")
-    code = f"from pathlib import Path; from foretouch.models.hand_history import HistoryFile as F; F(Path({str(path)!r}), 'right')"
+    code = f"from pathlib import Path; from foretouch.models.history import HistoryFile as F; F(Path({str(path)!r}), 'right')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "right.safetensors: is used by another process" in done.stderr
     file.close()
@@ -207,7 +207,7 @@ def test_a_keeper_sets_the_file_of_another_model_aside(tmp_path: Path) -> None:
 
 
 def test_readings_ahead_of_a_clock_that_was_set_back_count_as_taken_now(model: TouchModel) -> None:
-    history = read(HandHistory(model), FIRST)
+    history = read(History(model), FIRST)
     now, touches = FIRST[-1].stamp_ns, history.touches
     assert not history.keep_to_clock(now - 50 * S)  # of jitter
     assert not history.keep_to_clock(0)  # before `/clock`

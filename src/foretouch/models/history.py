@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the fingertips of one hand have read so far, of whatever object, and the file that keeps it across restarts.
 
-`HandHistory` compares readings with the predictions of one model and feeds the differences to a `SensorTracker`.
+`History` compares readings with the predictions of one model and feeds the differences to a `SensorTracker`.
 Another object forgets the last one's part and keeps the state of the sensors.
 
 The file of a hand is a safetensors file that is replaced as a whole and holds a hash of its content. Its age needs no
@@ -25,7 +25,7 @@ from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.files import free_name, open_own, read_bytes, replace_files, system_errors
 from foretouch.models.files import packed, under
-from foretouch.models.touch_model import Estimate, HasCloud, History, TouchModel
+from foretouch.models.touch_model import Estimate, HasCloud, Snapshot, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.description import require_same
@@ -50,7 +50,7 @@ def place_and_size(cloud: Cloud) -> Float64:
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
-class HandHistory:
+class History:
     """Readings of one hand, compared with the predictions of one model. Not thread-safe.
 
     Args:
@@ -186,7 +186,7 @@ class HandHistory:
         replace_files({Path(path): _content(self, "")})
 
     @classmethod
-    def load(cls, path: str | Path, model: TouchModel) -> "HandHistory":
+    def load(cls, path: str | Path, model: TouchModel) -> "History":
         """Read what `save` wrote, or the file of a hand; errors as of `read_history`."""
         return read_history(Path(path), model)
 
@@ -259,7 +259,7 @@ class HandHistory:
         history._tare_ns = int(tensors["tare_ns"][0])
         return history
 
-    def snapshot(self, stamp_ns: int, *, same_object: bool, tare: bool = False, tdc: Float64 | None = None) -> History:
+    def snapshot(self, stamp_ns: int, *, same_object: bool, tare: bool = False, tdc: Float64 | None = None) -> Snapshot:
         """The readings so far, for predictions at a time; later readings do not change it.
 
         Args:
@@ -268,7 +268,7 @@ class HandHistory:
             tare: Whether a tare was taken shortly before.
             tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
-        return History(self.tracker.copy(), stamp_ns, same_object=same_object, tare=tare, tdc=tdc)
+        return Snapshot(self.tracker.copy(), stamp_ns, same_object=same_object, tare=tare, tdc=tdc)
 
     def _counted(self, restarted: tuple[str, ...]) -> tuple[str, ...]:
         for finger in restarted:
@@ -306,7 +306,7 @@ class HistoryFile:
             os.close(self._lock)
             self._lock = -1
 
-    def read(self, model: TouchModel) -> HandHistory | None:
+    def read(self, model: TouchModel) -> History | None:
         """What was read before; None without a file.
 
         Raises:
@@ -316,7 +316,7 @@ class HistoryFile:
             return read_history(self.path, model, self._hand)
         return None
 
-    def write(self, history: HandHistory) -> None:
+    def write(self, history: History) -> None:
         """Replace the file.
 
         Raises:
@@ -336,7 +336,7 @@ class HistoryFile:
         return kept
 
 
-def _content(history: HandHistory, hand: str) -> bytes:
+def _content(history: History, hand: str) -> bytes:
     tensors = history.to_tensors()
     tensors |= {"version": np.array([VERSION], np.int64), "hand": _text(hand), "model": _text(history.model.name)}
     channels = history.model.sensor.channels
@@ -346,7 +346,7 @@ def _content(history: HandHistory, hand: str) -> bytes:
     return packed({**tensors, "sha256": np.frombuffer(sha256, np.uint8)})[0]
 
 
-def read_history(path: Path, model: TouchModel, hand: str | None = None) -> HandHistory:
+def read_history(path: Path, model: TouchModel, hand: str | None = None) -> History:
     """The history in a hand's file.
 
     Args:
@@ -380,7 +380,7 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Hand
         if own is not None and stored != own:
             raise FileError(path, f"{name}: is of {stored!r}, not of {own!r}")
     try:
-        return HandHistory.from_tensors(model, tensors)
+        return History.from_tensors(model, tensors)
     except ModelError as err:
         raise FileError(path, str(err)) from err
 

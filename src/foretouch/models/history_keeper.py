@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from foretouch.errors import ConfigError, FileError, described
-from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.history import History, HistoryFile
 from foretouch.models.touch_model import TouchModel
 
 
@@ -47,7 +47,7 @@ class HistoryKeeper:
                 history = self._read(self._file, model, info)
             except FileError as err:
                 self._fail(f"{err}; readings are not kept")
-        self.history = history or HandHistory(model)
+        self.history = history or History(model)
         if self._file is not None:
             self._thread = threading.Thread(target=self._run, args=(self._file,), name="history", daemon=True)
             self._thread.start()
@@ -76,7 +76,7 @@ class HistoryKeeper:
         if self._file is not None:
             self._file.close()
 
-    def _read(self, file: HistoryFile, model: TouchModel, info: Callable[[str], object]) -> HandHistory | None:
+    def _read(self, file: HistoryFile, model: TouchModel, info: Callable[[str], object]) -> History | None:
         try:
             history = file.read(model)
         except FileError as err:
