@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.models.timing import MachineLoad
+from foretouch_lab.experiments.framework.timing import MachineLoad
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 
 ROOT: Final = Path(__file__).parents[1]

@@ -97,3 +97,14 @@ def edit_card(card: Path, **changes: Any) -> None:
     """Replace fields of a model card, or remove those whose value is `...`."""
     document = json.loads(card.read_text()) | changes
     card.write_text(json.dumps({key: value for key, value in document.items() if value is not ...}))
+
+
+def can_with_grasps(count: int) -> tuple[Cloud, list[Grasp]]:
+    """Make a can of 3000 points on a table below the camera, and grasps across it."""
+    rng = np.random.default_rng(0)
+    angle, along = rng.uniform(0.0, np.pi, 3000), rng.uniform(-0.055, 0.055, 3000)
+    xyz = np.column_stack([along, 0.035 * np.cos(angle), 1.15 - 0.035 * np.sin(angle)])
+    cloud = Cloud((xyz + rng.normal(0.0, 5e-4, xyz.shape)).astype(np.float32))
+    across = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # z across the can
+    places = rng.uniform(-0.04, 0.04, count)
+    return cloud, [Grasp(np.array([x, 0.034, 1.148]), np.array([x, -0.034, 1.148]), across) for x in places]

@@ -289,19 +289,10 @@ class Pipeline:
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
 
     def predict(
-        self,
-        target: Object,
-        grasps: Sequence[Grasp],
-        *,
-        tare: Touch | None = None,
-        history: Snapshot | None = None,
-        model: TouchModel | None = None,
+        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: Snapshot | None = None
     ) -> Predictions:
-        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once.
-
-        A `model` is used instead of the configured one.
-        """
-        model = model or self.model
+        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
+        model = self.model
         if not grasps:
             return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")
         predictions = model.predict(

@@ -97,7 +97,7 @@ def test_every_option_of_a_number_refuses_what_no_command_can_use(call, files) -
         for action in parser._actions
         if callable(action.type) and _takes_a_number(action.type)
     }
-    assert {"record --seconds", "dataset build --seed", "predict --budget-ms", *CHECKED_LATER} <= set(options)
+    assert {"record --seconds", "dataset build --seed", *CHECKED_LATER} <= set(options)
 
     def check(name: str, text: str) -> None:
         if text == "0" and name.endswith(MAY_BE_ZERO):
@@ -160,7 +160,8 @@ REFUSED = (  # nodes and parameters of a file
     ("/left/perceptoin", "autostart: true", "did you mean /foretouch/perception?"),
     ("/foretouch/touch_predictor", "use_tarre: false", ": use_tarre: unknown parameter; did you mean use_tare?"),
     ("/foretouch/grasp", "use_tare: false", ": use_tare: unknown parameter"),  # a parameter of another node
-    ("/**", "latency_budget: 5.0", "did you mean latency_budget_ms?"),
+    ("/foretouch/perception", "latency_budget_ms: 5.0", "latency_budget_ms: was removed in 0.4"),
+    ("/**", "late_after: 5.0", "did you mean late_after_s?"),
     ("/foretouch/*", "silense_s: 3.0", "did you mean silence_s?"),
     ("/foretouch/recorder", "points:", "points: is empty"),
     ("/foretouch/touch_predictor", "hand: right", "hand: is called hand_name since 0.4"),
@@ -205,3 +206,19 @@ def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -
             check_parameters(["--ros-args", *words], KNOWN, ["grasp"], "/foretouch")
         assert text in str(err.value)
     check_parameters(["--ros-args", "-p", "grasp.count:=3"], KNOWN, ["grasp"], "/foretouch")
+
+
+def test_parameters_of_single_steps_are_refused_by_perception(tmp_path) -> None:
+    pytest.importorskip("rclpy")
+    from foretouch.errors import ConfigError
+    from foretouch.ros.graph import NODES as KNOWN
+    from foretouch.ros.runtime.parameter_files import check_parameters
+
+    path = tmp_path / "old.yaml"
+    path.write_text("/foretouch/touch_predictor:\n  ros__parameters:\n    model: default\n")
+    arguments = ["--ros-args", "--params-file", str(path)]
+    check_parameters(arguments, KNOWN, ["touch_predictor"], "/foretouch")
+    with pytest.raises(ConfigError) as err:
+        check_parameters(arguments, KNOWN, ["perception"], "/foretouch")
+    rule = "model: the node /foretouch/perception has these parameters since 0.4: move them there"
+    assert str(err.value) == f"{path}: /foretouch/touch_predictor: {rule}"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrated_models import save_small_network
-from contact_model_builders import small_estimator
+from contact_model_builders import can_with_grasps, small_estimator
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.estimator import save_contact
@@ -76,13 +76,15 @@ sys.exit(any(name in sys.modules for name in ("torch", "sklearn")))
 
 def test_a_network_predicts_where_torch_is_not_installed(tmp_path: Path) -> None:
     model_card = save_small_network(tmp_path, "small", np.linspace(1700.0, 3300.0, 50))
+    cloud, (grasp,) = can_with_grasps(1)
+    np.save(tmp_path / "can.npy", cloud.xyz)
     code = f"""
 import sys, numpy as np
 sys.modules["torch"] = None
-from foretouch import load_model
-from foretouch.models.budget import profile_scene
-cloud, grasps = profile_scene(2)
-sys.exit(not load_model({str(model_card)!r}).predict(cloud, grasps).ok.all())
+from foretouch import Cloud, Grasp, load_model
+xyz = np.load({str(tmp_path / "can.npy")!r})
+grasp = Grasp(np.array([0.0, 0.034, 1.148]), np.array([0.0, -0.034, 1.148]), np.array({grasp.rotation.tolist()!r}))
+sys.exit(not load_model({str(model_card)!r}).predict(Cloud(xyz), [grasp]).ok.all())
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -296,16 +296,16 @@ def model_card(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture
 def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], list[Any]]]:
     """Starts a touch predictor; gives it, a function that sends it a cloud with a grasp by stamp, and its answers."""
+    from contact_model_builders import can_with_grasps
     from sensor_msgs.msg import PointCloud2
 
-    from foretouch.models.budget import profile_scene
     from foretouch.pipeline import Object
     from foretouch.ros.messages.clouds import objects_to_msg
     from foretouch.ros.messages.conversions import grasp_to_msg
     from foretouch.types import ASSUMED_TABLE
     from foretouch_msgs.msg import GraspArray, TouchPredictionArray
 
-    cloud, planned = profile_scene(1)
+    cloud, planned = can_with_grasps(1)
 
     def start(**parameters: Any) -> tuple[Any, Callable[[int], None], list[Any]]:
         (node,) = graph.add("touch_predictor", **parameters)

@@ -24,7 +24,6 @@ def test_every_status_reference_flag_and_rule_is_explained():
         "similar_touches",
         "equal_pressure",
         "late",
-        "reduced",
         "fallback_model",
         "ambiguous_target",
         "unknown_frame",

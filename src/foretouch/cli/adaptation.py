@@ -51,14 +51,9 @@ class Adaptation:
             self.model.new_tracker()
 
     def predict(
-        self,
-        pipeline: Pipeline,
-        target: Object,
-        grasps: Sequence[Grasp],
-        sample: Sample | None,
-        model: TouchModel | None = None,
+        self, pipeline: Pipeline, target: Object, grasps: Sequence[Grasp], sample: Sample | None
     ) -> Predictions:
-        """Predict K grasps on one object, by a reduced form of the model if one is given.
+        """Predict K grasps on one object.
 
         A `DatasetError` if a sample lacks the requested tare, or is of another object than the touches.
         """
@@ -68,8 +63,8 @@ class Adaptation:
         tare = _own_tare(sample) if self.own else self.tare
         touched = others(self.touched, sample)
         if not (touched or self.history or self.hand is not None):
-            return pipeline.predict(target, grasps, tare=None if tare is None else tare[0], model=model)
-        return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample), model=model)
+            return pipeline.predict(target, grasps, tare=None if tare is None else tare[0])
+        return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample))
 
     def _history_of(
         self, touched: Sequence[Sample], tare: tuple[Touch, Float64] | None, sample: Sample | None

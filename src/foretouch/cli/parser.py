@@ -12,7 +12,7 @@ _MANY: Final = 10  # options that need no groups
 _GROUPS: Final = {
     "what is read": "topic intrinsics camera_info depth_scale mask target pixel point plane scene grasp data source dwell rate loop restamp resume "
     "sensor thumb middle check assume_grasps object objects",
-    "model and adaptation": "model tare touched history prequential budget_ms tip_mm slide_m vary",
+    "model and adaptation": "model tare touched history prequential tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain wait_for "
     "wait_limit no_wait",
     "what is written": "json out output picture serve save screenshot labels_out no_sheet redraw",

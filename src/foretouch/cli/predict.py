@@ -8,16 +8,16 @@ predicted from all readings before it.
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
 from foretouch.cli.answers import contacts_text, modality_text, prediction_record
-from foretouch.cli.output import print_json, print_table, warn
+from foretouch.cli.output import print_json, print_table
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
 from foretouch.laboratory import laboratory
@@ -26,11 +26,8 @@ from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
 from foretouch.pipeline import Object, Pipeline
 from foretouch.tactile import BIOTAC
-from foretouch.types import LATE, REDUCED, Grasp, Prediction, Predictions, Reference, Sample, Touch
+from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
-
-if TYPE_CHECKING:
-    from foretouch.models.budget import LatencyBudget
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,12 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="contacts [m] (default: the sample's own, or planned ones)",
     )
     inputs.add_options(parser, "--model", *inputs.ADAPTED)
-    parser.add_argument(
-        "--budget-ms",
-        type=inputs.positive_value,
-        metavar="T",
-        help="predict the grasps of each object within this time, by a cheaper form of the model where it is needed, which is flagged",
-    )
     parser.add_argument(
         "--prequential",
         action="store_true",
@@ -65,21 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
     pipeline = Pipeline(inputs.pipeline_config(arguments, defaults=defaults))
     adaptation = read_adaptation(arguments, pipeline.model)
-    budget = None
-    if arguments.budget_ms is not None:
-        from foretouch.models.budget import LatencyBudget, load_warm
-
-        budget = LatencyBudget(arguments.budget_ms / 1e3, *load_warm(pipeline.model))
-    answer = partial(_answer, arguments, pipeline, adaptation, budget)
+    answer = partial(_answer, arguments, pipeline, adaptation)
     return inputs.process_inputs(arguments, answer, partial(_show, channels=pipeline.model.sensor.channels))
 
 
 def _answer(
-    arguments: argparse.Namespace,
-    pipeline: Pipeline,
-    adaptation: Adaptation,
-    budget: "LatencyBudget | None",
-    item: SourceItem,
+    arguments: argparse.Namespace, pipeline: Pipeline, adaptation: Adaptation, item: SourceItem
 ) -> Iterator[inputs.Record]:
     """Predictions for each object of an input."""
     targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
@@ -96,7 +78,7 @@ def _answer(
                 raise
             grasps, reason = [], str(err)
         planned = time.perf_counter()
-        predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
+        predictions = adaptation.predict(pipeline, target, grasps, item.sample)
         predictions = flag_equal_pressures(predictions, pipeline.model)
         ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
         refused = predictions.reason[~predictions.ok].tolist()
@@ -110,39 +92,16 @@ def _answer(
             "reason": "; ".join(refused) or reason,
             "predictions": [prediction_record(one) for one in predictions],
             "model": _named(pipeline.model),
-            **level,
             "touched": len(others(adaptation.touched, item.sample)),
             "ms": {**ms, "total": sum(ms.values())},
             "failed": not predictions or bool(refused),
         }
 
 
-def _predict(
-    adaptation: Adaptation,
-    budget: "LatencyBudget | None",
-    pipeline: Pipeline,
-    target: Object,
-    grasps: Sequence[Grasp],
-    sample: Sample | None,
-) -> tuple[Predictions, inputs.Record]:
-    """Predictions, and what the budget chose for the record."""
-    if budget is None or not grasps:
-        return adaptation.predict(pipeline, target, grasps, sample), {}
-    chosen = budget.begin(len(grasps), time.monotonic())
-    predictions = adaptation.predict(pipeline, target, grasps, sample, chosen.level.model)
-    late = budget.end(chosen)
-    if not chosen.affordable:
-        warn(
-            f"--budget-ms: {budget.budget_s * 1e3:g}: nothing meets it for {len(grasps)} grasps: {chosen.level.name} is used"
-        )
-    predictions = predictions.flagged(REDUCED, rows=chosen.reduced).flagged(LATE, rows=late)
-    return predictions, {"level": chosen.level.name}
-
-
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
     replay_model = laboratory("learning.prequential", "--prequential").replay_model
-    for name in ("tare", "touched", "grasp", "budget_ms", "mask", "picture", "pixel", "point"):
+    for name in ("tare", "touched", "grasp", "mask", "picture", "pixel", "point"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 

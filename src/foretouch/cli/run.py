@@ -339,7 +339,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     conflicts = report_conflicts(graph)
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": view.answers, "reasons": view.reasons}
+        counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
         if "hand" in graph.nodes:
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         _print_end(arguments.lines, counts)

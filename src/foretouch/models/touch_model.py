@@ -137,13 +137,7 @@ class TouchModel:
         estimator: Predicts from the cloud and the grasp alone.
     """
 
-    def __init__(
-        self,
-        estimator: Estimator,
-        card: Mapping[str, Any],
-        calibration: Calibration | None = None,
-        widen: Float64 | None = None,
-    ) -> None:
+    def __init__(self, estimator: Estimator, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)
@@ -153,7 +147,6 @@ class TouchModel:
         self.estimator = estimator
         self.path: Path | None = None  # of its card, where it was loaded
         self.kept: object = None  # lives as long as the model: a temporary folder with its files
-        self._widen = widen
 
     @property
     def simulated(self) -> bool:
@@ -179,10 +172,6 @@ class TouchModel:
             folder.mkdir(parents=True, exist_ok=True)
         replace_files(files)
         return folder / self.path.name
-
-    def reduced(self, estimator: Estimator, widen: Float64) -> "TouchModel":
-        """The same model with a cheaper estimator, and (D,) factors of the half widths of its intervals."""
-        return TouchModel(estimator, self.card, self.calibration, widen)
 
     def new_tracker(self) -> SensorTracker:
         """A tracker of a hand whose readings are compared with predictions; `ModelError` without a calibration."""
@@ -314,27 +303,28 @@ class TouchModel:
     ) -> Predictions:
         """Rows of values with their intervals and flags; a row that is not finite is refused."""
         half = np.full(counts.shape, np.nan) if half is None else half
-        half = half if self._widen is None else half * self._widen
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
+        outside = self.ranges.outside(counts).any(axis=1) & finite
+        unknown = ~estimate.in_distribution & finite
+        marks = {"out_of_range": outside, "unfamiliar": unknown}
+        marks |= {flag: rows & unknown for flag, rows in estimate.reasons.items()}
+        marked = {flag: rows.tolist() for flag, rows in marks.items() if rows.any()}
+        flags = [tuple(flag for flag, rows in marked.items() if rows[k]) for k in range(len(grasps))]
         predictions = Predictions(
             counts,
             grasps,
             self.sensor.channels,
             counts - half,
             counts + half,
+            flags=objects(flags),
             reference=objects([reference] * len(grasps)),
             evidence=objects([evidence] * len(grasps)),
         )
-        if not finite.all():
-            reason = "the model gives a value that is not finite"
-            refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
-            predictions = predictions.put(~finite, refused)
-        outside = np.asarray(self.ranges.outside(counts).any(axis=1) & finite, np.bool_)
-        unknown = ~estimate.in_distribution & finite
-        predictions = predictions.flagged("out_of_range", outside).flagged("unfamiliar", unknown)
-        for flag, rows in estimate.reasons.items():
-            predictions = predictions.flagged(flag, np.asarray(rows & unknown, np.bool_))
-        return predictions
+        if finite.all():
+            return predictions
+        reason = "the model gives a value that is not finite"
+        refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
+        return predictions.put(~finite, refused)
 
 
 def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:

@@ -28,7 +28,6 @@ from foretouch.types.cloud import ASSUMED_TABLE, NO_CLOUD, SQUARABLE, Cloud, Pla
 from foretouch.types.grasps import NO_GRASP, NO_GRASPS, Grasp, Grasps, WayIn
 from foretouch.types.predictions import (
     LATE,
-    REDUCED,
     UNKNOWN_FRAME,
     Evidence,
     Predicted,
@@ -44,7 +43,6 @@ __all__ = [
     "NO_CLOUD",
     "NO_GRASP",
     "NO_GRASPS",
-    "REDUCED",
     "SECOND_NS",
     "SQUARABLE",
     "UNKNOWN_FRAME",

@@ -71,12 +71,12 @@ class Columns:
             object.__setattr__(self, info.name, array)
 
     def __len__(self) -> int:
-        return len(getattr(self, self.column_names()[0]))
+        return len(getattr(self, _columns(type(self))[0].name))
 
     @classmethod
     def column_names(cls) -> tuple[str, ...]:
         """Names of the columns, in order."""
-        return tuple(info.name for info in _columns(cls))
+        return _names(cls)
 
     def take(self, rows: Rows) -> Self:
         """Select rows by a slice, a mask (K,) or indices."""
@@ -106,6 +106,8 @@ class Columns:
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
         """Rows of several of these, one after the other; what is not a column is of the first, and there is at least one."""
+        if len(parts) == 1:
+            return parts[0]
         joined = {}
         for name in cls.column_names():
             columns = [getattr(part, name) for part in parts]
@@ -119,15 +121,20 @@ def _find_columns(kind: Any) -> "tuple[Field[Any], ...]":
 
 
 _columns: "Callable[[Any], tuple[Field[Any], ...]]" = cache(_find_columns)
+_names: "Callable[[Any], tuple[str, ...]]" = cache(lambda kind: tuple(info.name for info in _columns(kind)))
 
 
 def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:
+    if shape == row:
+        return True
     return len(shape) == len(row) and all(size in (None, own) for size, own in zip(row, shape, strict=True))
 
 
 def _array(value: Any, dtype: Any, count: int, row: tuple[int | None, ...]) -> AnyArray:
     """Rows as an array; a single value is repeated for each row, where their number is known."""
     if dtype is object:
+        if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1:
+            return value
         return objects(value if isinstance(value, np.ndarray | list) else [value] * max(count, 0))
     array = np.asarray(value, dtype)
     return array if array.ndim or count < 0 else np.full((count, *(size or 0 for size in row)), array)

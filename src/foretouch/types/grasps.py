@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Self, overload
 import numpy as np
 
 from foretouch.errors import ForetouchError, GraspError
-from foretouch.types.arrays import Columns, Float64, Objects, Rows, column
+from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,19 +62,26 @@ class Grasp:
         return float(np.linalg.norm(self.g1 - self.g2))
 
 
+def _all_finite(rows: Float64) -> Bool:
+    """Say which of K rows (K, ...) are finite: (K,) bool."""
+    return np.asarray(np.isfinite(rows).all(axis=tuple(range(1, rows.ndim))), np.bool_)
+
+
 def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
     """Say why (K, 3) contacts and (K, 3, 3) rotations are no grasps: not finite, or both contacts at one place; else ""."""
     apart = (g1 != g2).any(axis=1)
-    finite = np.stack([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in (g1, g2, rotation)])
+    finite = {"g1": _all_finite(g1), "g2": _all_finite(g2), "rotation": _all_finite(rotation)}
+    fine = apart & finite["g1"] & finite["g2"] & finite["rotation"]
     faults = [""] * len(g1)
-    for k in np.flatnonzero(~(apart & finite.all(axis=0))).tolist():
+    if fine.all():
+        return faults
+    for k in np.flatnonzero(~fine).tolist():
         arrays = {"g1": g1[k], "g2": g2[k], "rotation": rotation[k]}
-        wrong = next((name for name, fine in zip(arrays, finite, strict=True) if not fine[k]), "")
-        faults[k] = (
-            f"{wrong}: {arrays[wrong].tolist()} is not finite"
-            if wrong
-            else f"g1, g2: both contacts are at {g1[k].tolist()}"
-        )
+        wrong = next((name for name in arrays if not finite[name][k]), "")
+        if wrong:
+            faults[k] = f"{wrong}: {arrays[wrong].tolist()} is not finite"
+        else:
+            faults[k] = f"g1, g2: both contacts are at {g1[k].tolist()}"
     return faults
 
 

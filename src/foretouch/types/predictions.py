@@ -15,13 +15,10 @@ from foretouch.types.grasps import Grasp, Grasps
 Reference = Literal["none", "tare", "touches", "history"]
 
 LATE: Final = "late"
-"""Flag of a prediction of an old cloud, or beyond the latency budget."""
+"""Flag of a prediction of an old cloud."""
 
 UNKNOWN_FRAME: Final = "unknown_frame"
 """Flag of the answer to a request in a frame that is not that of the graph's clouds, where no transform is known."""
-
-REDUCED: Final = "reduced"
-"""Flag of a prediction by a cheaper form of the model, to meet the latency budget."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +93,7 @@ class Predictions(Columns, Sequence["Prediction"]):
     channels: Channels = NO_CHANNELS  # what the D values are
     lower: Float64 = column(None, default=np.nan)  # (K, D) float64, lower bounds of the prediction intervals
     upper: Float64 = column(None, default=np.nan)  # (K, D) float64, upper bounds
-    # (K,) tuples of `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `reduced`, `fallback_model`,
+    # (K,) tuples of `out_of_range`, `unfamiliar`, `similar_touches`, `equal_pressure`, `late`, `fallback_model`,
     # `ambiguous_target`, `unknown_frame`
     flags: Objects = column(default=(), dtype=object)
     status: Objects = column(default="ok", dtype=object)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`

@@ -4,12 +4,14 @@
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_model_builders import FEW_TREES
 from every_case import every_case
-from experiment_samples import make_collection
+from experiment_samples import make_collection, make_samples
 
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
@@ -19,7 +21,10 @@ from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.manifest import read_results
 from foretouch_lab.experiments.framework.tradeoff import Area, Panel, TradeoffSettings, find_area, frontier, list_areas
 from foretouch_lab.experiments.shared.scores import skill_rows
+from foretouch_lab.experiments.tradeoff_model import fewer_trees
+from foretouch_lab.learning.data import labels_of
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.training.contact import describe_samples, fit_contact
 
 ROOT = Path(__file__).parents[3]
 GRASPS = make_collection()
@@ -246,3 +251,17 @@ def test_more_grasps_are_more_skilful_and_take_the_robot_longer(monkeypatch) -> 
     epoch, epochs = area.timed(variants["network as shipped"], settings, GRASPS)
     assert epochs == 120.0
     assert epoch(1)["loss"] > 0.0
+
+
+def test_cheaper_contact_models() -> None:
+    samples = make_samples()
+    rows = describe_samples(samples)
+    objects = [sample.object for sample in samples]
+    large, small = (fit_contact(rows, labels_of(samples), objects, FEW_TREES.replace(trees=trees)) for trees in (4, 2))
+    np.testing.assert_array_equal(fewer_trees(large, 2).predict_rows(rows)[0], small.predict_rows(rows)[0])
+    np.testing.assert_array_equal(fewer_trees(large, 9).predict_rows(rows)[0], large.predict_rows(rows)[0])
+    changed = rows.copy()
+    changed[:, -14:] += 1.0  # the second contact
+    plain = replace(large, surroundings=False)
+    np.testing.assert_array_equal(plain.predict_rows(rows)[0], plain.predict_rows(changed)[0])
+    assert np.abs(large.predict_rows(rows)[0] - plain.predict_rows(rows)[0]).max() > 1e-3

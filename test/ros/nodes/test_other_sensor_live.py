@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from calibrated_models import make_calibration
 from constant_models import constant_model, counted, sensor_with_dead
+from contact_model_builders import can_with_grasps
 from rich.console import Console
 from visualization_msgs.msg import MarkerArray
 
@@ -13,7 +14,6 @@ from foretouch.cli.answers import answer_record
 from foretouch.cli.live import live_panel
 from foretouch.cli.run import _draw
 from foretouch.errors import ModelError
-from foretouch.models.budget import profile_scene
 from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg, prediction_from_msg
@@ -68,7 +68,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
         console.print(live_panel(monitor.view(), "title"))
     for words in ("Z_TH", "Z_FF", "±", "last prediction (counts) by constant"):
         assert words in shown.get()
-    target = Object("1", profile_scene(1)[0], ASSUMED_TABLE)
+    target = Object("1", can_with_grasps(1)[0], ASSUMED_TABLE)
     _draw([(None, target, one, None)], str(tmp_path / "a.png"), sensor)
     assert (tmp_path / "a.png").stat().st_size > 10_000
     (warning,) = [text for text in node.warnings() if "adapt" in text]

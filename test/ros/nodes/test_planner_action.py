@@ -81,3 +81,15 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
     costs = {rule: cost_of(rule, Grasp(score=4.0), np.array([0.25, 0.75])) for rule in COSTS}
     assert costs == {"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}
     assert np.isposinf([cost_of(rule, Grasp(score=math.nan), np.full(2, np.nan)) for rule in COSTS]).all()
+
+
+def test_a_package_that_cannot_be_loaded_is_told_from_one_that_is_absent(monkeypatch):
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("no_such_msgs", "SampleGraspPoses"))
+    assert grasp_actions.planner_action_class() == (None, "")
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "Absent"))
+    kind, fault = grasp_actions.planner_action_class()
+    assert kind is None
+    assert "sample_grasp_poses: not offered: foretouch_msgs/Absent" in fault
+    assert "AttributeError" in fault
+    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    assert grasp_actions.planner_action_class() == (SampleGrasps, "")

@@ -299,3 +299,15 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
         done = subprocess.run(command, env=graph.environment(), capture_output=True, text=True, timeout=60, check=False)
         assert (done.returncode, done.stdout) == (status, text), done.stderr
     assert done.stderr == "foretouch: /no/forget_history: no such service within 0.2 s: is the graph running?\n"
+
+
+def test_the_memory_for_clouds_is_bounded_and_named(card) -> None:
+    hand = DirectHand(str(card), pairing=PAIRING | {"kept_mb": 1.0})
+    hand.see("first")
+    assert hand.notes()["clouds.kept"] == "1"
+    for number in range(200):
+        hand.now += MS
+        hand.see(f"cloud {number}")
+    notes = hand.notes()
+    assert 0.9 <= float(notes["clouds.kept_mb"]) <= 1.0
+    assert 20 <= int(notes["clouds.kept"]) < 200

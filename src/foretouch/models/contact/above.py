@@ -19,6 +19,7 @@ STEEP: Final = float(np.cos(np.radians(25.0)))
 _CELL_M: Final = 0.003
 _PITCH: Final = 0.004  # of the outline, as a tangent: two pixels of 640 x 480
 _BEHIND_M: Final = 0.006  # what is so far behind a visible point is hidden by it
+_MOST_CELLS: Final = 1 << 22  # of an array with a number for each
 _TOP_SHARE, _TOP_M = 0.15, 0.01  # of the visible height, or so much: the top
 
 
@@ -47,25 +48,39 @@ def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Floa
     turned = points @ turn.T
     if steepness >= STEEP:
         return turned, turn, steepness
-    seen = _highest(turned)
+    seen = _highest(turned, len(turned))
     hidden = _mirrored(seen)
     hidden = hidden[_is_hidden(hidden @ turn, points)]
-    return _highest(np.concatenate([seen, hidden]), first=len(seen)), turn, steepness
+    return _highest(np.concatenate([seen, hidden]), len(seen)), turn, steepness
 
 
-def _cells(points: Float64) -> Int64:
-    """(N,) number of the cell of the table over which each point is."""
-    column, row = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _CELL_M).astype(np.int64).T
-    return np.asarray(column * (row.max() + 1) + row, np.int64)
+def _cells(points: Float64) -> tuple[Int64, int]:
+    """(N,) number of the cell of the table over which each point is, and the number of cells."""
+    x, y = points[:, 0], points[:, 1]
+    column = np.floor((x - x.min()) / _CELL_M).astype(np.int64)
+    row = np.floor((y - y.min()) / _CELL_M).astype(np.int64)
+    rows = int(row.max()) + 1
+    cells = column * rows + row
+    count = (int(column.max()) + 1) * rows
+    if count <= _MOST_CELLS:
+        return cells, count
+    _, cells = np.unique(cells, return_inverse=True)  # of an object that fills a room
+    return cells, int(cells.max()) + 1
 
 
-def _highest(points: Float64, first: int = 0) -> Float64:
-    """The highest point over each cell; one of the `first` points goes before all others."""
-    later = np.arange(len(points)) >= first if first else np.zeros(len(points), np.bool_)
-    cells = _cells(points)
-    order = np.lexsort((points[:, 2], later, cells))
-    begins = np.diff(cells[order], prepend=-1) > 0
-    return points[order[begins]]
+def _highest(points: Float64, first: int) -> Float64:
+    """The highest point over each cell, by cells; one of the `first` points goes before all others."""
+    cells, count = _cells(points)
+    height = points[:, 2]
+    chosen = np.full(count, -1)  # index of the point of each cell
+    for part in (np.arange(first), np.arange(first, len(points))):
+        free = part[chosen[cells[part]] < 0]
+        highest = np.full(count, np.inf)
+        np.minimum.at(highest, cells[free], height[free])
+        best = free[height[free] == highest[cells[free]]]
+        chosen[cells[best[::-1]]] = best[::-1]  # of equal ones, the first is written last
+    result: Float64 = points[chosen[chosen >= 0]]
+    return result
 
 
 def _mirrored(points: Float64) -> Float64:
@@ -88,12 +103,12 @@ def _is_hidden(places: Float64, points: Float64) -> np.ndarray[tuple[int], np.dt
     pixel = np.floor(ahead[:, :2] / ahead[:, 2:] / _PITCH).astype(np.int64)
     low = pixel.min(axis=0)
     size = pixel.max(axis=0) - low + 1
-    if size.prod() > 1 << 22:  # a camera within the object
+    if size.prod() > _MOST_CELLS:  # a camera within the object
         return hidden
-    nearest = np.full(size, np.inf)
-    np.minimum.at(nearest, tuple((pixel - low).T), ahead[:, 2])
+    nearest = np.full(size.prod(), np.inf)
+    np.minimum.at(nearest, (pixel - low) @ [size[1], 1], ahead[:, 2])
     at = np.floor(places[front, :2] / places[front, 2:] / _PITCH).astype(np.int64) - low
     inside = ((at >= 0) & (at < size)).all(axis=1)
     front, at = front[inside], at[inside]
-    hidden[front] = places[front, 2] > nearest[at[:, 0], at[:, 1]] + _BEHIND_M
+    hidden[front] = places[front, 2] > nearest[at @ [size[1], 1]] + _BEHIND_M
     return hidden

@@ -13,7 +13,7 @@ Its weights hold forests, kernel and novelty detector.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
@@ -229,11 +229,6 @@ class ContactEstimator:
         if kernel.known.shape[1] != inputs or kernel.weight.shape[1] != channels.size:
             raise ModelError(f"kernel: does not fit {inputs} features and {channels.size} values")
         return cls(forests, kernel, read_part(NoveltyDetector, tensors, "novelty/"), mean, deviation, gain, ranges)
-
-
-def fewer_trees(estimator: ContactEstimator, count: int) -> ContactEstimator:
-    """The same model with the first trees of each forest alone: as if it had been fitted with so many."""
-    return replace(estimator, forests={name: one.first(count) for name, one in estimator.forests.items()})
 
 
 def save_contact(

@@ -40,7 +40,7 @@ class BridgeConfig(NodeConfig, TactileInput, read_only=True):
     address: str = setting("127.0.0.1", "Address to listen on; 0.0.0.0 for other machines too")
     port: int = setting(8765, "Port to listen on; 0 for a free one", bounds=(0, 65535))
     backlog: int = setting(16, "Messages that may wait for a client; its oldest are dropped", bounds=(1, 100_000))
-    cloud_kb: int = setting(500, "Largest cloud served [kB]; of a larger one every n-th point", bounds=(1, 1_000_000))
+    cloud_kb: int = setting(250, "Largest cloud served [kB]; of a larger one every n-th point", bounds=(1, 1_000_000))
 
 
 class BridgeNode(ForetouchNode[BridgeConfig]):

@@ -46,6 +46,8 @@ class View:
     sensor: Sensor = BIOTAC_SP  # whose readings are predicted
     answers: Counter[str] = field(default_factory=Counter)  # number of arrays of predictions by status
     reasons: Counter[str] = field(default_factory=Counter)  # how often each kind of reason was given; # is a number
+    # Of each kind, the least and the largest of each of its numbers, in order.
+    numbers: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     last: TouchPredictionArray | None = None  # the last array
     executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
     # Last level, line and numbers by node name.
@@ -107,8 +109,13 @@ class MonitorNode(GuardedCallbacks, Node):
         """A copy of the state."""
         with self._lock:
             view = self._view
-            answers, reasons = Counter(view.answers), Counter(view.reasons)
-            return replace(view, answers=answers, reasons=reasons, nodes=dict(view.nodes))
+            return replace(
+                view,
+                answers=Counter(view.answers),
+                reasons=Counter(view.reasons),
+                numbers=dict(view.numbers),
+                nodes=dict(view.nodes),
+            )
 
     def close_view(self) -> View:
         """The state at the end: later answers are neither counted nor passed on."""
@@ -159,9 +166,7 @@ class MonitorNode(GuardedCallbacks, Node):
             self._view.answers[status_name(message.status)] += 1
             self._closed = self._view.answers.total() == self._count
             if message.reason:
-                kind = _NUMBER.sub("#", message.reason)
-                known = kind in self._view.reasons or len(self._view.reasons) < _KINDS
-                self._view.reasons[kind if known else "other"] += 1
+                self._count_reason(message.reason)
             self._view.last = message
             if message.predictions:
                 self._drawable.append(message)
@@ -173,6 +178,19 @@ class MonitorNode(GuardedCallbacks, Node):
                     )
             if self._on_touch is not None:
                 self._on_touch(message)
+
+    def _count_reason(self, reason: str) -> None:
+        """Count the kind of a reason, and keep the range of its numbers."""
+        view, kind = self._view, _NUMBER.sub("#", reason)
+        if kind not in view.reasons and len(view.reasons) >= _KINDS:
+            view.reasons["other"] += 1
+            return
+        view.reasons[kind] += 1
+        numbers = [float(text) for text in _NUMBER.findall(reason)]
+        ranges = view.numbers.get(kind, [(number, number) for number in numbers])
+        view.numbers[kind] = [
+            (min(low, number), max(high, number)) for (low, high), number in zip(ranges, numbers, strict=True)
+        ]
 
     def _receive_cloud(self, data: bytes) -> None:
         self._assemble("cloud", SerializedCloud(data, partial(read_serialized, data, PointCloud2)))

@@ -83,8 +83,8 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         if targets:
             grasps, plans = self._planner.plan(targets, header, reason)
         if grasps.grasps:
-            answer, budget = self._touch.answer_plans(targets, plans, grasps, item.arrived)
-            self._touch.publish(answer, budget, grasps, message)
+            answer = self._touch.answer_plans(targets, plans, grasps)
+            self._touch.publish(answer, grasps, message)
             status, reason = answer.summary
         else:
             status, reason = grasps.status, grasps.reason

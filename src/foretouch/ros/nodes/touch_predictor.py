@@ -58,8 +58,8 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         table = self._tables.get(stamp_ns(cloud.header.stamp))  # without one, the camera is taken to look straight down
         plane = read_table(table, item.header) if table else ASSUMED_TABLE
         targets = read_targets(cloud, plane, self.config.limits)
-        answer, budget = self._step.answer(targets, grasps.grasps, item.header, None, item.arrived)
-        self._step.publish(answer, budget, grasps, lambda: cloud)
+        answer = self._step.answer(targets, grasps.grasps, item.header, None)
+        self._step.publish(answer, grasps, lambda: cloud)
         return answer.summary
 
     def _remember_table(self, message: TablePlane) -> None:

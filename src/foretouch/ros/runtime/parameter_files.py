@@ -23,6 +23,7 @@ STEPS: Final = ("segmentation", "grasp", "touch_predictor")
 _CHANGED: Final = {  # in 0.4
     "hand": "is called hand_name since 0.4",
     "queue_depth": "was removed in 0.4: the newest cloud is answered next",
+    "latency_budget_ms": "was removed in 0.4: a prediction takes half a millisecond; see docs/accuracy_vs_time.md",
     "direct": "was removed in 0.4: perception is one node",
 }
 _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled

@@ -5,12 +5,11 @@ Requests are answered in threads (see `ThreadPool`), beside the worker that answ
 all of them.
 """
 
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from rclpy.action.server import ActionServer, CancelResponse
@@ -45,9 +44,6 @@ from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, Status, TouchPredictionArray, TouchPredictionBatch
 from foretouch_msgs.srv import PredictTouch
 
-if TYPE_CHECKING:  # loaded only for a budget
-    from foretouch.models.budget import Answer
-
 _T = TypeVar("_T")
 
 
@@ -59,8 +55,8 @@ class Predicts(Protocol):
     predictor: Predictor
 
     def answer(
-        self, targets: Sequence[Object], grasps: Any, header: Header, posing: GeoGraspConfig | None, arrived: float
-    ) -> "tuple[TouchAnswer, Answer | None]":
+        self, targets: Sequence[Object], grasps: Any, header: Header, posing: GeoGraspConfig | None
+    ) -> TouchAnswer:
         """Predict for grasps of messages."""
         ...
 
@@ -137,7 +133,7 @@ class TouchServices:
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
         try:
-            answer = await self._do("predict_touch", partial(self._answer_request, request, time.monotonic()))
+            answer = await self._do("predict_touch", partial(self._answer_request, request))
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
         except Exception as err:  # noqa: BLE001  the answer names the request's cloud
@@ -150,7 +146,7 @@ class TouchServices:
         response.touch, response.batch = TouchPredictionArray(**refused), TouchPredictionBatch(**refused)
         return response
 
-    def _answer_request(self, request: Any, arrived: float) -> Any:
+    def _answer_request(self, request: Any) -> Any:
         config, step, latest = self._node.config, self._step, self._step.latest
         grasps = read_arrays(request) if len(request.contacts) or len(request.rotations) else request.grasps
         if len(grasps) > config.max_grasps:
@@ -161,11 +157,11 @@ class TouchServices:
         header, targets, on_table = requested_targets(request.cloud, request.table, latest, config.limits)
         if not grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
-        message, budget = step.answer(targets, grasps, header, config.grasp if on_table else None, arrived)
+        message = step.answer(targets, grasps, header, config.grasp if on_table else None)
         message.flags += self._frame_flags(header)
         cloud = latest.message if latest is not None and header is latest.header else lambda: request.cloud
         step.add_requested(header, cloud, message.answered)  # not before: it may have been executed already
-        return step.predictor.end(message, budget)
+        return message.reply
 
     # The actions.
 
@@ -219,8 +215,8 @@ class TouchServices:
         return result
 
     def _predict_candidates(self, target: Object, grasps: Sequence[Grasp], header: Header) -> Sequence[Predicted]:
-        message, budget = self._step.answer([target], grasps, header, None, time.monotonic())
-        predictor, pressed = self._step.predictor, np.full((3, len(grasps), 1), np.nan)
-        if (model := predictor.model) is not None:
-            pressed = predicted_pressures(message.predictions, model)
-        return list(zip(predictor.end(message, budget).predictions, pressed.swapaxes(0, 1), strict=True))
+        answer = self._step.answer([target], grasps, header, None)
+        pressed = np.full((3, len(grasps), 1), np.nan)
+        if (model := self._step.predictor.model) is not None:
+            pressed = predicted_pressures(answer.predictions, model)
+        return list(zip(answer.message.predictions, pressed.swapaxes(0, 1), strict=True))

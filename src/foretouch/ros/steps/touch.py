@@ -10,7 +10,7 @@ again retries.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
@@ -40,9 +40,6 @@ from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Grasp, Predictions
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
 
-if TYPE_CHECKING:  # loaded only for a budget
-    from foretouch.models.budget import Answer
-
 
 class TouchStep(Step):
     """Predicts touch (`TouchModel.predict`) for planned and requested grasps.
@@ -64,12 +61,9 @@ class TouchStep(Step):
         self._keeper: HistoryKeeper | None = None
         self._other_hand = ""  # why readings of the hand are not those of the model's sensor
         self._used_tare = config.use_tare
-        self._warned = False  # that no level meets the budget
         self.predictor = Predictor(config.model, config.fallback_model)
         if self.predictor.fault:
             node.get_logger().error(self.predictor.fault)
-        if config.latency_budget_ms > 0.0:
-            self.predictor.keep_to(config.latency_budget_ms, config, node.get_logger().info)
         self._adapt()
         self._touch = node.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = node.advertise(MarkerArray, "markers")
@@ -84,18 +78,14 @@ class TouchStep(Step):
 
     # The topic.
 
-    def answer_plans(
-        self, targets: Sequence[Object], plans: Sequence[GraspPlan], grasps: GraspArray, arrived: float
-    ) -> "tuple[TouchAnswer, Answer | None]":
-        """Predict for the plans of all targets, whose message is `grasps`; the rest as `answer`."""
-        budget = self._begin(len(grasps.grasps), arrived)
-        model = None if budget is None else budget.level.model
+    def answer_plans(self, targets: Sequence[Object], plans: Sequence[GraspPlan], grasps: GraspArray) -> TouchAnswer:
+        """Predict for the plans of all targets, whose message is `grasps`."""
         parts = []
         for target, plan in zip(targets, plans, strict=True):
             posed = Predictions.refused(plan.grasps, self.predictor.channels, "ok", "")  # no value yet
-            parts.append(self.predictor.predict(target, posed, self._node.config, model))
+            parts.append(self.predictor.predict(target, posed, self._node.config))
         answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
-        return self._end(answer, budget), budget
+        return self._end(answer)
 
     def answer(
         self,
@@ -103,24 +93,14 @@ class TouchStep(Step):
         grasps: Sequence[Any] | GraspArrays,
         header: Header,
         posing: GeoGraspConfig | None,
-        arrived: float,
-    ) -> "tuple[TouchAnswer, Answer | None]":
-        """Predict for grasps of messages (see `Predictor.answer`) that arrived at a time [s].
+    ) -> TouchAnswer:
+        """Predict for grasps of messages (see `Predictor.answer`)."""
+        return self._end(self.predictor.answer(targets, grasps, header, self._node.config, posing))
 
-        The answer is to be made a message by `Predictor.end`, with what is returned beside it, right before it is sent.
-        """
-        budget = self._begin(len(grasps), arrived)
-        model = None if budget is None else budget.level.model
-        return self._end(
-            self.predictor.answer(targets, grasps, header, self._node.config, posing, model), budget
-        ), budget
-
-    def publish(
-        self, answer: TouchAnswer, budget: "Answer | None", grasps: GraspArray, cloud: Callable[[], PointCloud2]
-    ) -> None:
+    def publish(self, answer: TouchAnswer, grasps: GraspArray, cloud: Callable[[], PointCloud2]) -> None:
         """Publish the answer to planned grasps; `cloud` makes the message of their objects."""
         answer.flags += tuple(flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
-        self._touch.publish(self.predictor.end(answer, budget))
+        self._touch.publish(answer.message)
         if self.adapter is not None:
             self.adapter.add_grasps(answer.header, cloud, grasps.grasps)
         if self._markers.get_subscription_count():  # the answer is out: an error must not refuse the cloud
@@ -164,28 +144,16 @@ class TouchStep(Step):
             found |= {"model": model.name, "model_sha256": model.sha256}
             if self.adapter is None:
                 found["regime"] = self._other_hand or "none: the model's card holds no calibration"
-        for part in (self.predictor.budget, self.adapter, self._keeper, self._services):
+        for part in (self.adapter, self._keeper, self._services):
             found |= part.notes() if part is not None else {}
         return found
 
     # Details.
 
-    def _begin(self, count: int, arrived: float) -> "Answer | None":
-        """Choose the level of the model for a number of grasps; None without a budget."""
-        if self.predictor.budget is None:
-            return None
-        answer = self.predictor.budget.begin(count, arrived)
-        if not (answer.affordable or self._warned):  # rclpy's own `once` takes 0.5 ms each time
-            self._warned = True
-            limit = f"budget: {self._node.config.latency_budget_ms:g} ms: no level of the model meets it for"
-            self._node.get_logger().warning(f"{limit} {count} grasps: the fastest is used, {answer.level.name}")
-        return answer
-
-    def _end(self, answer: TouchAnswer, budget: "Answer | None") -> TouchAnswer:
+    def _end(self, answer: TouchAnswer) -> TouchAnswer:
         """Add model, age and flags."""
         age_s = self._node.age_s(stamp_ns(answer.header.stamp))
-        reduced = budget is not None and budget.reduced
-        return self.predictor.finish(answer, age_s, self._node.config.late_after_s, reduced=reduced)
+        return self.predictor.finish(answer, age_s, self._node.config.late_after_s)
 
     def _draw(self, answer: TouchAnswer) -> None:
         """Publish the markers of the first prediction."""

@@ -30,13 +30,6 @@ class TouchSettings(ReachConfig, TactileInput):
     late_after_s: float = setting(
         0.5, "Age of a cloud beyond which its predictions are flagged late; 0 for never", bounds=(0.0, 3600.0)
     )
-    latency_budget_ms: float = setting(
-        0.0,
-        "Time from the receipt of a cloud and its grasps to their predictions, for which cheaper forms of the model are used "
-        "and flagged reduced; 0 for no limit",
-        bounds=(0.0, 60_000.0),
-        read_only=True,
-    )
     thumb_takes_g1: bool = setting(True, "Whether the markers show the thumb at g1, else the middle finger")
     use_tare: bool = setting(True, "Whether predictions use the tare: the tactile readings at rest")
     tare_max_age_s: float = setting(60.0, "Age beyond which the tare is not used", bounds=(0.0, 1e6))

@@ -139,11 +139,10 @@ class OnlineAdapter:
         *,
         limits: ObjectLimits,
         reach: ReachConfig,
-        model: TouchModel | None = None,
         table: Plane | None = None,
     ) -> Predictions:
-        """Predict as `TouchModel.predict`, adapted to the readings so far; `model` may be a reduced form of the model."""
-        config, model = self._config(), model or self._model
+        """Predict as `TouchModel.predict`, adapted to the readings so far."""
+        config, model = self._config(), self._model
         self.process_touches()
         tare = self._recent_tare(config)
         history = self._history_for(cloud, tare, config) if config.use_touches else None

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
-import statistics
-import time
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from std_msgs.msg import Header
@@ -23,15 +21,10 @@ from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.posing import posed_grasps, refusal_of
 from foretouch.tactile.description import Sensor
-from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Grasp, Grasps, Predictions
+from foretouch.types import LATE, Grasps, Predictions
 from foretouch.types.channels import NO_CHANNELS, Channels
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
-
-if TYPE_CHECKING:  # loaded only for a budget
-    from foretouch.models.budget import Answer, LatencyBudget
-
-_COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
 
 
 class Predictor:
@@ -42,7 +35,6 @@ class Predictor:
         self.adapter: OnlineAdapter | None = None  # adapts predictions to tactile readings; None for vision alone
         self.fault = ""  # why `model` could not be loaded
         self.flags: tuple[str, ...] = ()  # of every prediction
-        self.budget: LatencyBudget | None = None  # chooses the level of each request
         try:
             self.model = load_model(model)
         except ForetouchError as err:
@@ -67,56 +59,6 @@ class Predictor:
         """Channels of the sensor; without a model none."""
         return NO_CHANNELS if self.sensor is None else self.sensor.channels
 
-    def keep_to(self, budget_ms: float, config: TouchSettings, say: Callable[[str], object]) -> None:
-        """Answer within a budget from now on, if there is a model; measures this machine."""
-        from foretouch.models.budget import LatencyBudget, load_warm, profile_scene
-
-        if self.model is None:
-            return
-        levels, times = load_warm(self.model)
-        around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
-        self.budget = LatencyBudget(budget_ms / 1e3, levels, times, around)
-        for count in around:
-            best = self.budget.affordable(count)
-            name = best.name if best else f"none; the fastest is used, {levels[-1].name}"
-            say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
-
-    def _around(
-        self, model: TouchModel, config: TouchSettings, scene: tuple[Cloud, Sequence[Grasp]]
-    ) -> dict[int, float]:
-        """By number of grasps, the time of their messages: what `answer` takes beyond the prediction, as processor time [s]."""
-        from foretouch.models.budget import PAUSE_S
-
-        cloud, grasps = scene
-        target, messages, around = Object("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
-        for count in _COUNTS:
-            beyond = []
-            for _ in range(5):
-                time.sleep(PAUSE_S)
-                start = time.thread_time()
-                model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
-                time.sleep(PAUSE_S)
-                middle = time.thread_time()
-                _ = self.answer([target], messages[:count], Header(), config, model=model).message
-                beyond.append(time.thread_time() - middle - (middle - start))
-            around[count] = max(0.0, statistics.median(beyond))
-        return around
-
-    def end(self, message: TouchAnswer, answer: "Answer | None") -> Any:
-        """The `TouchPredictionArray`, or the `TouchPredictionBatch` of arrays, to be published right after this call.
-
-        Its predictions are flagged if they miss their budget, of which `answer` is what `LatencyBudget.begin` returned.
-        """
-        if self.budget is None or answer is None:
-            return message.reply
-        if self.budget.is_over(answer) and LATE not in message.flags:
-            message.flags += (LATE,)
-        made = message.reply
-        if self.budget.end(answer) and LATE not in message.flags:  # meanwhile
-            message.flags += (LATE,)
-            return message.reply
-        return made
-
     def answer(
         self,
         targets: Sequence[Object],
@@ -124,7 +66,6 @@ class Predictor:
         header: Header,
         config: TouchSettings,
         posing: GeoGraspConfig | None = None,
-        model: TouchModel | None = None,
     ) -> TouchAnswer:
         """Predict or refuse every grasp, in order.
 
@@ -134,7 +75,6 @@ class Predictor:
             header: Header of the cloud.
             config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
-            model: The model in a reduced form; by default the model itself.
 
         Raises:
             RefusalError: If none of the targets is the object of arrays.
@@ -149,7 +89,7 @@ class Predictor:
             rotations = None
             if grasps.rotations is None:
                 rotations = np.where(posed.ok[:, None, None], posed.grasps.rotation, 0.0)
-            rows = self.predict(target, posed, config, model)
+            rows = self.predict(target, posed, config)
             return TouchAnswer(header, rows.grasps, rows, sensor=sensor, arrays=True, rotations=rotations)
         rows = Predictions.refused(Grasps.unknown(len(grasps)), channels, "bad_grasp", "")
         by_target: dict[int, list[int]] = {}
@@ -160,40 +100,40 @@ class Predictor:
                 rows.reason[i] = str(err)
         for k, members in by_target.items():
             posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing, channels)
-            rows = rows.put(members, self.predict(targets[k], posed, config, model))
+            rows = rows.put(members, self.predict(targets[k], posed, config))
         if posing is not None:
             grasps = [_as_predicted(grasp, rows, k) for k, grasp in enumerate(grasps)]
         return TouchAnswer(header, grasps, rows, sensor=sensor)
 
-    def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
+    def finish(self, message: TouchAnswer, age_s: float, late_after_s: float) -> TouchAnswer:
         """Add the model, the age of its input [s] and the resulting flags to each prediction.
 
-        Beyond an age of `late_after_s`, 0 for never, it is `late`; `reduced` is that of a cheaper form of the model.
+        Beyond an age of `late_after_s`, 0 for never, it is `late`.
         """
-        message.flags += (*self.flags, *(REDUCED,) * reduced, *(LATE,) * (0.0 < late_after_s < age_s))
+        message.flags += self.flags
+        if 0.0 < late_after_s < age_s:
+            message.flags += (LATE,)
         message.age = duration_to_msg(age_s)
         if self.model is not None:
             message.model, message.model_sha256 = self.model.name, self.model.sha256
         return message
 
-    def predict(
-        self, target: Object, posed: Predictions, config: TouchSettings, model: TouchModel | None = None
-    ) -> Predictions:
+    def predict(self, target: Object, posed: Predictions, config: TouchSettings) -> Predictions:
         """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
 
-        Readings so far are adapted to; `model` may be a reduced form of the model.
+        Readings so far are adapted to.
         """
-        model = model or self.model
+        model = self.model
         if model is None:
             return Predictions.refused(posed.grasps, posed.channels, "no_model", self.fault)
         usable = posed.ok
         if not usable.any():
             return posed
         options: dict[str, Any] = {"limits": config.limits, "reach": config, "table": target.plane}
-        grasps = posed.grasps.take(usable)
+        grasps = posed.grasps if usable.all() else posed.grasps.take(usable)
         try:
             if self.adapter is not None:
-                predictions = self.adapter.predict(target.cloud, grasps, **options, model=model)
+                predictions = self.adapter.predict(target.cloud, grasps, **options)
             else:
                 predictions = model.predict(target.cloud, grasps, **options)
         except (CloudError, ModelError) as err:
@@ -206,7 +146,7 @@ class Predictor:
             reasons = [fault for fault, refused in zip(faults, tilted.tolist(), strict=True) if refused]
             refused = Predictions.refused(grasps.take(tilted), posed.channels, "bad_grasp", reasons)
             predictions = predictions.put(tilted, refused)
-        return posed.put(usable, predictions)
+        return predictions if usable.all() else posed.put(usable, predictions)
 
 
 def _as_predicted(message: GraspMsg, predictions: Predictions, k: int) -> GraspMsg:

@@ -28,8 +28,8 @@ from foretouch import __version__
 from foretouch.config import flattened
 from foretouch.errors import ConfigError, FileError
 from foretouch.files import TEXT_LIMIT, read_bytes, read_json, require_schema, system_errors, write_text
-from foretouch.models.timing import cpu_name
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch_lab.experiments.framework.timing import cpu_name
 
 MANIFEST_FILE: Final = "manifest.json"
 RESULTS_FILE: Final = "results.csv"

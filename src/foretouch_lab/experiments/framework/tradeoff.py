@@ -20,7 +20,6 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, none_of
-from foretouch.models.timing import MachineLoad, cpu_name, time_calls
 from foretouch.report.panels import Axes, new_figure, save_small
 from foretouch_lab.experiments.framework.experiment import (
     Cell,
@@ -30,6 +29,7 @@ from foretouch_lab.experiments.framework.experiment import (
     find_experiment,
     list_experiments,
 )
+from foretouch_lab.experiments.framework.timing import MachineLoad, cpu_name, time_calls
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 _PREFIX: Final = "tradeoff_"
