@@ -40,7 +40,8 @@ from foretouch.models.touch_model import TouchModel
 from foretouch.report.panels import new_figure, save
 from foretouch.ros.graph import Graph
 from foretouch.tactile import BIOTAC
-from foretouch.tactile.messages.table import TactileConfig, stamp_ns
+from foretouch.tactile.messages.table import TactileConfig
+from foretouch.types import stamp_ns
 from foretouch_lab.simulation.execution import SimulatedHand
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.world import object_index

@@ -12,10 +12,10 @@ import pytest
 from experiment_samples import make_samples
 
 from foretouch.cloud.io.files import write_cloud
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import APPROACH, DISCARDED, HOLD, REST, Identity, SampleRecord, TouchSeries
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.samples import open_samples
 from foretouch.dataset.source import Source
 from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import ForetouchError

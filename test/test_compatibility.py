@@ -13,11 +13,11 @@ from recording_builders import write_grasps
 
 from foretouch.dataset.editing import relabel
 from foretouch.dataset.files import sealed
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import SEAL, Store
 from foretouch.errors import FileError
 from foretouch_lab.dataset.store_writer import build_store

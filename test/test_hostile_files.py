@@ -22,7 +22,7 @@ from recording_builders import readable
 
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml, parse_overrides
-from foretouch.dataset.samples import open_samples
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
 from foretouch.errors import ConfigError, ForetouchError

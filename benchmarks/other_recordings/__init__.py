@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.other_recordings.results import summarise, tabulate
 from foretouch.config import Settings, setting
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import SampleRecord
-from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import content_sha256
 from foretouch.errors import ConfigError
 from foretouch.models.novelty import standardisation

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.common import read_csv
 from benchmarks.other_recordings import CONFIG, FINGERS, electrodes, fit, folds_of
-from foretouch.dataset.samples import open_samples
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.store import content_sha256
 from foretouch.models.card import save_model
 from foretouch.models.touch_hold import OUTSIDE, TouchHold

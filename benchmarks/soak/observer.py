@@ -25,8 +25,8 @@ class Observer(Client):
         super().__init__("observer", DOMAIN)
         from sensor_msgs.msg import PointCloud2
 
-        from foretouch.dataset.topics import TACTILE_TOPIC
         from foretouch.ros.runtime.subscription import Losses
+        from foretouch.topics import TACTILE_TOPIC
         from foretouch_msgs.msg import BiotacAll, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 
         self.clouds: dict[int, float] = {}  # first time of each stamp on `points`

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from foretouch.dataset.samples import SampleSet, open_samples
+from foretouch.dataset.formats import open_samples
+from foretouch.dataset.samples import SampleSet
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import laboratory
 from foretouch.models.touch_model import TouchModel

@@ -15,8 +15,8 @@ from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.cli.adaptation import _read_tare
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.history import History, HistoryFile

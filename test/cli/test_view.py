@@ -17,9 +17,9 @@ from constant_models import sensor_with_dead
 from PIL import Image
 from recording_builders import IDENTITY, QUICK, record, write_grasps
 
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import open_samples
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import BIOTAC_SP

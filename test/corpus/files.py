@@ -24,12 +24,13 @@ from foretouch.config import load_yaml
 from foretouch.dataset.bag import Recording
 from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
+from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import export_samples, only_finite, open_samples
+from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import SEAL, sample_digest
 from foretouch.errors import ForetouchError
 from foretouch.models.history import History, HistoryFile

@@ -34,7 +34,7 @@ from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.tactile.messages.table import make_reader
+from foretouch.tactile.messages.readers import make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray

@@ -13,14 +13,13 @@ import pytest
 from every_case import every_case
 from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder, record, write_dataset
 
-from foretouch.dataset.formats import FORMATS
+from foretouch.dataset.formats import FORMATS, export_samples, open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import DISCARDED, SampleRecord
 from foretouch.dataset.recording.sample_codec import encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError

@@ -15,13 +15,14 @@ from sensor_builders import XELA_TYPES, sens_stream, xela_counts, xela_stream
 from topic_builders import Faults, write_topics
 
 from foretouch.dataset.bag import Recording
+from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.record import SampleRecord, readings
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import SampleSet, export_samples, open_samples
+from foretouch.dataset.samples import SampleSet
 from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.description import load_sensor, packaged_sensor

@@ -19,10 +19,10 @@ from other_tools import run_rerun
 from PIL import Image
 from recording_builders import IDENTITY, QUICK, record
 
+from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.lerobot import recognise
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import BIOTAC_SP, finger_label
 from foretouch.types import Cloud

@@ -13,10 +13,10 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from topic_builders import write_topics
 
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import encode_sample
-from foretouch.dataset.samples import open_samples
 
 PACKAGE = Path(__file__).parents[2] / "foretouch_msgs"
 IDENTITY = Identity(hand={"name": "shadow"}, camera={"name": "D415"})

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 import foretouch as ft
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import HOLD, REST, SampleRecord, readings
-from foretouch.dataset.samples import open_samples
 from foretouch.dataset.writing import stamp_faults
 from foretouch.errors import DatasetError, FileError
 
@@ -320,7 +320,7 @@ def test_the_example_of_a_gripper_reads_a_folder_of_it(
 def test_the_example_of_lerobot_reads_what_the_export_writes(tmp_path: Path, monkeypatch: Any) -> None:
     from recording_builders import write_grasps
 
-    from foretouch.dataset.samples import export_samples
+    from foretouch.dataset.formats import export_samples
 
     write_grasps(tmp_path / "recording")
     export_samples(tmp_path / "recording", tmp_path / "exported", "lerobot")

@@ -54,7 +54,7 @@ def test_grasps_out_of_reach_are_named_and_others_accepted(ball) -> None:
 
 @pytest.mark.real_data
 def test_every_recorded_object_and_grasp_is_accepted(real_data: Path) -> None:
-    from foretouch.dataset.samples import open_samples
+    from foretouch.dataset.formats import open_samples
 
     found = open_samples(str(real_data / "vision2tactile"))
     samples = [record.sample for record in found.records()]

@@ -12,9 +12,10 @@ from PIL import Image
 from recording_builders import IDENTITY, QUICK, record
 
 from foretouch.cli.main import main
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.samples import open_samples, sensor_of_samples
+from foretouch.dataset.samples import sensor_of_samples
 from foretouch.report import series_figure
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.types import Cloud

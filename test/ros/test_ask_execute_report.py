@@ -20,7 +20,7 @@ from foretouch import reading
 from foretouch.cloud.messages import decode_cloud
 from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch

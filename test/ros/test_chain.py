@@ -14,8 +14,7 @@ from foretouch.grasp.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import plane_from_msg
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud
+from foretouch.types import Cloud, stamp_ns
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
 
 pytestmark = pytest.mark.ros

@@ -17,8 +17,7 @@ from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, point_to_msg
 from foretouch.ros.messages.requests import status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud
+from foretouch.types import Cloud, stamp_ns
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch

@@ -7,7 +7,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import RecorderStatus, Status, TouchPredictionArray
 
 pytestmark = pytest.mark.ros

@@ -14,6 +14,7 @@ OWN = (
     "tactile/channels.py",
     "tactile/readings.py",
     "tactile/messages/biotac.py",
+    "tactile/messages/table.py",
     "cli/dataset.py",
     "dataset/importing.py",
     "dataset/vision2tactile.py",

@@ -11,7 +11,8 @@ from sensor_builders import SMALL, write_sensor, xela_message
 
 from foretouch.errors import ConfigError, FileError, TactileError
 from foretouch.tactile.description import load_sensor, sensor_of
-from foretouch.tactile.messages.table import TactileConfig, TactileReading, make_reader
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileConfig, TactileReading
 
 
 def header() -> Message:

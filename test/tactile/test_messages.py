@@ -9,7 +9,8 @@ import pytest
 from every_case import every_refusal
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, make_reader
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig
 
 STAMP = 1_700_000_000_123_456_789
 

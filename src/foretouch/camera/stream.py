@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.camera.bounded_queue import BoundedQueue
+from foretouch.bounded_queue import BoundedQueue
 from foretouch.camera.config import FILTERS, RealSenseConfig
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError

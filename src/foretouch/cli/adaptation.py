@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foretouch.cli.output import warn
-from foretouch.dataset.samples import open_samples
+from foretouch.dataset.formats import open_samples
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
 from foretouch.files import read_json, require_schema
 from foretouch.tactile import make_tare, tdc_of

@@ -13,8 +13,7 @@ import numpy as np
 from foretouch.errors import ForetouchError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp, Prediction
+from foretouch.types import Grasp, Prediction, stamp_ns
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -11,13 +11,14 @@ from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset import editing, formats
+from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.info import PAIRING_EDGES_MS, describe
 from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import export_samples, has_points, only_finite, open_samples, sensor_of_samples
+from foretouch.dataset.samples import has_points, only_finite, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable

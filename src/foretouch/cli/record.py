@@ -26,7 +26,7 @@ from foretouch.cli.screen import make_table, terminal, watch
 from foretouch.config import flattened, parse_overrides
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.graph import Graph
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 
 if TYPE_CHECKING:
     from foretouch.cli.keys import RecordingKeys

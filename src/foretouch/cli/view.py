@@ -14,8 +14,9 @@ import numpy as np
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.output import progress_bar, warn
+from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.record import DISCARDED, readings
-from foretouch.dataset.samples import SampleSet, has_points, is_sample_set, open_samples, sensor_of_samples
+from foretouch.dataset.samples import SampleSet, has_points, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
 from foretouch.files import require_existing, require_writable

@@ -19,8 +19,7 @@ import numpy as np
 from foretouch.cloud.geometry.frames import has_depth
 from foretouch.cloud.io.pointcloud2 import DATATYPES, decode, encode
 from foretouch.errors import CloudError, DatasetError
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Int64
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Int64, stamp_ns
 
 _START: Final = 4  # of the fields in CDR
 _STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts seconds in an int32

@@ -1,18 +1,63 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The formats of datasets: one line each in `FORMATS`, from which commands and readers take what is supported.
+"""The formats of datasets: open one, or export its samples.
 
-To add a format, add its line here and write one module with these functions, as far as the format has them:
+To add a format, write one module with these functions, as far as the format has them, a function that imports it, and
+a line in `FORMATS`:
 
 - `recognise(path) -> bool`: whether a path that exists is of this format.
 - `open_set(path, unfinished) -> SampleSet`: opens it, also with recordings that were cut off if `unfinished` is true.
 - `export(samples, folder, result, progress, **options)`: writes samples to a folder that does not exist yet, adds to the
   counts of an `ExportResult`, and reports progress once a sample.
 
-This module imports no reader, so that help texts do not wait for the libraries of all formats.
+A module is imported when its format is used, so that help texts do not wait for the libraries of all formats.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from foretouch.dataset.files import new_folder
+from foretouch.dataset.samples import ExportResult, SampleSet
+from foretouch.errors import FileError
+from foretouch.files import require_existing
+
+
+def _recording() -> ModuleType:
+    from foretouch.dataset.recording import reader
+
+    return reader
+
+
+def _store() -> ModuleType:
+    from foretouch.dataset import store
+
+    return store
+
+
+def _vision2tactile() -> ModuleType:
+    from foretouch.dataset import vision2tactile
+
+    return vision2tactile
+
+
+def _lerobot() -> ModuleType:
+    from foretouch.dataset import lerobot
+
+    return lerobot
+
+
+def _npz() -> ModuleType:
+    from foretouch.dataset import npz
+
+    return npz
+
+
+def _rosbag2() -> ModuleType:
+    from foretouch.dataset import bag_writer
+
+    return bag_writer
 
 
 @dataclass(frozen=True)
@@ -21,7 +66,7 @@ class FormatEntry:
 
     name: str  # in options, JSON and error messages
     title: str  # in help texts; a noun phrase
-    module: str  # python module with its functions
+    load: Callable[[], ModuleType]  # imports the module with its functions
     files: tuple[str, ...] = ()  # suffixes of single files that may be of this format
     folders: tuple[str, ...] = ()  # glob patterns; a folder with a match may be of this format; none for export alone
     exported: bool = False  # whether samples can be written in this format
@@ -34,16 +79,64 @@ class FormatEntry:
 
 
 FORMATS: tuple[FormatEntry, ...] = (  # the first that recognises a path reads it
-    FormatEntry("recording", "recorded dataset (MCAP)", "foretouch.dataset.recording.reader", (".mcap",), ("manifest.json",)),
-    FormatEntry("store", "training store (Arrow)", "foretouch.dataset.store", (), ("manifest.json",)),
-    FormatEntry("vision2tactile", "vision2tactile folders", "foretouch.dataset.vision2tactile", (), ("*",), exported=True),
-    FormatEntry("lerobot", "LeRobot exports", "foretouch.dataset.lerobot", (), ("meta/info.json",), exported=True),
-    FormatEntry("npz", "NumPy archives", "foretouch.dataset.npz", (), ("*/*.npz",), exported=True),
-    FormatEntry("rosbag2", "ROS 2 bag", "foretouch.dataset.bag_writer", exported=True),
-)  # fmt: skip
+    FormatEntry("recording", "recorded dataset (MCAP)", _recording, (".mcap",), ("manifest.json",)),
+    FormatEntry("store", "training store (Arrow)", _store, (), ("manifest.json",)),
+    FormatEntry("vision2tactile", "vision2tactile folders", _vision2tactile, (), ("*",), exported=True),
+    FormatEntry("lerobot", "LeRobot exports", _lerobot, (), ("meta/info.json",), exported=True),
+    FormatEntry("npz", "NumPy archives", _npz, (), ("*/*.npz",), exported=True),
+    FormatEntry("rosbag2", "ROS 2 bag", _rosbag2, exported=True),
+)
 
 
 def readable_formats() -> str:
     """The formats that can be read, for help texts and error messages."""
     *others, last = [entry.title for entry in FORMATS if entry.folders]
     return f"{', '.join(others)} or {last}"
+
+
+def _format_of(path: Path) -> ModuleType | None:
+    """The module of the format that a path is of."""
+    candidates = (entry.load() for entry in FORMATS if entry.may_hold(path))
+    return next((module for module in candidates if module.recognise(path)), None)
+
+
+def is_sample_set(path: str | Path) -> bool:
+    """Whether the path is a dataset that `open_samples` can read."""
+    return _format_of(Path(path)) is not None
+
+
+def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
+    """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
+
+    Raises:
+        FileError: If there is no dataset, or it is damaged, cut off or of another version.
+    """
+    path = require_existing(path)
+    found = _format_of(path)
+    if found is None:
+        raise FileError(path, f"is not a dataset: no {readable_formats()}")
+    opened: SampleSet = found.open_set(path, unfinished)
+    return opened
+
+
+def export_samples(
+    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None, **options: Any
+) -> ExportResult:
+    """Write the samples of a dataset in another format; reading them back gives equal numbers.
+
+    Args:
+        source: A dataset (see `open_samples`).
+        out: Folder to create; must not exist.
+        kind: Name of a format in `FORMATS` that is exported.
+        progress: Called once a sample.
+        options: Of the format: `fps` of lerobot.
+
+    Raises:
+        FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
+        DatasetError: If a sample's id cannot be the name of a file.
+    """
+    module = next(entry for entry in FORMATS if entry.name == kind).load()
+    result = ExportResult()
+    with new_folder(Path(out)) as folder:
+        module.export(open_samples(source), folder, result, progress, **options)
+    return result

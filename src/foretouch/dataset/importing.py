@@ -22,20 +22,21 @@ from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.messages import header_fields
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
+from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
-from foretouch.dataset.samples import is_sample_set, open_samples
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.dataset.writing import WriteResult, write_records
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader, make_reader, stamp_ns
-from foretouch.types import Cloud
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+from foretouch.types import Cloud, stamp_ns
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})

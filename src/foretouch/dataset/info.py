@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import DISCARDED
-from foretouch.dataset.samples import open_samples
 
 #: Bin edges of the histogram of pairing errors [ms].
 PAIRING_EDGES_MS: Final = (0.0, 5.0, 10.0, 20.0, 50.0, 100.0, float("inf"))

@@ -26,8 +26,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from foretouch.dataset.record import DISCARDED, SampleRecord, readings
+from foretouch.dataset.recording import reader
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.samples import ExportResult, SampleSet, has_points, open_samples
+from foretouch.dataset.samples import ExportResult, SampleSet, has_points
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
@@ -374,7 +375,7 @@ def open_set(path: Path, unfinished: bool) -> SampleSet:
     if not (path / _SAMPLES).is_dir():
         rule = f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has"
         raise FileError(path, f"{rule}: write its taxels with foretouch.write, as examples/import_lerobot.py does")
-    return replace(open_samples(path / _SAMPLES, unfinished=unfinished), path=path, kind="lerobot")
+    return replace(reader.open_set(path / _SAMPLES, unfinished), path=path, kind="lerobot")
 
 
 def _finger_key(finger: str) -> str:

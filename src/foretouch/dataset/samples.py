@@ -1,21 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of a dataset in any format of `foretouch.dataset.formats`: open and export them."""
+"""The samples of a dataset, whatever its format; `foretouch.dataset.formats` opens and exports them."""
 
-import importlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset import formats
-from foretouch.dataset.files import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord, readings
-from foretouch.errors import DatasetError, FileError
-from foretouch.files import require_existing
+from foretouch.errors import DatasetError
 from foretouch.laboratory import laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
@@ -127,31 +122,6 @@ class ExportResult:
     lost: Counter[str] = field(default_factory=Counter)  # samples with a field that the format cannot hold, by field
 
 
-def _format_of(path: Path) -> ModuleType | None:
-    """The module of the format that a path is of."""
-    candidates = (importlib.import_module(entry.module) for entry in formats.FORMATS if entry.may_hold(path))
-    return next((module for module in candidates if module.recognise(path)), None)
-
-
-def is_sample_set(path: str | Path) -> bool:
-    """Whether the path is a dataset that `open_samples` can read."""
-    return _format_of(Path(path)) is not None
-
-
-def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
-    """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
-
-    Raises:
-        FileError: If there is no dataset, or it is damaged, cut off or of another version.
-    """
-    path = require_existing(path)
-    found = _format_of(path)
-    if found is None:
-        raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
-    opened: SampleSet = found.open_set(path, unfinished)
-    return opened
-
-
 def sensor_of_samples(samples: SampleSet) -> Sensor:
     """The sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
     rows = [
@@ -169,26 +139,3 @@ def only_finite(sample: Sample) -> Sample:
     """The sample with an unorganised cloud, without points that have no depth."""
     finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)
     return sample if not sample.cloud.organised and finite.all() else replace(sample, cloud=sample.cloud.take(finite))
-
-
-def export_samples(
-    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None, **options: Any
-) -> ExportResult:
-    """Write the samples of a dataset in another format; reading them back gives equal numbers.
-
-    Args:
-        source: A dataset (see `open_samples`).
-        out: Folder to create; must not exist.
-        kind: Name of a format in `formats.FORMATS` that is exported.
-        progress: Called once a sample.
-        options: Of the format: `fps` of lerobot.
-
-    Raises:
-        FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
-        DatasetError: If a sample's id cannot be the name of a file.
-    """
-    module = importlib.import_module(next(entry.module for entry in formats.FORMATS if entry.name == kind))
-    result = ExportResult()
-    with new_folder(Path(out)) as folder:
-        module.export(open_samples(source), folder, result, progress, **options)
-    return result

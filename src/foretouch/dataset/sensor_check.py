@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import REST, TouchSeries, readings
-from foretouch.dataset.samples import open_samples
 from foretouch.errors import TactileError
 from foretouch.tactile.dead_taxels import dead_taxels
 from foretouch.tactile.description import Sensor

@@ -15,8 +15,8 @@ from typing import Literal
 from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, PAIRING, DepthCamera, Pairs
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
-from foretouch.dataset.formats import readable_formats
-from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
+from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
+from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError
 from foretouch.files import require_existing
 from foretouch.types import Cloud, Sample

@@ -14,12 +14,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, cast
 
-from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.laboratory import needs_laboratory
 from foretouch.ros.runtime.environment import prepare_environment, stale_bytes, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
+from foretouch.topics import NAMESPACE
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.monitor import MonitorNode

@@ -7,6 +7,7 @@ everything derived from them are in the camera's optical frame (x right, y down,
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from foretouch.types.arrays import (
     AnyArray,
@@ -73,10 +74,16 @@ __all__ = [
     "UInt8",
     "WayIn",
     "assumed_table",
+    "stamp_ns",
 ]
 
 SECOND_NS = 1_000_000_000
 """Nanoseconds in a second."""
+
+
+def stamp_ns(stamp: Any) -> int:
+    """Convert a `builtin_interfaces/Time` or `Duration` to whole nanoseconds."""
+    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from foretouch.cli.dataset import print_result
 from foretouch.cli.output import progress_bar, warn
-from foretouch.dataset.samples import open_samples
+from foretouch.dataset.formats import open_samples
 from foretouch_lab.dataset.store_writer import build_store
 from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits
 

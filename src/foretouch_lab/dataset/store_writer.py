@@ -19,8 +19,9 @@ import pyarrow as pa
 
 from foretouch import __version__
 from foretouch.dataset.files import new_folder, sealed
+from foretouch.dataset.formats import open_samples
 from foretouch.dataset.record import DISCARDED, id_number, numbered_id
-from foretouch.dataset.samples import only_finite, open_samples
+from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
 from foretouch.files import file_sha256

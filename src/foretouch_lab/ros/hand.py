@@ -24,14 +24,14 @@ from std_srvs.srv import Trigger
 
 from foretouch.camera.config import ScheduleConfig
 from foretouch.config import setting
-from foretouch.dataset.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg, sensor_to_msg
 from foretouch_lab.simulation.execution import Counts, GraspTimingConfig, GraspTrajectory, SimulatedHand
 from foretouch_lab.simulation.message_faults import FaultConfig, MessageFaults

@@ -8,8 +8,7 @@ from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_from_msg, objects_to_msg
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Plane
+from foretouch.types import Cloud, Plane, stamp_ns
 
 PLANE = Plane.from_coefficients([0, 0, -1, 1.2])
 

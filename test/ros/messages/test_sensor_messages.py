@@ -13,7 +13,8 @@ from sensor_builders import XELA_TYPES
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.tactile.description import packaged_sensor, sensor_files
-from foretouch.tactile.messages.table import TactileConfig, make_reader
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileConfig
 from foretouch_lab.ros.hand_messages import sensor_to_msg
 
 pytestmark = pytest.mark.ros

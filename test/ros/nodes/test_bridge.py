@@ -18,11 +18,11 @@ from sensor_msgs.msg import PointCloud2
 from websocket_client import WebSocketClient
 
 from foretouch import reading
-from foretouch.dataset.topics import CLOUD_TOPIC, TACTILE_TOPIC, full_name
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import FINGER_ORDER
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import CLOUD_TOPIC, TACTILE_TOPIC, full_name
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import TouchPredictionArray
 
 pytestmark = pytest.mark.ros

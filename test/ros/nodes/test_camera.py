@@ -17,7 +17,7 @@ from foretouch.camera.config import RealSenseConfig
 from foretouch.cloud.io.depth_messages import CameraInfos, camera_model
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import ConfigError
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 from foretouch_lab.simulation import random_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 

@@ -17,12 +17,12 @@ from sensor_builders import XELA_TYPES
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, SHORT, run, scene
 
-from foretouch.dataset.samples import open_samples
-from foretouch.dataset.topics import CLOUD_TOPIC
+from foretouch.dataset.formats import open_samples
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.tactile.description import packaged_sensor
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import CLOUD_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import GraspArray
 

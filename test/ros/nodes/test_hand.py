@@ -12,8 +12,7 @@ from std_srvs.srv import Trigger
 
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.tactile.messages.biotac import FINGER_ORDER, finger_counts
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp
+from foretouch.types import Grasp, stamp_ns
 from foretouch_lab.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 

@@ -19,8 +19,7 @@ from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.replay import playable
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import CameraModel, Cloud
+from foretouch.types import CameraModel, Cloud, stamp_ns
 from foretouch_msgs.msg import TablePlane, TouchPredictionArray
 
 pytestmark = pytest.mark.ros

@@ -25,7 +25,7 @@ class OtherHand(Robot):
 
 
 def test_recorder_and_touch_predictor_accept_it(graph, tmp_path, monkeypatch):
-    add_tactile_type(tmp_path, monkeypatch)
+    add_tactile_type(monkeypatch)
     card = save_calibrated_network(tmp_path)
     (recorder,) = graph.add("recorder", record=str(tmp_path / "set"), tactile__type=MADE_UP_TYPE, **QUICK)
     (predictor,) = graph.add("touch_predictor", model=card, tactile__type=MADE_UP_TYPE, **QUICK)

@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import stamp_to_msg
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import TouchPredictionArray
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

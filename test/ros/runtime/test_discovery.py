@@ -5,7 +5,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header
 
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 
 pytestmark = pytest.mark.ros

@@ -35,8 +35,8 @@ from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
-from foretouch.tactile.messages.table import make_reader, stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, stamp_ns
 
 pytestmark = pytest.mark.ros
 

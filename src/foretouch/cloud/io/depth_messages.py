@@ -16,8 +16,7 @@ import numpy as np
 
 from foretouch.errors import CalibrationError, CloudError, shown
 from foretouch.kernels import Kernel
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import AnyArray, Cloud, Float32, UInt8
+from foretouch.types import AnyArray, Cloud, Float32, UInt8, stamp_ns
 from foretouch.types.camera import MODELS, CameraModel
 
 _decode_rvl = Kernel("decode_rvl")

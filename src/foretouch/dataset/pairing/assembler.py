@@ -27,8 +27,8 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
-from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Sample
+from foretouch.tactile.messages.table import TactileReader
+from foretouch.types import Cloud, Float32, Grasp, Sample, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 

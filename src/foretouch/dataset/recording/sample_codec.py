@@ -39,8 +39,7 @@ from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Grasp, Sample, Touch
+from foretouch.types import Cloud, Grasp, Sample, Touch, stamp_ns
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -19,8 +19,7 @@ from foretouch.grasp import GraspHold, GraspPlan, Obstacles
 from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Plane
+from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Plane, stamp_ns
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
 _CODES: dict[str, int] = {name.lower(): getattr(Status, name) for name in dir(Status) if name.isupper()}

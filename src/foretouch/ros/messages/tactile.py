@@ -5,9 +5,9 @@ import importlib
 from dataclasses import dataclass, field
 
 from foretouch.config import Settings, setting
-from foretouch.dataset.topics import TACTILE_TOPIC
 from foretouch.errors import MissingDependencyError
 from foretouch.tactile.messages.table import TactileConfig
+from foretouch.topics import TACTILE_TOPIC
 
 
 @dataclass(frozen=True, kw_only=True)

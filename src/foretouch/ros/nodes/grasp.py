@@ -6,11 +6,11 @@ from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.ros.messages.requests import read_objects
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
 from foretouch.ros.steps.grasping import GraspSettings, GraspStep
+from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import TablePlane
 
 

@@ -22,7 +22,6 @@ from foretouch.cloud.messages import decode_cloud
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_from_msg
@@ -31,8 +30,10 @@ from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.tactile.messages.table import TactileConfig, make_reader, stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileConfig
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
+from foretouch.types import ASSUMED_TABLE, Cloud, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")

@@ -12,7 +12,6 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
-from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.grasp import GraspPlan
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
@@ -24,7 +23,8 @@ from foretouch.ros.steps.grasping import GraspSettings, GraspStep
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import GraspArray, TablePlane
 
 

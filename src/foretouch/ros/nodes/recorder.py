@@ -21,14 +21,16 @@ from foretouch.dataset.pairing.cut import Interval, PairingConfig
 from foretouch.dataset.pairing.matcher import Label
 from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.topics import GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.tactile.messages.table import TactileReader, make_reader, stamp_ns
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileReader
+from foretouch.topics import GRASPS_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 

@@ -31,13 +31,12 @@ from foretouch.config import setting
 from foretouch.dataset.bag import Topic
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.source import Source, open_source
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import ASSUMED_TABLE, Plane
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.types import ASSUMED_TABLE, Plane, stamp_ns
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind

@@ -6,7 +6,6 @@ from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.pipeline import Object
 from foretouch.ros.messages.requests import (
     Latest,
@@ -21,8 +20,8 @@ from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import ASSUMED_TABLE
+from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
+from foretouch.types import ASSUMED_TABLE, stamp_ns
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
 _TABLES = 16  # one has the stamp of the latest object_cloud

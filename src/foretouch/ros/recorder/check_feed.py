@@ -11,12 +11,12 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from foretouch.cloud.io.depth_messages import CameraInfos
 from foretouch.cloud.messages import decode_cloud, decode_objects, read_header
 from foretouch.dataset.session_check import SessionCheck
-from foretouch.dataset.topics import CLOUD_TOPIC
 from foretouch.errors import ForetouchError
 from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage
 from foretouch.tactile.messages.table import TactileReader
+from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Cloud
 from foretouch_msgs.msg import TablePlane
 

@@ -24,7 +24,6 @@ from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
@@ -32,8 +31,8 @@ from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
 from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
 from foretouch.ros.runtime.subscription import type_name
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Sample
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.types import Sample, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 

@@ -14,11 +14,11 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
-from foretouch.camera.bounded_queue import BoundedQueue
+from foretouch.bounded_queue import BoundedQueue
 from foretouch.cloud.io.depth_messages import info_topic
-from foretouch.dataset.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
 from foretouch.ros.runtime.subscription import FollowingSubscription
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
 
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come

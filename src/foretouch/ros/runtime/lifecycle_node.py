@@ -25,13 +25,13 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.config import Settings, setting
-from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ForetouchError, shown
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, diagnostic_status
 from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.ros.runtime.subscription import FollowingSubscription
+from foretouch.topics import NAMESPACE
 
 _C = TypeVar("_C", bound="NodeConfig")
 _TRANSITIONS = {

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 from foretouch.config import setting
 from foretouch.ros.runtime.discovery import publishers_of
 from foretouch.ros.runtime.processing_node import Input, ProcessingConfig, ProcessingNode
-from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import Status
 
 _P = TypeVar("_P", bound="MatchingConfig")

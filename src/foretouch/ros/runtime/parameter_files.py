@@ -14,8 +14,8 @@ from itertools import pairwise
 from typing import Any, Final
 
 from foretouch.config import EMPTY, flattened, load_yaml, setting_infos
-from foretouch.dataset.topics import NAMESPACE
 from foretouch.errors import ConfigError, nearest
+from foretouch.topics import NAMESPACE
 
 _SHARED: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
 STEPS: Final = ("segmentation", "grasp", "touch_predictor")

@@ -18,8 +18,7 @@ from foretouch.config import setting
 from foretouch.ros.messages.requests import RefusalError, status_name
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Float32
+from foretouch.types import Cloud, Float32, stamp_ns
 from foretouch_msgs.msg import Status
 
 _P = TypeVar("_P", bound="ProcessingConfig")

@@ -19,8 +19,7 @@ from foretouch.errors import CalibrationError, CloudError
 from foretouch.ros.messages.requests import RefusalError, read_cloud
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud
+from foretouch.types import Cloud, stamp_ns
 from foretouch_msgs.msg import Status
 
 IMAGE_TOPIC: Final = "depth/image"

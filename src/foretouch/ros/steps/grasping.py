@@ -9,12 +9,12 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings, setting
-from foretouch.dataset.topics import GRASPS_TOPIC
 from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, HandConfig
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
+from foretouch.topics import GRASPS_TOPIC
 from foretouch_msgs.msg import GraspArray
 
 HOLD_TOLERANCE_M: Final = 0.005

@@ -13,7 +13,6 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
-from foretouch.dataset.topics import CLOUD_TOPIC
 from foretouch.errors import CloudError
 from foretouch.grasp import HandConfig
 from foretouch.pipeline import Pipeline, PipelineConfig, Scene
@@ -24,8 +23,8 @@ from foretouch.ros.messages.requests import RefusalError, status_code
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.ros.steps.selection import Selection, SelectionSettings
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Cloud, Float64
+from foretouch.topics import CLOUD_TOPIC
+from foretouch.types import Cloud, Float64, stamp_ns
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 

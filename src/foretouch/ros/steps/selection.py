@@ -19,8 +19,7 @@ from foretouch.errors import CloudError
 from foretouch.pipeline import Scene
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
-from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import AnyArray, Cloud
+from foretouch.types import AnyArray, Cloud, stamp_ns
 from foretouch_msgs.msg import Status
 
 MASK_TOPIC: Final = "mask"

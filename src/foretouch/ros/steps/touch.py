@@ -17,7 +17,6 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
-from foretouch.dataset.topics import EXECUTED_TOPIC
 from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig, GraspPlan
 from foretouch.models.equal_pressure import scale_of
@@ -35,9 +34,10 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.description import require_same
-from foretouch.tactile.messages.table import make_reader, stamp_ns
+from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Grasp, Predictions
+from foretouch.topics import EXECUTED_TOPIC
+from foretouch.types import Grasp, Predictions, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
 
 

@@ -35,8 +35,8 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
-from foretouch.tactile.messages.table import TactileReader, stamp_ns
-from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch
+from foretouch.tactile.messages.table import TactileReader
+from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile import ELECTRODES
-from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Float32
+from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading
+from foretouch.types import Float32, stamp_ns
 
 FINGERS: Final = ("TH", "MF")
 FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")  # order of the fingers in `BiotacAll.tactiles`
@@ -25,11 +25,6 @@ OTHERS: Final = ("PAC0", "PAC1", "TAC", "TDC")  # what a finger sends besides in
 _SENSORS: Final = ("0", "1", "2")  # of a CSV line
 _PER_SENSOR: Final = 54
 _FIELDS: Final = 1 + len(_SENSORS) * _PER_SENSOR
-
-
-def default_fingers(kind: str) -> tuple[str, str]:
-    """Names of thumb and middle finger in messages of a type."""
-    return ("0", "1") if kind == "std_msgs/String" else FINGERS
 
 
 def make_reader(config: TactileConfig) -> TactileReader:

@@ -15,8 +15,8 @@ import numpy as np
 from foretouch.errors import ConfigError, TactileError, shown
 from foretouch.tactile.description import STAMP_UNITS, Sensor
 from foretouch.tactile.field_path import FieldPath
-from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, stamp_ns
-from foretouch.types import Bool, Float64
+from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading
+from foretouch.types import Bool, Float64, stamp_ns
 
 _FLOAT32 = float(np.finfo(np.float32).max)
 

@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The supported types of tactile messages, and what every decoder of one gives.
+"""The supported types of tactile messages, their settings, and what every decoder of one gives; `readers` makes them.
 
-To support another type, add a module with `default_fingers(type)` (names of thumb and middle finger) and
-`make_reader(config)`, and a line to `TACTILE_TYPES`. The recorder, `dataset import`, the nodes and the help texts
-take the supported types from that table. Messages of a described sensor need neither (see `described`).
+To support another type, add a line to `TACTILE_TYPES`, a module with `make_reader(config)`, and its line in `readers`. The
+recorder, `dataset import`, the nodes and the help texts take the supported types from the table. Messages of a described
+sensor need neither (see `described`).
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from typing import Any, Final
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, load_sensor, require_two
-from foretouch.types import SECOND_NS, Float32
+from foretouch.types import Float32
 from foretouch.types.channels import Channels
 
-#: Message type to the module that decodes it.
-TACTILE_TYPES: dict[str, str] = dict.fromkeys(
-    ("foretouch_msgs/BiotacAll", "sr_robot_msgs/BiotacAll", "std_msgs/String", "tactile_msgs/TactileState"),
-    "foretouch.tactile.messages.biotac",
-)
+#: Names of thumb and middle finger, by message type.
+TACTILE_TYPES: dict[str, tuple[str, str]] = {
+    "foretouch_msgs/BiotacAll": ("TH", "MF"),
+    "sr_robot_msgs/BiotacAll": ("TH", "MF"),
+    "std_msgs/String": ("0", "1"),
+    "tactile_msgs/TactileState": ("TH", "MF"),
+}
 
 #: Flag of samples whose messages carry no stamp: the time of reception is taken instead.
 ARRIVAL_STAMPED: Final = "arrival_stamped"
@@ -63,7 +63,7 @@ class TactileConfig(Settings, read_only=True):
         if self.sensor:
             thumb, middle = self.described.channels.fingers
         else:
-            thumb, middle = import_module(TACTILE_TYPES[self.type]).default_fingers(self.type)
+            thumb, middle = TACTILE_TYPES[self.type]
         return self.thumb or thumb, self.middle or middle
 
 
@@ -103,22 +103,3 @@ class TactileReader:
         """Those of `others` that contact does not change, such as `TDC_TH`, which samples state besides the touch."""
         names = [scalar.name for scalar in self.sensor.config.scalars if scalar.contact == "none"]
         return frozenset(f"{name}_{finger}" for name in names for finger in self.channels.fingers)
-
-
-def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder for the settings.
-
-    Raises:
-        ConfigError: If the type or the sensor has no finger of that name, both are the same, or the description is faulty.
-    """
-    thumb, middle = config.fingers
-    if thumb == middle:
-        raise ConfigError(f"middle: {middle!r} is the thumb already")
-    module = "foretouch.tactile.messages.described" if config.sensor else TACTILE_TYPES[config.type]
-    reader: TactileReader = import_module(module).make_reader(config)
-    return reader
-
-
-def stamp_ns(stamp: Any) -> int:
-    """A `builtin_interfaces/Time` or `Duration` in integer nanoseconds."""
-    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)

@@ -10,7 +10,8 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from foretouch.dataset.samples import only_finite, open_samples
+from foretouch.dataset.formats import open_samples
+from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import Store, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of

@@ -9,7 +9,7 @@ from recording_builders import read_folder
 from run_builders import write_store
 
 from foretouch.cli.main import main
-from foretouch.dataset.samples import export_samples
+from foretouch.dataset.formats import export_samples
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.models import load_model
 

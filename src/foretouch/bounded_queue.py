@@ -2,13 +2,10 @@
 """A bounded queue between threads that counts every item it drops."""
 
 import threading
-import time
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Final, Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeVar
 
-_BUSY_S: Final = 0.5  # for which something may wait without a pause until the receiver counts as late
-_LATE_S: Final = 20.0  # for which it then counts as late, since each try whether it still is makes items old
 _Item = TypeVar("_Item")
 
 
@@ -19,8 +16,6 @@ class BoundedQueue(Generic[_Item]):
         capacity: Sum of the sizes of the items that may wait; None for no limit.
         when_full: `drop_oldest` makes room for the new item, `reject` drops the new item, `wait` blocks its sender.
         size_of: Size of an item, such as its bytes; None counts each item as 1.
-        patience_s: Where an item has waited for longer than this [s], or some have for half a second without a pause, only the
-            newest waits for the next 20 s. A shorter pause of it loses nothing. 0 for no such limit.
         on_drop: Called with each dropped item and the reason. The queue is locked meanwhile: return at once.
     """
 
@@ -30,21 +25,16 @@ class BoundedQueue(Generic[_Item]):
         *,
         when_full: Literal["drop_oldest", "reject", "wait"] = "drop_oldest",
         size_of: Callable[[_Item], int] | None = None,
-        patience_s: float = 0.0,
         on_drop: Callable[[_Item, str], None] | None = None,
     ) -> None:
         self.capacity = capacity  # may be changed at any time
         self.dropped: Counter[str] = Counter()  # as `superseded`, `full`, `closed`, or what `close` was given
         self._when_full = when_full
         self._size_of = size_of or (lambda _: 1)
-        self._patience_s = patience_s
         self._on_drop = on_drop
         self._changed = threading.Condition()
         self._items: deque[_Item] = deque()
-        self._since: deque[float] = deque()  # when each was put, `time.monotonic` [s]
         self._size = 0
-        self._empty_s = 0.0  # when it was last empty, `time.monotonic` [s]
-        self._late_until_s = 0.0  # `time.monotonic` [s]
         self._closed_reason = ""
 
     def put(self, item: _Item) -> bool:
@@ -54,14 +44,12 @@ class BoundedQueue(Generic[_Item]):
             if self._when_full == "wait":
                 self._changed.wait_for(lambda: self._closed_reason or self._has_room(size))
             elif self._when_full == "drop_oldest":
-                late = self._is_late()
-                while self._items and (late or not self._has_room(size)):
+                while self._items and not self._has_room(size):
                     self._drop(self._pop(), "superseded")
             if self._closed_reason or not self._has_room(size):
                 self._drop(item, self._closed_reason or "full")
                 return False
             self._items.append(item)
-            self._since.append(time.monotonic())
             self._size += size
             self._changed.notify_all()
             return True
@@ -86,11 +74,6 @@ class BoundedQueue(Generic[_Item]):
                 self._drop(self._pop(), discard)
             self._changed.notify_all()
 
-    def reopen(self) -> None:
-        """Accept items again."""
-        with self._changed:
-            self._closed_reason = ""
-
     @property
     def closed(self) -> bool:
         """Whether new items are dropped because of `close`."""
@@ -99,20 +82,11 @@ class BoundedQueue(Generic[_Item]):
     def _has_room(self, size: int) -> bool:
         return self.capacity is None or self._size + size <= self.capacity
 
-    def _is_late(self) -> bool:
-        """Whether the receiver does not keep up, as an item is put, so that only the newest one waits."""
-        now = time.monotonic()
-        if not self._items or now < self._late_until_s:
-            self._empty_s = now
-        elif self._patience_s and (now - self._since[0] > self._patience_s or now - self._empty_s > _BUSY_S):
-            self._late_until_s = now + _LATE_S
-        return now < self._late_until_s
-
     def _wait(self, timeout_s: float | None) -> None:
         self._changed.wait_for(lambda: self._items or self._closed_reason, timeout_s)
 
     def _pop(self) -> _Item:
-        item, _ = self._items.popleft(), self._since.popleft()
+        item = self._items.popleft()
         self._size -= self._size_of(item)
         self._changed.notify_all()
         return item
