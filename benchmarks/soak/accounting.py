@@ -5,10 +5,10 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-STAGES = (("segmentation", ("object_cloud", "table")), ("grasp", ("grasps",)), ("touch_predictor", ("touch",)))
-"""Node and the topics of its answer, in the order of the chain."""
+STAGES = (("perception", ("touch",)),)
+"""Node and the topics of its answer, in the order of a chain."""
 
-_SOURCES = {"segmentation": ("camera",), "grasp": ("segmentation",), "touch_predictor": ("segmentation", "grasp")}
+_SOURCES = {"perception": ("camera",)}
 """Nodes whose messages another one requires."""
 
 QUEUED_S = 2.0  # a node that ends takes along what arrived so shortly before

@@ -21,8 +21,7 @@ from benchmarks.ros import NAMESPACE, end, prepare_domain, spawn
 from benchmarks.soak.accounting import Outage, account
 from benchmarks.soak.observer import DOMAIN, Observer
 
-PERCEPTION = ("segmentation", "grasp", "touch_predictor")
-NODES = (*PERCEPTION, "hand", "recorder", "camera")
+NODES = ("perception", "hand", "recorder", "camera")
 START_S = 90.0  # that a process may take until it is active, on a busy computer
 RECOVERY_S = 2.0  # the limit
 PATIENCE_S = 20.0  # that is waited for a recovery
@@ -66,7 +65,7 @@ class Soak:
     def start(self, name: str) -> bool:
         """Start a node and wait until it reports that it is active."""
         before = self.seen.processes(name)
-        looks = {"input": "points"} if name == "segmentation" else {}
+        looks = {"input": "points"} if name == "perception" else {}
         parameters = {"diagnostics_period_s": 0.25, **looks, **self._parameters.get(name, {})}
         self.processes[name] = spawn((name,), parameters, self.folder / f"{name}.log")
         self.memory[name] = []
@@ -232,14 +231,14 @@ def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str
             ("clean up", ("deactivate", "cleanup", "configure", "activate")),
         )
     ]
-    stalls = [(f"stall {name}", partial(soak.stall, name)) for name in ("camera", "hand", *PERCEPTION)]
+    stalls = [(f"stall {name}", partial(soak.stall, name)) for name in ("camera", "hand", "perception")]
     jumps = [(f"clock of hand {skew:+.0f} s", partial(soak.jump, skew)) for skew in (-5.0837, 3599.0837)]
     disk = [("disk full", soak.fill_disk), ("folder removed", soak.remove_folder)]
     if every:
         rest = [*cycles, *stalls, *jumps, *disk]
         mixed = [one for k in range(4) for one in rest[k::4]]
         return [*kills, *mixed, *mixed]
-    return [kills[2], cycles[0], disk[0], stalls[0], cycles[3], jumps[0], disk[1], jumps[1], kills[4]]
+    return [kills[0], cycles[0], disk[0], stalls[0], cycles[1], jumps[0], disk[1], jumps[1], kills[2]]
 
 
 def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[dict[str, Any]], float]:
@@ -250,7 +249,7 @@ def run(soak: Soak, minutes: float, *, quiet: bool) -> tuple[list[dict[str, Any]
             raise SystemExit(f"{name} does not become active; see {soak.folder / name}.log")
     if not soak.seen.wait(lambda: bool(soak.seen.answers), START_S):
         raise SystemExit("the first cloud is not answered")
-    soak.outages += [Outage(name, "not yet connected", began, time.monotonic()) for name in PERCEPTION]
+    soak.outages.append(Outage("perception", "not yet connected", began, time.monotonic()))
     origin = time.monotonic()
     plan = [] if quiet else disturbances(soak, every=minutes >= 10)
     quiet_s = min(60.0, minutes * 6.0)

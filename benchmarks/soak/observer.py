@@ -14,7 +14,6 @@ from benchmarks.soak.accounting import STAGES, Drop
 
 DOMAIN = 91
 _STAMP = struct.Struct("<4xiI")  # of the header with which a serialised message begins
-_TOPICS = ("points", "object_cloud", "table", "grasps")
 _SENDERS = {topic: node for node, topics in STAGES for topic in topics}
 
 
@@ -27,11 +26,11 @@ class Observer(Client):
 
         from foretouch.ros.runtime.subscription import Losses
         from foretouch.topics import TACTILE_TOPIC
-        from foretouch_msgs.msg import BiotacAll, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
+        from foretouch_msgs.msg import BiotacAll, RecorderStatus, TouchPredictionArray
 
         self.clouds: dict[int, float] = {}  # first time of each stamp on `points`
         self.repeated = 0  # clouds with a stamp that was seen before
-        self.stamps: dict[str, set[int]] = {name: set() for name in (*_TOPICS, "touch")}
+        self.stamps: dict[str, set[int]] = {name: set() for name in ("points", "touch")}
         self.answers: list[float] = []
         self.answered_at: dict[int, float] = {}  # first answer by stamp
         self.statuses: Counter[str] = Counter()
@@ -41,8 +40,7 @@ class Observer(Client):
         self.drops: list[Drop] = []
         self._losses = {topic: Losses(partial(self._missed, topic)) for topic in self.stamps}
         self._seen_s = dict.fromkeys(self.stamps, time.monotonic())  # when each topic was last heard
-        for topic, kind in zip(_TOPICS, (PointCloud2, PointCloud2, TablePlane, GraspArray), strict=True):
-            self.node.create_subscription(kind, topic, partial(self._see, topic), self.deep, raw=True)
+        self.node.create_subscription(PointCloud2, "points", self._see_cloud, self.deep, raw=True)
         self.node.create_subscription(TouchPredictionArray, "touch", self._see_touch, self.deep)
         self.node.create_subscription(
             BiotacAll, TACTILE_TOPIC, lambda _: setattr(self, "tactile_s", time.monotonic()), self.deep, raw=True
@@ -66,7 +64,7 @@ class Observer(Client):
     def reported(self, node: str, before: Report | None, now: Report) -> None:
         """Note what was dropped since the report before."""
         counts = {key: key.removeprefix("dropped.") for key in now.values if key.startswith("dropped.")}
-        counts |= {f"lost_on_the_way.{topic}": f"lost on the way, {topic}" for topic in _TOPICS}
+        counts["lost_on_the_way.points"] = "lost on the way"
         for key, reason in counts.items():
             more = int(now.values.get(key, 0)) - (int(before.values.get(key, 0)) if before else 0)
             if more > 0:
@@ -82,15 +80,14 @@ class Observer(Client):
         self._losses[topic].arrived(info, publishers=1)
         self._seen_s[topic] = time.monotonic()
 
-    def _see(self, topic: str, data: bytes, info: Any) -> None:
+    def _see_cloud(self, data: bytes, info: Any) -> None:
         sec, nanosec = _STAMP.unpack_from(data)
         stamp, now = sec * SECOND + nanosec, time.monotonic()
         with self.lock:
-            self._heard(topic, info)
-            if topic == "points":
-                self.repeated += stamp in self.clouds
-                self.clouds.setdefault(stamp, now)
-            self.stamps[topic].add(stamp)
+            self._heard("points", info)
+            self.repeated += stamp in self.clouds
+            self.clouds.setdefault(stamp, now)
+            self.stamps["points"].add(stamp)
 
     def _see_touch(self, message: Any, info: Any) -> None:
         from foretouch.ros.messages.requests import status_name

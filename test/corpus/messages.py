@@ -24,6 +24,7 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ForetouchError
 from foretouch.models import load_model
 from foretouch.models.history import place_and_size
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
@@ -31,7 +32,6 @@ from foretouch.ros.messages.requests import read_arrays, read_cloud, read_plane,
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.nodes.touch_predictor import TouchPredictorConfig
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages.readers import make_reader
@@ -177,7 +177,7 @@ def predicted() -> Reader:
         posing = config.grasp if table else None
         arrays = len(request.contacts) or len(request.rotations)
         grasps = read_arrays(request) if arrays else request.grasps
-        answer = predictor.finish(predictor.answer(targets, grasps, request.cloud.header, config, posing), 1.0, 0.5)
+        answer = predictor.answer(targets, grasps, request.cloud.header, config, posing)
         (check_batch if arrays else check_predictions)(answer.reply)
 
     return [touch_request(), array_request()], read

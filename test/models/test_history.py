@@ -19,8 +19,8 @@ from safetensors.numpy import load, save
 
 from foretouch.errors import CloudError, FileError, TactileError
 from foretouch.models.history import History, HistoryFile, read_history
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import TouchModel
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Prediction, Sample, Touch
 

@@ -54,7 +54,7 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     rest = run(config).tare.values
     model = constant_model(sensor, rest, make_calibration(0, sensor.channels, rest))
     monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
-    monkeypatch.setattr("foretouch.ros.touch.history_keeper.HistoryKeeper.changed", lambda _: None)
+    monkeypatch.setattr("foretouch.models.history_keeper.HistoryKeeper.changed", lambda _: None)
     messages = graph.listen(SensStream, HAND)
     (hand,) = graph.add("hand", scene__path=str(path), scene__samples=1, **SHORT)
     (recorder,) = graph.add(

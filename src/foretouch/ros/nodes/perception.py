@@ -21,6 +21,7 @@ from foretouch.ros.runtime.processing_node import Input
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
 from foretouch.ros.steps.grasping import GraspSettings, GraspStep
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
+from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.touch.config import TouchSettings
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
@@ -51,7 +52,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
 
     def _setup(self) -> None:
         self._planner, self._touch = GraspStep(self), TouchStep(self)
-        self.steps = (self._planner, self._touch)
+        self.steps = (self._planner, self._touch, TouchServices(self, self._touch))
         if self.config.input == "objects":  # subscriptions come last, so that no answer is lost
             super()._setup()
         else:

@@ -20,10 +20,10 @@ from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.cut import Interval, PairingConfig
 from foretouch.dataset.pairing.matcher import Label
 from foretouch.dataset.record import Identity, Outcome, check_name
+from foretouch.dataset.recording.operator import Action, Operator
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.operator import Action, Operator
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig

@@ -18,6 +18,7 @@ from foretouch.ros.messages.requests import (
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
+from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.touch.config import TouchSettings
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
@@ -44,7 +45,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
 
     def _setup(self) -> None:
         self._step = TouchStep(self)  # before subscribing, so that no answer is lost
-        self.steps = (self._step,)
+        self.steps = (self._step, TouchServices(self, self._step))
         self.subscribe(TablePlane, "table", self._remember_table)
         super()._setup()
 

@@ -21,6 +21,7 @@ from foretouch.dataset.pairing.assembler import Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
+from foretouch.dataset.recording.operator import Action, Operator, OperatorState
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
@@ -28,7 +29,6 @@ from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
-from foretouch.ros.recorder.operator import Action, Operator, OperatorState
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
 from foretouch.ros.runtime.subscription import type_name
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC

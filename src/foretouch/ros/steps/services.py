@@ -9,23 +9,22 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from foretouch.errors import quoted
-from foretouch.grasp import GeoGraspConfig
 from foretouch.models.equal_pressure import predicted_pressures
 from foretouch.pipeline import Object
-from foretouch.ros.messages.answers import TouchAnswer
-from foretouch.ros.messages.requests import Latest, RefusalError, read_arrays, requested_targets, status_name
+from foretouch.ros.messages.requests import RefusalError, read_arrays, requested_targets, status_name
 from foretouch.ros.runtime.lifecycle_node import REQUESTS, ForetouchNode
+from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.runtime.workers import ThreadPool
+from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.touch.grasp_actions import (
     PLANNER_ACTION,
     PLANNER_TYPE,
@@ -38,7 +37,6 @@ from foretouch.ros.touch.grasp_actions import (
     sample_grasps,
 )
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.predictor import Predictor
 from foretouch.types import UNKNOWN_FRAME
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, Status, TouchPredictionArray, TouchPredictionBatch
@@ -47,27 +45,10 @@ from foretouch_msgs.srv import PredictTouch
 _T = TypeVar("_T")
 
 
-class Predicts(Protocol):
-    """What services need of a `TouchStep`; its methods are described there."""
-
-    latest: Latest | None
-    adapter: OnlineAdapter | None
-    predictor: Predictor
-
-    def answer(
-        self, targets: Sequence[Object], grasps: Any, header: Header, posing: GeoGraspConfig | None
-    ) -> TouchAnswer:
-        """Predict for grasps of messages."""
-        ...
-
-    def add_requested(self, header: Header, cloud: Callable[[], PointCloud2], grasps: Any) -> None:
-        """Keep grasps of a request."""
-
-
-class TouchServices:
+class TouchServices(Step):
     """Services and actions of a node, which predict by its `TouchStep`."""
 
-    def __init__(self, node: ForetouchNode[Any], step: Predicts) -> None:
+    def __init__(self, node: ForetouchNode[Any], step: TouchStep) -> None:
         self._node, self._step = node, step
         self._requests: Counter[str] = Counter()  # by name and status
         self._threads = ThreadPool(node, 2, 100)  # more threads would only share the processor

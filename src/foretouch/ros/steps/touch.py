@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Targets and their grasps -> `touch`, for the sensor of the model, with the services and actions for planners.
+"""Targets and their grasps -> `touch`, for the sensor of the model.
 
 If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
 tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the
@@ -20,24 +20,24 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig, GraspPlan
 from foretouch.models.equal_pressure import scale_of
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object
 from foretouch.ros.messages.answers import TouchAnswer
+from foretouch.ros.messages.conversions import duration_to_msg
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import GraspArrays, Latest
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.steps.selection import SELECTED
-from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.topics import EXECUTED_TOPIC
-from foretouch.types import Grasp, Predictions, stamp_ns
+from foretouch.types import LATE, Grasp, Predictions, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
 
 
@@ -67,7 +67,6 @@ class TouchStep(Step):
         self._adapt()
         self._touch = node.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = node.advertise(MarkerArray, "markers")
-        self._services = TouchServices(node, self)
 
     def configure(self, config: TouchSettings) -> None:
         """Use other settings; touches with and without a tare cannot be combined, so a change of `use_tare` forgets them."""
@@ -123,7 +122,7 @@ class TouchStep(Step):
 
     def warnings(self) -> tuple[str, ...]:
         """Why the model does not adapt to readings, and whether it is made for another hand than they come from."""
-        model, found = self.predictor.model, [*self._services.warnings()]
+        model, found = self.predictor.model, list[str]()
         if model is not None and model.calibration is None:
             reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
             found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
@@ -144,16 +143,22 @@ class TouchStep(Step):
             found |= {"model": model.name, "model_sha256": model.sha256}
             if self.adapter is None:
                 found["regime"] = self._other_hand or "none: the model's card holds no calibration"
-        for part in (self.adapter, self._keeper, self._services):
+        for part in (self.adapter, self._keeper):
             found |= part.notes() if part is not None else {}
         return found
 
     # Details.
 
     def _end(self, answer: TouchAnswer) -> TouchAnswer:
-        """Add model, age and flags."""
-        age_s = self._node.age_s(stamp_ns(answer.header.stamp))
-        return self.predictor.finish(answer, age_s, self._node.config.late_after_s)
+        """Add the model, the age of the input and the flags of both."""
+        age_s, late_after_s = self._node.age_s(stamp_ns(answer.header.stamp)), self._node.config.late_after_s
+        answer.age = duration_to_msg(age_s)
+        answer.flags += self.predictor.flags
+        if 0.0 < late_after_s < age_s:
+            answer.flags += (LATE,)
+        if (model := self.predictor.model) is not None:
+            answer.model, answer.model_sha256 = model.name, model.sha256
+        return answer
 
     def _draw(self, answer: TouchAnswer) -> None:
         """Publish the markers of the first prediction."""

@@ -29,12 +29,12 @@ from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
+from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import Snapshot, TouchModel
 from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.history_keeper import HistoryKeeper
-from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
+from foretouch.tactile.live_tare import LiveTare
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp

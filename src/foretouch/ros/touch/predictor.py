@@ -14,14 +14,14 @@ from foretouch.models import TouchModel, load_model
 from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.answers import TouchAnswer
-from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchSettings
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.posing import posed_grasps, refusal_of
 from foretouch.tactile.description import Sensor
-from foretouch.types import LATE, Grasps, Predictions
+from foretouch.types import Grasps, Predictions
 from foretouch.types.channels import NO_CHANNELS, Channels
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
@@ -104,19 +104,6 @@ class Predictor:
         if posing is not None:
             grasps = [_as_predicted(grasp, rows, k) for k, grasp in enumerate(grasps)]
         return TouchAnswer(header, grasps, rows, sensor=sensor)
-
-    def finish(self, message: TouchAnswer, age_s: float, late_after_s: float) -> TouchAnswer:
-        """Add the model, the age of its input [s] and the resulting flags to each prediction.
-
-        Beyond an age of `late_after_s`, 0 for never, it is `late`.
-        """
-        message.flags += self.flags
-        if 0.0 < late_after_s < age_s:
-            message.flags += (LATE,)
-        message.age = duration_to_msg(age_s)
-        if self.model is not None:
-            message.model, message.model_sha256 = self.model.name, self.model.sha256
-        return message
 
     def predict(self, target: Object, posed: Predictions, config: TouchSettings) -> Predictions:
         """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
