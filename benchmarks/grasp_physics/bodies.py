@@ -186,7 +186,7 @@ class JawBody(Body):
         rough = f'mass=".05" condim="4" priority="1" friction="{friction} {SPIN_M} .0001"'
         jaws = "".join(
             f'<body name="{part}" gravcomp="1"><joint name="{part}" type="slide" axis="{axis} 0 0" damping="20"/>'
-            f"{_box(part, boxes[part][0], f'{solid} {rough}')}</body>"
+            f"{''.join(_box(f'{part}{k}', box, f'{solid} {rough}') for k, box in enumerate(boxes[part]))}</body>"
             for part, axis in ((FINGER, 1), (THUMB, -1))
         )
         palms = "".join(_box(f"palm{k}", one, f'{solid} mass=".7" friction=".3 .005 .0001"') for k, one in enumerate(boxes[PALM]))  # fmt: skip
@@ -201,7 +201,10 @@ class JawBody(Body):
 <equality><joint joint1="{FINGER}" joint2="{THUMB}" polycoef="0 1 0 0 0" solref=".004 1"/></equality>
 <actuator>{drives}<motor joint="{FINGER}"/><motor joint="{THUMB}"/></actuator></mujoco>""",
         )
-        self.pads = self.fingers = tuple(self.model.geom(name).id for name in (FINGER, THUMB))
+        self.pads = tuple(self.model.geom(f"{name}0").id for name in (FINGER, THUMB))
+        self.fingers = tuple(np.flatnonzero(np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in (FINGER, THUMB)])))  # fmt: skip
+        self._palms = [self.model.geom(f"palm{k}").id for k in range(len(boxes[PALM]))]
+        self._behind_m = self.model.geom_pos[self._palms, 2] - at.tool[2, 3]
         self._slides = [self.model.joint(name).qposadr[0] for name in (FINGER, THUMB)]
 
     def _open(self, pose: Float64, planned: Planned, back_m: float, opened: bool) -> None:
@@ -211,6 +214,7 @@ class JawBody(Body):
         mount = planned.frame.copy()
         mount[:3, 3] -= back_m * mount[:3, 2]
         self.place(mount)
+        self.model.geom_pos[self._palms, 2] = self._behind_m + self.hand.at(planned.width_m).tool[2, 3]
         self.data.qpos[self._slides] = -wide / 2.0
 
     def obstruction(self, pose: Float64, planned: Planned) -> str:
@@ -282,6 +286,17 @@ _COUPLED: Final = 0.00805 / 0.00705  # of MFJ0 to MFJ1, as the model's tendon
 _STIFF_NM, _DAMPED_NMS = 3.0, 0.06
 _TIP_ENDS: Final = (0.012, 0.013)  # from the middle of a distal capsule to that of its end
 _PALM_M: Final = (0.0, 0.01, 0.29)  # of the palm in the mount, wrist neutral
+_SIGNS: Final = (
+    -1,
+    1,
+    1,
+    1,
+    1,
+    1,
+    1,
+    -1,
+    -1,
+)  # of the joints' angles in the MuJoCo model, against those of Shadow's URDF
 _WAY: Final = 17  # postures from opened to beyond the contacts
 
 
@@ -320,6 +335,10 @@ class ShadowBody(Body):
         pairs = zip(self.pads, _TIP_ENDS, strict=True)
         return np.array([data.geom_xpos[pad] + end * data.geom_xmat[pad].reshape(3, 3)[:, 2] for pad, end in pairs])
 
+    def _angles(self, width_m: float) -> Float64:
+        """(9,) float64 [rad], the posture at a width as the MuJoCo model counts it."""
+        return self.hand.at(width_m).posture * _SIGNS
+
     def _mounted(self, planned: Planned) -> Float64:
         at = self.hand.at(planned.width_m)
         mount: Float64 = planned.frame @ at.tool
@@ -330,7 +349,7 @@ class ShadowBody(Body):
         """Opened, and on the way in."""
         self.reset(pose)
         mount = self._mounted(planned)
-        opened = self.hand.at(planned.width_m + 2.0 * self.hand.config.open_m).posture
+        opened = self._angles(planned.width_m + 2.0 * self.hand.config.open_m)
         for back in (0.0, *_BACK_M):
             moved = mount.copy()
             moved[:3, 3] -= back * planned.frame[:3, 2]
@@ -346,7 +365,7 @@ class ShadowBody(Body):
         self.reset(pose)
         self.place(self._mounted(planned))
         widths = planned.width_m + 2.0 * np.linspace(self.hand.config.open_m, -_BEYOND_M, _WAY)
-        table, at, on = np.array([self.hand.at(width).posture for width in widths.tolist()]), [0.0, 0.0], [False, False]
+        table, at, on = np.array([self._angles(width) for width in widths.tolist()]), [0.0, 0.0], [False, False]
         wanted = table[0].copy()
         data.qpos[self._places] = wanted
         mujoco.mj_forward(model, data)

@@ -56,7 +56,8 @@ def system_errors(path: str | Path, rule: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        raise FileError(path, f"{rule}: " * bool(rule) + (os.strerror(err.errno) if err.errno else str(err))) from err
+        cause = os.strerror(err.errno) if err.errno else str(err)
+        raise FileError(path, f"{rule}: {cause}" if rule else cause) from err
 
 
 @contextmanager

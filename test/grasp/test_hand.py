@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from every_case import every_case
+from scipy.spatial.transform import Rotation
 from seen_solids import Camera, box
 
 from foretouch.config import load_yaml
@@ -31,8 +32,10 @@ def test_hands_of_the_package() -> None:
         assert len(at.posture) == len(hand.config.joints)
         assert hand.limits_depth == (name != "two_tips")
         edges = np.linalg.norm(at.corners[:, [4, 2, 1]] - at.corners[:, :1], axis=2)
-        sizes = [box.size for box in (*hand.config.boxes, *hand.config.postures[0].boxes)]
-        np.testing.assert_allclose(edges, np.reshape(sizes, (-1, 3)), atol=0.006)
+        stated = [[box.size for box in (*hand.config.boxes, *one.boxes)] for one in hand.config.postures]
+        sizes = np.reshape(stated, (len(stated), -1)).T
+        expected = [np.interp(0.05, hand.widths, row) for row in sizes]
+        np.testing.assert_allclose(edges, np.reshape(expected, (-1, 3)), atol=0.006)
 
     every_case(list(hand_files()), check)
 
@@ -43,9 +46,51 @@ def test_jaws_open_by_the_width_and_palms_stay() -> None:
     sides = {"finger": -0.02, "palm": 0.0, "thumb": 0.02}
     for part, one, other in zip(jaw.parts, narrow, wide, strict=True):
         np.testing.assert_allclose(other - one, np.broadcast_to([sides[part], 0.0, 0.0], (8, 3)), atol=1e-12)
-    inner = {part: one[:, 0] for part, one in zip(jaw.parts, wide, strict=True)}
-    assert inner["finger"].max() == pytest.approx(-0.03)
-    assert inner["thumb"].min() == pytest.approx(0.03)
+    inner = {name: one[:, 0] for name, one in zip(jaw.names, wide, strict=True)}
+    assert inner["left"].max() == pytest.approx(-0.03)
+    assert inner["right"].min() == pytest.approx(0.03)
+
+
+def _moved(xyz: tuple[float, ...], rpy: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Float64:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+    return pose
+
+
+def _turned(axis: tuple[float, float, float], angle: float) -> Float64:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec(np.multiply(axis, angle)).as_matrix()
+    return pose
+
+
+def test_postures_of_the_shadow_hand_are_those_of_its_urdf() -> None:
+    """The joints of the vendor's URDF (sr_description, right hand) put the distal links where the boxes are."""
+    hand = load_hand("shadow_thumb_middle")
+    for width in (0.005, 0.025, 0.045, 0.065, 0.085, 0.105):
+        at = hand.at(width)
+        joint = dict(zip((one.name[3:] for one in hand.config.joints), at.posture.tolist(), strict=True))
+        finger = _moved((0.011, 0.0, 0.099)) @ _turned((0, -1, 0), joint["MFJ4"]) @ _turned((1, 0, 0), joint["MFJ3"])
+        finger = finger @ _moved((0.0, 0.0, 0.045)) @ _turned((1, 0, 0), joint["MFJ2"])
+        finger = finger @ _moved((0.0, 0.0, 0.025)) @ _turned((1, 0, 0), joint["MFJ1"])
+        thumb = _moved((0.034, -0.00858, 0.029), (-np.pi / 4.0, 0.0, -np.pi / 2.0)) @ _turned((0, 0, -1), joint["THJ5"])
+        thumb = thumb @ _turned((0, 1, 0), joint["THJ4"]) @ _moved((0.0, 0.0, 0.038))
+        thumb = thumb @ _turned((0, 1, 0), joint["THJ3"]) @ _turned((1, 0, 0), joint["THJ2"])
+        thumb = thumb @ _moved((0.0, 0.0, 0.032)) @ _turned((1, 0, 0), joint["THJ1"])
+        for name, link, middle_m in (("middle_distal", finger, 0.012), ("thumb_distal", thumb, 0.013)):
+            expected = (at.tool @ link @ [0.0, 0.0, middle_m, 1.0])[:3]
+            box = at.corners[hand.names.index(name)].mean(axis=0)
+            np.testing.assert_allclose(box, expected, atol=0.001)
+
+
+def test_contacts_of_the_robotiq_move_as_its_urdf_says() -> None:
+    """Fingers on arcs (robotiq_description): the ends of the pads are 149.3 mm from the base when open, and 162.8 mm when closed."""
+    hand = load_hand("robotiq_2f85")
+    for angle in np.linspace(0.0, 0.8, 9).tolist():
+        arm = np.array([0.03152616 + 0.00563134, -0.00376347 + 0.04718515])
+        c, s = np.cos(angle), np.sin(angle)
+        tip = np.array([0.03060114 + c * arm[0] - s * arm[1], 0.05490452 + s * arm[0] + c * arm[1]])
+        width, end = 2.0 * (tip[0] - 0.0253), tip[1] + 0.051
+        assert hand.at(max(width, 0.0)).tool[2, 3] == pytest.approx(hand.config.tip_radius_m - end, abs=0.001)
 
 
 def test_clearance_over_a_block() -> None:

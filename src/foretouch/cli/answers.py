@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foretouch.errors import ForetouchError
+from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.types import Grasp, Prediction, stamp_ns
@@ -23,12 +24,27 @@ if TYPE_CHECKING:
 
 
 def grasp_record(grasp: Grasp) -> dict[str, Any]:
-    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
-    return {
+    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined), and how a hand comes to it if it was planned for one."""
+    record = {
         "g1": grasp.g1,
         "g2": grasp.g2,
         "rotation": grasp.rotation.reshape(9),
         "score": None if math.isnan(grasp.score) else grasp.score,
+        "width_m": grasp.width_m,
+    }
+    if (way := grasp.way) is None:
+        return record
+    return record | {
+        "hand": way.hand,
+        "approach": way.approach,
+        "depth_m": way.depth_m,
+        "approaches": way.approaches,
+        "thumb_at": way.thumb_at,
+        "pose_of_hand": {
+            "position": way.pose_of_hand[:3, 3],
+            "quaternion_xyzw": quaternion_xyzw(way.pose_of_hand[:3, :3]),
+        },
+        "posture": dict(zip(way.joints, way.posture.tolist(), strict=True)),
     }
 
 

@@ -13,6 +13,7 @@ from foretouch.cli import inputs
 from foretouch.cli.answers import grasp_record
 from foretouch.cli.output import print_table
 from foretouch.dataset.source import SourceItem
+from foretouch.grasp.hand import load_hand
 from foretouch.pipeline import Pipeline
 
 
@@ -74,6 +75,23 @@ def _show(record: dict[str, Any]) -> None:
         for rank, grasp in enumerate(record["grasps"], 1)
     ]
     print_table(inputs.heading(record), ["rank", "g1 [m]", "g2 [m]", "width [mm]", "score"], rows)
+    if hand := next((grasp.get("hand", "") for grasp in record["grasps"]), ""):
+        _show_poses(hand, record["grasps"])
+
+
+def _show_poses(hand: str, grasps: list[dict[str, Any]]) -> None:
+    """Print where the tool frame of a hand is at each grasp; nothing for a hand whose description names no frame."""
+    config = load_hand(hand).config
+    if not config.tool:
+        return
+    columns = ["rank", "depth [mm]", "position [m]", "quaternion x y z w", *["thumb"] * bool(config.joints)]
+    rows = []
+    for rank, grasp in enumerate(grasps, 1):
+        pose = grasp["pose_of_hand"]
+        turn = " ".join(f"{value:.3f}" for value in pose["quaternion_xyzw"])
+        row = [str(rank), f"{1e3 * grasp['depth_m']:.0f}", _point(pose["position"]), turn]
+        rows.append([*row, grasp["thumb_at"]][: len(columns)])
+    print_table(f"{config.name}: pose of {config.tool}, to which the arm is sent", columns, rows)
 
 
 def _point(xyz: Any) -> str:

@@ -5,61 +5,24 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from foretouch.cli.inputs import error_line
-from foretouch.cli.output import print_json, print_table, warn
-from foretouch.cli.parser import CommandParser
-from foretouch.errors import ForetouchError
-from foretouch.files import PICTURE_SUFFIXES, require_writable
+from foretouch.cli.descriptions import Descriptions
 from foretouch.grasp.hand import hand_files, load_hand
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """One action each."""
-    actions: Any = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    for name, summary, count in (
-        ("list", "List the hands of the package", 0),
-        ("check", "Check descriptions of hands", "+"),
-        ("show", "Draw the boxes of a hand, open and closed", 1),
-    ):
-        action: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
-        action.add_json()
-        if count:
-            about = "YAML file, or the name of a hand of the package"
-            action.add_argument("hands", metavar="HAND", nargs=count, help=about)
-        if name == "show":
-            action.add_argument("-o", "--out", type=Path, required=True, metavar="F.png", help="image file")
+    """Add an action for each thing to do with a description."""
+    _HANDS.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a description breaks a rule."""
-    if arguments.action == "show":
-        from foretouch.report.hand_figure import save_hand_figure
-
-        require_writable(arguments.out, *PICTURE_SUFFIXES)
-        save_hand_figure(load_hand(arguments.hands[0]), arguments.out)
-    records = [_record(name) for name in (hand_files() if arguments.action == "list" else arguments.hands)]
-    found = [record for record in records if record["status"] == "ok"]
-    for record in records if arguments.json else ():
-        print_json(record)
-    if found and not arguments.json:
-        columns = ["hand", "opens [mm]", "deep [mm]", "tool frame", "joints", "what it is"]
-        print_table("Hands", columns, [_row(record) for record in found])
-    for record in records:
-        if record["status"] != "ok":
-            warn(record["reason"])
-    return int(len(found) < len(records))
+    """Run an action; the exit status is 1 if a description breaks a rule."""
+    return _HANDS.run(arguments)
 
 
-def _record(name: str) -> dict[str, Any]:
-    """The JSON object of a hand."""
-    try:
-        hand = load_hand(name)
-    except ForetouchError as err:
-        return {"input": name, "status": "refused", "reason": error_line(name, err)}
+def _facts(name: str) -> dict[str, Any]:
+    hand = load_hand(name)
     config = hand.config
     return {
-        "input": name,
-        "status": "ok",
         "name": config.name,
         "summary": config.summary,
         "opening_m": config.opening_m,
@@ -71,7 +34,25 @@ def _record(name: str) -> dict[str, Any]:
 
 
 def _row(record: dict[str, Any]) -> list[str]:
-    least, most = (f"{1e3 * one:.0f}" for one in record["depth_m"] or (float("inf"), float("inf")))
+    least, most = (f"{1e3 * depth:.0f}" for depth in record["depth_m"] or (float("inf"), float("inf")))
     depth = least if least == most else f"{least} to {most}"
     numbers = [f"{1e3 * record['opening_m']:.0f}", depth, record["tool"], str(len(record["joints"]))]
     return [record["name"], *numbers, record["summary"]]
+
+
+def _save_figure(name: str, path: Path) -> None:
+    from foretouch.report.hand_figure import save_hand_figure
+
+    save_hand_figure(load_hand(name), path)
+
+
+_HANDS = Descriptions(
+    name="hand",
+    show="Draw the boxes of a hand, open and closed",
+    title="Hands",
+    columns=["hand", "opens [mm]", "deep [mm]", "tool frame", "joints", "what it is"],
+    files=hand_files,
+    facts=_facts,
+    row=_row,
+    save_figure=_save_figure,
+)

@@ -5,61 +5,29 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from foretouch.cli.inputs import error_line
-from foretouch.cli.output import print_json, print_table, warn
-from foretouch.cli.parser import CommandParser
-from foretouch.errors import ForetouchError
-from foretouch.files import PICTURE_SUFFIXES, require_writable
+from foretouch.cli.descriptions import Descriptions
+from foretouch.cli.output import print_json, print_table
 from foretouch.tactile.description import load_sensor, sensor_files
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """One action each."""
-    actions: Any = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    for name, summary, count in (
-        ("list", "List the sensors of the package", 0),
-        ("check", "Check descriptions of sensors", "+"),
-        ("show", "Draw the taxels of a sensor with their normals", 1),
-    ):
-        action: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
-        action.add_json()
-        if count:
-            about = "YAML file, or the name of a sensor of the package"
-            action.add_argument("sensors", metavar="SENSOR", nargs=count, help=about)
-        if name == "check":
-            about = "dataset to compare the description with: ranges, noise, drift, rate, and taxels that failed"
-            action.add_argument("--against", type=Path, metavar="DS", help=about)
-        if name == "show":
-            action.add_argument("-o", "--out", type=Path, required=True, metavar="F.png", help="image file")
+    """Add an action for each thing to do with a description."""
+    about = "dataset to compare the description with: ranges, noise, drift, rate, and taxels that failed"
+    _SENSORS.add_arguments(parser).add_argument("--against", type=Path, metavar="DS", help=about)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a description breaks a rule."""
-    if arguments.action == "show":
-        from foretouch.report.sensor_figure import save_sensor_figure
-
-        require_writable(arguments.out, *PICTURE_SUFFIXES)
-        save_sensor_figure(load_sensor(arguments.sensors[0]), arguments.out)
+    """Run an action; the exit status is 1 if a description breaks a rule."""
     if arguments.action == "check" and arguments.against is not None:
         return _compare(arguments)
-    records = [_record(name) for name in (sensor_files() if arguments.action == "list" else arguments.sensors)]
-    found = [record for record in records if record["status"] == "ok"]
-    for record in records if arguments.json else ():
-        print_json(record)
-    if found and not arguments.json:
-        columns = ["sensor", "fingers", "taxels", "values of a taxel", "what it is"]
-        print_table("Tactile sensors", columns, [_row(record) for record in found])
-    for record in records:
-        if record["status"] != "ok":
-            warn(record["reason"])
-    return int(len(found) < len(records))
+    return _SENSORS.run(arguments)
 
 
 def _compare(arguments: argparse.Namespace) -> int:
     """Print what a recording shows of each modality, and the corrections that follow."""
     from foretouch.dataset.sensor_check import compare_sensor
 
-    for name in arguments.sensors:
+    for name in arguments.descriptions:
         found = compare_sensor(load_sensor(name), arguments.against)
         if arguments.json:
             print_json({"input": name, "against": str(arguments.against), **found})
@@ -74,16 +42,10 @@ def _compare(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _record(name: str) -> dict[str, Any]:
-    """The JSON object of a sensor."""
-    try:
-        sensor = load_sensor(name)
-    except ForetouchError as err:
-        return {"input": name, "status": "refused", "reason": error_line(name, err)}
+def _facts(name: str) -> dict[str, Any]:
+    sensor = load_sensor(name)
     config = sensor.config
     return {
-        "input": name,
-        "status": "ok",
         "name": config.name,
         "summary": config.summary,
         "sha256": sensor.sha256,
@@ -91,11 +53,29 @@ def _record(name: str) -> dict[str, Any]:
         "fingers": [finger.name for finger in config.fingers],
         "taxels": sensor.size,
         "dead": {finger.name: list(finger.dead) for finger in config.fingers if finger.dead},
-        "values": [{"name": one.name, "unit": one.unit} for one in config.values],
-        "scalars": [{"name": one.name, "unit": one.unit} for one in config.scalars],
+        "values": [{"name": value.name, "unit": value.unit} for value in config.values],
+        "scalars": [{"name": scalar.name, "unit": scalar.unit} for scalar in config.scalars],
     }
 
 
 def _row(record: dict[str, Any]) -> list[str]:
-    values = ", ".join(f"{one['name']} [{one['unit']}]" for one in record["values"])
+    values = ", ".join(f"{value['name']} [{value['unit']}]" for value in record["values"])
     return [record["name"], ", ".join(record["fingers"]), str(record["taxels"]), values, record["summary"]]
+
+
+def _save_figure(name: str, path: Path) -> None:
+    from foretouch.report.sensor_figure import save_sensor_figure
+
+    save_sensor_figure(load_sensor(name), path)
+
+
+_SENSORS = Descriptions(
+    name="sensor",
+    show="Draw the taxels of a sensor with their normals",
+    title="Tactile sensors",
+    columns=["sensor", "fingers", "taxels", "values of a taxel", "what it is"],
+    files=sensor_files,
+    facts=_facts,
+    row=_row,
+    save_figure=_save_figure,
+)

@@ -93,7 +93,7 @@ class Recording:
         with ExitStack() as stack:
             self._readers = [_opened(file, stack) for file in files]
             with _known_failures(self.path):
-                self._connections = [one for reader in self._readers for one in reader.connections]
+                self._connections = [connection for reader in self._readers for connection in reader.connections]
                 self.topics: tuple[Topic, ...] = tuple(self._topics())
             if not self.topics:
                 next(self.messages(), None)  # of a file that is cut off before its first message
@@ -123,18 +123,18 @@ class Recording:
         named = [
             t for t in self.topics if t.count and (t.name == topic or (not topic and not t.name.startswith(_TAXELS)))
         ]
-        found = [t for t in named if t.type == POINT_CLOUD_TYPE]
-        if not found:
-            found = [t for t in named if self._is_depth(t)]
-            raw = {t.name for t in found if t.type == IMAGE_TYPE}
-            found = [t for t in found if t.type == IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
-        if len(found) != 1:
+        qualified = [t for t in named if t.type == POINT_CLOUD_TYPE]
+        if not qualified:
+            qualified = [t for t in named if self._is_depth(t)]
+            raw = {t.name for t in qualified if t.type == IMAGE_TYPE}
+            qualified = [t for t in qualified if t.type == IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
+        if len(qualified) != 1:
             rule = "several topics of clouds or depth images, name one with --topic"
-            if not found:
+            if not qualified:
                 rule = f"no messages of {POINT_CLOUD_TYPE}, nor depth images ({', '.join(ENCODINGS)}, compressedDepth)"
-            raise FileError(self.path, f"{rule}: {_listed(found or self.topics)}", field=topic)
-        name = found[0].name
-        if found[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
+            raise FileError(self.path, f"{rule}: {_listed(qualified or self.topics)}", field=topic)
+        name = qualified[0].name
+        if qualified[0].type != POINT_CLOUD_TYPE and not self.info_topic(name):
             rule = f"depth images need their camera info, and {info_topic(name)} is absent: record it too"
             raise FileError(self.path, rule, field=name)
         return name
@@ -151,7 +151,7 @@ class Recording:
 
     def info_topic(self, topic: str) -> str:
         """Find the topic of the camera infos of depth images; "" for clouds, or where it is absent."""
-        types = {one.name: one.type for one in self.topics if one.count}
+        types = {recorded.name: recorded.type for recorded in self.topics if recorded.count}
         beside = info_topic(topic)
         return (
             beside
@@ -189,7 +189,7 @@ class Recording:
         counts: Counter[str] = Counter()
         runs = []
         for reader in self._readers:
-            wanted = [one for one in reader.connections if topics is None or one.topic in topics]
+            wanted = [channel for channel in reader.connections if topics is None or channel.topic in topics]
             runs += [reader.messages(wanted)] if wanted or isinstance(reader, _McapFile) else []
         with _known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
@@ -198,9 +198,9 @@ class Recording:
                 data = bytes(_typestore(*definition).ros1_to_cdr(raw, kind)) if ros1 else _plain(raw)
                 yield Message(topic, kind, counts[topic], time_ns, data, definition)
                 counts[topic] += 1
-        faults = [one.fault for one in self._readers if isinstance(one, _McapFile) and one.fault]
+        faults = [file.fault for file in self._readers if isinstance(file, _McapFile) and file.fault]
         if faults:
-            also = ", ".join(one.path.name for one in faults[1:])
+            also = ", ".join(fault.path.name for fault in faults[1:])
             raise FileError(
                 faults[0].path, f"{faults[0].rule}{also and '; also damaged: '}{also}", field=faults[0].field
             )
@@ -229,13 +229,13 @@ class Recording:
             raise FileError(self.path, str(err), field=_position(message)) from err
 
     def _topics(self) -> Iterator[Topic]:
-        for name in sorted({one.topic for one in self._connections}):
-            connections = [one for one in self._connections if one.topic == name]
-            types = {_type_of(one) for one in connections}
+        for name in sorted({connection.topic for connection in self._connections}):
+            connections = [connection for connection in self._connections if connection.topic == name]
+            types = {_type_of(connection) for connection in connections}
             kind = types.pop() if len(types) == 1 else ""
             fields = _typestore(*_definition(connections[0])).fielddefs.get(kind, ([], []))[1]
             stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
-            count, latched = sum(one.msgcount for one in connections), any(map(_is_latched, connections))
+            count, latched = sum(connection.msgcount for connection in connections), any(map(_is_latched, connections))
             yield Topic(name, kind, count, tuple(f[0] for f in fields), stamped, latched)
 
 
@@ -267,17 +267,17 @@ class _McapFile:
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """The messages of some connections with their times [ns], in order; damage then is the `fault`."""
-        by_number = {one.id: one for one in connections}
+        by_number = {connection.id: connection for connection in connections}
         faults: list[Damage] = []
-        for found in self._file.in_time({one.topic for one in connections}):
-            if isinstance(found, Damage):
-                faults.append(found)
-            elif found[0].channel in by_number:
-                yield by_number[found[0].channel], found[0].log_time_ns, found[1]
+        for item in self._file.in_time({connection.topic for connection in connections}):
+            if isinstance(item, Damage):
+                faults.append(item)
+            elif item[0].channel in by_number:
+                yield by_number[item[0].channel], item[0].log_time_ns, item[1]
         if faults:
             first = faults[0].error(self._shown)
             cure = f"what is intact was read; `foretouch dataset repair {self._shown}` makes a complete file of it"
-            cure = cure if any(one.msgcount for one in self.connections) else "no message can be read"
+            cure = cure if any(connection.msgcount for connection in self.connections) else "no message can be read"
             self.fault = FileError(self._shown, f"{first.rule}: {cure}", field=first.field)
 
 
@@ -343,11 +343,11 @@ def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestor
     if ros1:
         types[HEADER_TYPE] = _standard()[HEADER_TYPE]  # of ROS 2, without `seq`
     needed = [name]
-    for one in needed:  # which grows meanwhile
-        if one in types or one in _standard():
-            needed += set(types_in(types.setdefault(one, _standard().get(one, ([], [])))[1])) - {*needed}
+    for kind in needed:  # which grows meanwhile
+        if kind in types or kind in _standard():
+            needed += set(types_in(types.setdefault(kind, _standard().get(kind, ([], [])))[1])) - {*needed}
     store = get_typestore(Stores.EMPTY)
-    store.register({one: types[one] for one in needed if one in types})
+    store.register({kind: types[kind] for kind in needed if kind in types})
     return store
 
 
@@ -373,17 +373,19 @@ def _contradictions(path: Path, files: Collection[Path], topics: Collection[Topi
     try:
         stated = load_yaml(file, 10_000_000)["rosbag2_bagfile_information"]
         names = {Path(name).name for name in stated["relative_file_paths"]}
-        found = {one["topic_metadata"]["name"]: one["message_count"] for one in stated["topics_with_message_count"]}
+        stated_counts = {
+            entry["topic_metadata"]["name"]: entry["message_count"] for entry in stated["topics_with_message_count"]
+        }
     except (ForetouchError, KeyError, TypeError, AttributeError) as err:
         yield f"{file}: cannot be read, the files decide: {' '.join(str(err).split())}"
         return
-    present = {one.name for one in files}
+    present = {file.name for file in files}
     for name in sorted(names ^ present):
         yield f"{file}: {f'lists {name}, which is absent' if name in names else f'does not list {name}, which was read'}"
     counts = {topic.name: topic.count for topic in topics}
-    for name in sorted(found.keys() | counts.keys()):
-        if found.get(name, 0) != counts.get(name, 0):
-            yield f"{file}: {name}: states {found.get(name, 0)} messages, the files hold {counts.get(name, 0)}"
+    for name in sorted(stated_counts.keys() | counts.keys()):
+        if stated_counts.get(name, 0) != counts.get(name, 0):
+            yield f"{file}: {name}: states {stated_counts.get(name, 0)} messages, the files hold {counts.get(name, 0)}"
 
 
 def is_recording(path: Path) -> bool:

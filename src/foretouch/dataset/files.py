@@ -45,12 +45,12 @@ def sync_folder(path: Path) -> None:
         os.close(fd)
 
 
-def require_version(found: Any, known: int, *also: int) -> None:
+def require_version(version: Any, known: int, *also: int) -> None:
     """Refuse a schema version other than `known` and `also` with a `VersionError`."""
-    if found not in (known, *also) or isinstance(found, bool):  # a tuple: what was found may be a list
-        newer = isinstance(found, int) and found > known
+    if version not in (known, *also) or isinstance(version, bool):  # a tuple: the version may be a list
+        newer = isinstance(version, int) and version > known
         advice = "it was written by a newer foretouch" if newer else f"foretouch {__version__} supports no other"
-        raise VersionError(f"schema_version: {shown(found)} is not {known}: {advice}")
+        raise VersionError(f"schema_version: {shown(version)} is not {known}: {advice}")
 
 
 def sealed(content: Mapping[str, Any], seal: str) -> str:

@@ -112,10 +112,10 @@ def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
     path = require_existing(path)
-    found = _format_of(path)
-    if found is None:
+    module = _format_of(path)
+    if module is None:
         raise FileError(path, f"is not a dataset: no {readable_formats()}")
-    opened: SampleSet = found.open_set(path, unfinished)
+    opened: SampleSet = module.open_set(path, unfinished)
     return opened
 
 

@@ -82,20 +82,20 @@ def import_samples(
     with ExitStack() as stack:
         if is_sample_set(source):
             samples = open_samples(source)
-            found, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
+            stated, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
             result.notes = tuple(bag.notes)
             holding = [topic.name for topic in bag.topics if topic.type in SAMPLE_TYPES]
             if holding:
-                found, records, sensor = _own_samples(bag, holding)
+                stated, records, sensor = _own_samples(bag, holding)
             else:
                 topics = _with_clouds(bag, topics or BagTopics())
                 reader = _tactile_reader(bag, topics)
-                found, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
+                stated, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
         else:
             raise FileError(source, _not_imported(source))
-        write_records(out, records, identity or found, sensor, result, progress)
+        write_records(out, records, identity or stated, sensor, result, progress)
     return result
 
 
@@ -108,7 +108,7 @@ def _not_imported(source: Path) -> str:
             "is a LeRobot dataset of other features: write it with foretouch.write, as examples/import_lerobot.py does"
         )
     tables = (".csv", ".parquet", ".npz", ".h5", ".hdf5")
-    if any(one.suffix.lower() in tables for one in ([source] if source.is_file() else source.rglob("*"))):
+    if any(file.suffix.lower() in tables for file in ([source] if source.is_file() else source.rglob("*"))):
         return "holds tables: read them with pandas or h5py and write them with foretouch.write, as examples/import_*.py do"
     return "holds no samples and is not a recording"
 
@@ -125,7 +125,7 @@ def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Itera
 
     first = next(_stored(), None)
     identity, sensor = (Identity(), BIOTAC_SP) if first is None else first[1:]
-    return identity, (one.record for one in _stored()), sensor
+    return identity, (stored.record for stored in _stored()), sensor
 
 
 def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: WriteResult) -> Iterator[SampleRecord]:
@@ -160,11 +160,11 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
 
 def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
     """The topics, with that of the depth images of a bag without object clouds."""
-    if topics.clouds != BagTopics().clouds or any(one.name == topics.clouds for one in bag.topics):
+    if topics.clouds != BagTopics().clouds or any(topic.name == topics.clouds for topic in bag.topics):
         return topics
     with suppress(FileError):
-        found = bag.cloud_topic()
-        return replace(topics, clouds=found) if bag.info_topic(found) else topics
+        topic = bag.cloud_topic()
+        return replace(topics, clouds=topic) if bag.info_topic(topic) else topics
     return topics
 
 
@@ -172,21 +172,21 @@ def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNa
     """The objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
     cloud = bag.decode_cloud(message, infos)
     objects = segment(cloud).objects
-    points = np.concatenate([one.cloud.xyz for one in objects] or [np.empty((0, 3), np.float32)])
-    pixels = np.concatenate([one.pixels for one in objects] or [np.empty(0, np.int64)])
+    points = np.concatenate([seen.cloud.xyz for seen in objects] or [np.empty((0, 3), np.float32)])
+    pixels = np.concatenate([seen.pixels for seen in objects] or [np.empty(0, np.int64)])
     rows, columns = np.divmod(pixels, cloud.xyz.shape[1])
-    labels = np.repeat([one.id for one in objects] or [0], [one.n_points for one in objects] or [0])
+    labels = np.repeat([seen.id for seen in objects] or [0], [seen.n_points for seen in objects] or [0])
     places = {name: numbers.astype(np.uint16) for name, numbers in (("row", rows), ("column", columns))}
     header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
     return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
 
 
 def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResult) -> Iterator[SampleRecord]:
-    for one in assembled:
-        if isinstance(one, RejectedGrasp):
-            result.left_out[one.reason] += 1
+    for made in assembled:
+        if isinstance(made, RejectedGrasp):
+            result.left_out[made.reason] += 1
         else:
-            yield one.record
+            yield made.record
 
 
 def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:

@@ -49,11 +49,15 @@ def describe(path: str | Path) -> dict[str, Any]:
         "first_ns": min(stamps, default=0),  # earliest stamp [ns]
         "last_ns": max(stamps, default=0),
         "points": (min(sizes), int(np.median(sizes)), max(sizes)) if sizes else (0, 0, 0),  # of a cloud
-        "ranges": {name: (float(one.min()), float(one.max())) for name, one in values.items()},  # of each modality
+        "ranges": {
+            name: (float(value.min()), float(value.max())) for name, value in values.items()
+        },  # of each modality
         "pairing_ms": np.histogram(errors, PAIRING_EDGES_MS)[0].tolist() if errors else [],
         "sensor": f"{sensor.config.name} ({sensor.sha256[:8]})",
         "units": {name: channels.channel_of[name].unit for name in values},  # of `ranges`
-        "dead": {one.name: list(one.dead) for one in sensor.config.fingers if one.dead},  # taxels that failed
+        "dead": {
+            finger.name: list(finger.dead) for finger in sensor.config.fingers if finger.dead
+        },  # taxels that failed
         "hand": dict(samples.identity.hand),
         "camera": dict(samples.identity.camera),
         "unfinished": [file.name for file in samples.unfinished],  # recordings that were cut off and not repaired

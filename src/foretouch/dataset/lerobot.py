@@ -89,7 +89,7 @@ def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
         if (series := readings(record)) is None:
             continue
         suffixes = [f"_{finger}" for finger in samples.sensor.channels.fingers]
-        both = [{name.removesuffix(one) for name in series.others if name.endswith(one)} for one in suffixes]
+        both = [{name.removesuffix(suffix) for name in series.others if name.endswith(suffix)} for suffix in suffixes]
         others = [set.intersection(*both, *others)]
         periods += np.diff(series.stamps_ns)[:100].tolist()
         if has_points(record.sample):
@@ -118,7 +118,7 @@ class _Tables:
         outer = ["readings"] if window else []
         # Names of the values of features, and further facts; the rest follows from the first episode.
         self._stated = {
-            name: {"names": [*outer, "taxels", "axes"], "info": one[1]} for name, one in self._parts.items()
+            name: {"names": [*outer, "taxels", "axes"], "info": part[1]} for name, part in self._parts.items()
         }
         self._stated |= {f"observation.tactile.{finger}": {"names": names} for finger in self._fingers.values()}
         self._stated |= {_STAMPS: {"names": outer}, "action": {"names": _ACTION}}
@@ -175,8 +175,10 @@ class _Tables:
             self._features[_DEPTH]["info"]["intrinsics"] = known
             frames[_DEPTH] = np.full(count, _tiff(image), object)
             stats[_DEPTH] = _statistics(image.reshape(-1, 1), [1, 1, 1])
-        self._write("data", pa.table({name: _arrow(frames[name], one) for name, one in self._features.items()}))
-        self._stats = {name: _combined([self._stats[name], one]) if self._stats else one for name, one in stats.items()}
+        self._write(
+            "data", pa.table({name: _arrow(frames[name], description) for name, description in self._features.items()})
+        )
+        self._stats = {name: _combined([self._stats[name], own]) if self._stats else own for name, own in stats.items()}
         episode = {
             "episode_index": self._episodes,
             "tasks": [task],
@@ -189,7 +191,7 @@ class _Tables:
             "outcome": record.outcome,
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
-            **{f"stats/{name}/{what}": value.tolist() for name, one in stats.items() for what, value in one.items()},
+            **{f"stats/{name}/{what}": value.tolist() for name, own in stats.items() for what, value in own.items()},
         }
         self._write("meta/episodes", pa.Table.from_pylist([episode]))
         self._frames += count
@@ -241,9 +243,9 @@ class _Tables:
 def _value_names(sensor: Sensor) -> list[str]:
     """Names of the values of a finger, such as `pdc` and `electrode_1`, or `taxel_x_1`."""
     names = []
-    for one in sensor.channels.channels:
-        key = _channel_key(one.name)
-        names += [key] if one.size == 1 else [f"{key}_{k}" for k in range(1, one.size + 1)]
+    for channel in sensor.channels.channels:
+        key = _channel_key(channel.name)
+        names += [key] if channel.size == 1 else [f"{key}_{k}" for k in range(1, channel.size + 1)]
     return names
 
 
@@ -252,12 +254,12 @@ def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[In
 
     Positions and normals of the taxels are in the frame of the sensor [m]; values of a whole finger have none.
     """
-    found: dict[str, tuple[Index, dict[str, Any]]] = {}
-    layout, own = sensor.layout, {one.name: one for one in sensor.config.fingers}
-    stated = {one.name: one for one, _ in sensor.predicted}
+    described: dict[str, tuple[Index, dict[str, Any]]] = {}
+    layout, own = sensor.layout, {finger.name: finger for finger in sensor.config.fingers}
+    stated = {config.name: config for config, _ in sensor.predicted}
     groups: dict[str, list[int]] = {}
-    for k, one in enumerate(sensor.taxel_channels):
-        groups.setdefault("taxel" if one.name in _AXES else _channel_key(one.name), []).append(k)
+    for k, channel in enumerate(sensor.taxel_channels):
+        groups.setdefault("taxel" if channel.name in _AXES else _channel_key(channel.name), []).append(k)
     places = {"positions": layout.positions.tolist(), "normals": layout.normals.tolist()}
     for number, (name, key) in enumerate(fingers.items()):
         parts = [
@@ -265,25 +267,25 @@ def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[In
             for group, axes in groups.items()
         ]
         parts += [
-            (_channel_key(one.name), sensor.scalar_columns[number : number + 1, [k]], [one])
-            for k, one in enumerate(sensor.scalar_channels)
+            (_channel_key(channel.name), sensor.scalar_columns[number : number + 1, [k]], [channel])
+            for k, channel in enumerate(sensor.scalar_channels)
         ]
         for group, columns, channels in parts:
             info: dict[str, Any] = {
                 "sensor": sensor.config.name,
                 "sensor_sha256": sensor.sha256,
-                "axes": [one.name for one in channels],
+                "axes": [channel.name for channel in channels],
                 "unit": channels[0].unit,
-                "range": [[one.low, one.high] for one in channels],
-                "contact": [stated[one.name].contact for one in channels],
+                "range": [[channel.low, channel.high] for channel in channels],
+                "contact": [stated[channel.name].contact for channel in channels],
                 "rest": "tare" if channels[0].tared else "zero",
                 "rate_hz": sensor.config.update_rate,
                 "frame": own[name].parent if name in own else "",
             }
             if channels[0] in sensor.taxel_channels:
                 info |= {**places, "valid": sensor.valid[number].tolist()}
-            found[f"observation.tactile.{key}.{group}"] = columns, info
-    return found
+            described[f"observation.tactile.{key}.{group}"] = columns, info
+    return described
 
 
 def _frames(stamps_ns: Int64, fps: int, window: int) -> tuple[Index, Index]:
@@ -304,10 +306,10 @@ def _depth(cloud: Cloud) -> tuple[AnyArray, dict[str, float]]:
     z = np.nan_to_num(cloud.xyz[..., 2].astype(np.float64))
     rows, columns = np.nonzero(z > 0.0)
     rays = cloud.xyz[rows, columns, :2] / z[rows, columns, None]
-    found = []
+    intrinsics = []
     for ray, pixel in ((rays[:, 0], columns), (rays[:, 1], rows)):
-        found.append([round(float(one), 2) for one in np.polyfit(ray, pixel, 1)])
-    (fx, cx), (fy, cy) = found
+        intrinsics.append([round(float(number), 2) for number in np.polyfit(ray, pixel, 1)])
+    (fx, cx), (fy, cy) = intrinsics
     image = np.clip(np.rint(1000.0 * z), 0, 65535).astype(np.uint16)
     return image, {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
 
@@ -323,15 +325,15 @@ def _tiff(image: AnyArray) -> bytes:
 
 def _arrow(values: AnyArray, feature: Mapping[str, Any]) -> Any:
     if feature["dtype"] == "image":
-        return pa.array([{"bytes": one, "path": None} for one in values])
+        return pa.array([{"bytes": value, "path": None} for value in values])
     if feature["shape"] == [1]:
         return pa.array(values.ravel())
-    found = pa.array(values.ravel())
+    array = pa.array(values.ravel())
     if len(feature["shape"]) == 1:
-        return pa.FixedSizeListArray.from_arrays(found, feature["shape"][0])
+        return pa.FixedSizeListArray.from_arrays(array, feature["shape"][0])
     for size in feature["shape"][::-1]:  # as `datasets` stores arrays of two dimensions or more
-        found = pa.ListArray.from_arrays(pa.array(np.arange(0, len(found) + 1, size), pa.int32()), found)
-    return found
+        array = pa.ListArray.from_arrays(pa.array(np.arange(0, len(array) + 1, size), pa.int32()), array)
+    return array
 
 
 def _points(cloud: Cloud) -> Float32:
@@ -343,14 +345,19 @@ def _points(cloud: Cloud) -> Float32:
 def _statistics(values: AnyArray, shape: Sequence[int]) -> dict[str, AnyArray]:
     """Statistics of (T, D) values by column, in the shape of a feature."""
     wide = values.astype(np.float64)
-    found = {"min": values.min(axis=0), "max": values.max(axis=0), "mean": wide.mean(axis=0), "std": wide.std(axis=0)}
+    statistics = {
+        "min": values.min(axis=0),
+        "max": values.max(axis=0),
+        "mean": wide.mean(axis=0),
+        "std": wide.std(axis=0),
+    }
     quantiles = np.quantile(wide, list(_QUANTILES.values()), axis=0)
-    found |= dict(zip(_QUANTILES, quantiles, strict=True))
-    return {"count": np.array([len(values)]), **{name: value.reshape(shape) for name, value in found.items()}}
+    statistics |= dict(zip(_QUANTILES, quantiles, strict=True))
+    return {"count": np.array([len(values)]), **{name: value.reshape(shape) for name, value in statistics.items()}}
 
 
 def _combined(episodes: Sequence[Mapping[str, AnyArray]]) -> dict[str, AnyArray]:
-    stacked = {what: np.stack([one[what] for one in episodes]) for what in episodes[0]}
+    stacked = {what: np.stack([episode[what] for episode in episodes]) for what in episodes[0]}
     share = stacked["count"] / stacked["count"].sum()
     weights = share.reshape(-1, *[1] * (stacked["mean"].ndim - 1))
     mean = (weights * stacked["mean"]).sum(axis=0)

@@ -165,9 +165,9 @@ class McapReader:
                 bare += [(message.log_time_ns, message)] if message.topic in topics else []
         bare.sort(key=itemgetter(0))
         in_file = ((time_ns, (message, self.content(message))) for time_ns, message in bare)
-        for _, found in heapq.merge(in_file, *runs, key=itemgetter(0)):
-            if found is not None:
-                yield found
+        for _, message in heapq.merge(in_file, *runs, key=itemgetter(0)):
+            if message is not None:
+                yield message
         yield from faults
         if not faults and isinstance(index := self._read_index(), Damage):
             yield index
@@ -182,7 +182,7 @@ class McapReader:
             and counts
         ):
             return counts
-        return Counter(one.channel for one in self.messages() if isinstance(one, RecordedMessage))
+        return Counter(message.channel for message in self.messages() if isinstance(message, RecordedMessage))
 
     def content(self, message: RecordedMessage) -> bytes:
         """The data of a message."""
@@ -192,10 +192,10 @@ class McapReader:
     def next_chunk(self, start: int) -> int:
         """Offset of the first intact chunk from `start` on; the size of the file if there is none."""
         for at in self.data.find_all(_CHUNK_START, 64, start, len(self.data)):
-            found = next(self._records(self.data, at, len(self.data), _IN_DATA))
-            if isinstance(found, Record):
-                head = self._head(found)
-                if not self._fault(found, head, unpacked=bool(head.compression)):
+            record = next(self._records(self.data, at, len(self.data), _IN_DATA))
+            if isinstance(record, Record):
+                head = self._head(record)
+                if not self._fault(record, head, unpacked=bool(head.compression)):
                     return at
         return len(self.data)
 
@@ -206,18 +206,22 @@ class McapReader:
         if data[:start] != MAGIC:
             yield Damage(0, "is not an MCAP file: it does not begin as one" if len(data) else "is empty")
         while start < len(data):
-            for one in self._records(data, start, len(data), _IN_DATA):
-                yield one
-                if isinstance(one, Damage):
+            for item in self._records(data, start, len(data), _IN_DATA):
+                yield item
+                if isinstance(item, Damage):
                     break
-                if one.opcode == Opcode.DATA_END:
-                    yield from self._end_damage(one, index) if verified else ()
+                if item.opcode == Opcode.DATA_END:
+                    yield from self._end_damage(item, index) if verified else ()
                     return
-                if one.opcode == Opcode.ATTACHMENT and verified and not self._fits(one.end - 4, one.start, one.end - 4):
-                    yield Damage(one.offset, "damaged: an attachment that does not match its checksum")
+                if (
+                    item.opcode == Opcode.ATTACHMENT
+                    and verified
+                    and not self._fits(item.end - 4, item.start, item.end - 4)
+                ):
+                    yield Damage(item.offset, "damaged: an attachment that does not match its checksum")
             else:
                 return
-            start = self.next_chunk(one.offset + 1)
+            start = self.next_chunk(item.offset + 1)
 
     def _in_chunk(
         self, record: Record, only: Collection[str] = (), *, unpacked: bool = False
@@ -231,11 +235,11 @@ class McapReader:
             return
         source = self._unpack(record) if packed else self.data
         start, end = (0, len(source)) if packed else (head.start, record.end)
-        for one in self._records(source, start, end, _IN_CHUNK):
-            if isinstance(one, Damage):  # where a chunk is cut off, so is its last message
-                yield from () if is_cut else [Damage(record.offset if packed else one.offset, one.rule)]
-            elif one.opcode == Opcode.MESSAGE:
-                message = self._message(source, one, packed)
+        for item in self._records(source, start, end, _IN_CHUNK):
+            if isinstance(item, Damage):  # where a chunk is cut off, so is its last message
+                yield from () if is_cut else [Damage(record.offset if packed else item.offset, item.rule)]
+            elif item.opcode == Opcode.MESSAGE:
+                message = self._message(source, item, packed)
                 if only and not packed and message.type not in only:
                     return
                 yield message
@@ -245,13 +249,13 @@ class McapReader:
     ) -> Iterator[tuple[int, tuple[RecordedMessage, bytes] | None]]:
         """The messages of a chunk by time, after None at the time of the first: until then the chunk is not read."""
         yield self._head(record).first_ns, None
-        found = []
-        for one in self._in_chunk(record, unpacked=True):
-            if isinstance(one, Damage):
-                faults.append(one)
-            elif one.topic in topics:
-                found.append((one.log_time_ns, (one, self.content(one))))
-        yield from sorted(found, key=itemgetter(0))
+        messages = []
+        for item in self._in_chunk(record, unpacked=True):
+            if isinstance(item, Damage):
+                faults.append(item)
+            elif item.topic in topics:
+                messages.append((item.log_time_ns, (item, self.content(item))))
+        yield from sorted(messages, key=itemgetter(0))
 
     def _message(self, source: FileBytes | bytes, record: Record, chunk: Record | None) -> RecordedMessage:
         start = record.start + _MESSAGE.size

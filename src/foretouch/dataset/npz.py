@@ -74,7 +74,9 @@ def _grasps(grasps: Sequence[Grasp]) -> dict[str, AnyArray]:
     """K grasps by field."""
     kinds = {name: np.str_ if name.endswith("_id") else np.float64 for name in _GRASP}
     return {
-        name: np.array([getattr(one, name.removeprefix("grasp_")) for one in grasps], kinds[name]).reshape(-1, *shape)
+        name: np.array([getattr(grasp, name.removeprefix("grasp_")) for grasp in grasps], kinds[name]).reshape(
+            -1, *shape
+        )
         for name, shape in _GRASP.items()
     }
 
@@ -87,8 +89,8 @@ def _read(path: Path) -> StoredSample:
         default = SampleRecord(sample=Sample(id="a/1", object="a"))
         fields = vars(sample_fields(default, Identity(), BIOTAC_SP))
         for name in fields.keys() - _NESTED:
-            if (found := arrays.get(_NAMES.get(name, name))) is not None:
-                fields[name] = found.tolist() if found.dtype.kind == "U" or not found.shape else found
+            if (array := arrays.get(_NAMES.get(name, name))) is not None:
+                fields[name] = array.tolist() if array.dtype.kind == "U" or not array.shape else array
         if "outcome" in arrays:
             if fields["outcome"] not in OUTCOMES:
                 raise DatasetError(f"outcome: {none_of(fields['outcome'], OUTCOMES)}")
@@ -100,7 +102,7 @@ def _read(path: Path) -> StoredSample:
             "header": header_fields(int(arrays["sample_stamp_ns"]), cloud.frame_id, "sample_stamp_ns"),
             "cloud": cloud_fields(cloud),
             "grasp": grasp_fields(_grasp({name: arrays.get(name, np.array("")) for name in _GRASP})),
-            "candidates": [grasp_fields(_grasp(one)) for one in candidates],
+            "candidates": [grasp_fields(_grasp(candidate)) for candidate in candidates],
             "score": float(arrays["score"]),
             "labelled": np.size(fields["touch"]) > 0,
             "tared": np.size(fields["tare"]) > 0,
@@ -136,10 +138,10 @@ def open_set(path: Path, _: bool) -> SampleSet:
     first = _read(files[0])
 
     def record(k: int) -> SampleRecord:
-        found, own, other = _read(files[k])
+        stored, own, other = _read(files[k])
         if own != first.identity or other.sha256 != first.sensor.sha256:
             raise FileError(files[k], f"is of another hand, camera or sensor than {files[0]}")
-        return found
+        return stored
 
     return SampleSet(
         path=path,

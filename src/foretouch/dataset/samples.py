@@ -53,21 +53,21 @@ class SampleSet:
         Raises:
             DatasetError: If no sample is labelled.
         """
-        samples = [one for one in self if one.touch is not None]
+        samples = [sample for sample in self if sample.touch is not None]
         if not samples:
             raise DatasetError(f"{self.path}: no sample is labelled")
         channels = self.sensor.channels
-        grasps = Grasps.of([one.grasp for one in samples])
+        grasps = Grasps.of([sample.grasp for sample in samples])
         touch, tare = (
             np.array([
-                np.full(channels.size, np.nan) if (read := getattr(one, name)) is None else read.values for one in samples
+                np.full(channels.size, np.nan) if (read := getattr(sample, name)) is None else read.values for sample in samples
             ])
             for name in ("touch", "tare")
         )  # fmt: skip
         return {
-            "id": np.array([one.id for one in samples]),
-            "object": np.array([one.object for one in samples]),
-            "stamp_ns": np.array([one.stamp_ns for one in samples], np.int64),
+            "id": np.array([sample.id for sample in samples]),
+            "object": np.array([sample.object for sample in samples]),
+            "stamp_ns": np.array([sample.stamp_ns for sample in samples], np.int64),
             **{name: getattr(grasps, name) for name in ("g1", "g2", "rotation")},
             "touch": touch,
             "tare": tare,
@@ -125,7 +125,9 @@ class ExportResult:
 def sensor_of_samples(samples: SampleSet) -> Sensor:
     """The sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
     rows = [
-        series.counts[:: max(1, len(series.counts) // _SHOWN)] for one in samples.records() if (series := readings(one))
+        series.counts[:: max(1, len(series.counts) // _SHOWN)]
+        for record in samples.records()
+        if (series := readings(record))
     ]
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
 

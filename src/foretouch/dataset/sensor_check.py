@@ -22,7 +22,7 @@ class _Tally:
 
     def __init__(self, sensor: Sensor) -> None:
         channels = sensor.channels
-        limits = [one.saturation or one.limits for one, _ in sensor.predicted for _ in channels.fingers]
+        limits = [channel.saturation or channel.limits for channel, _ in sensor.predicted for _ in channels.fingers]
         self._channels, (self._bottom, self._top) = channels, channels.by_modality(limits).T
         self.still, self.ends, self.outside = np.zeros((3, channels.size), np.int64)
         self.grasps = self.readings = self.repeated = 0
@@ -97,15 +97,19 @@ def _corrections(sensor: Sensor, dead: Bool, rate_hz: float | None, modalities: 
     rows, config = [], sensor.config
     if rate_hz is not None and abs(rate_hz / config.update_rate - 1.0) > 0.05:
         rows.append(["update_rate", f"{config.update_rate:g}", f"{rate_hz:.3g}"])
-    for one, _ in sensor.predicted:
-        parts = [modalities[f"{one.name}_{finger}"] for finger in sensor.channels.fingers]
+    for channel, _ in sensor.predicted:
+        parts = [modalities[f"{channel.name}_{finger}"] for finger in sensor.channels.fingers]
         if any(part["outside"] for part in parts):
             ends = [min(part["range"][0] for part in parts), max(part["range"][1] for part in parts)]
-            rows.append([f"{one.name}: range", str(list(one.limits)), str(ends)])
+            rows.append([f"{channel.name}: range", str(list(channel.limits)), str(ends)])
         noises = [part["noise"] for part in parts if part["noise"] is not None]
-        if noises and not (one.noise and 0.5 < np.median(noises) / one.noise < 2.0):
+        if noises and not (channel.noise and 0.5 < np.median(noises) / channel.noise < 2.0):
             rows.append(
-                [f"{one.name}: noise", "none" if one.noise is None else f"{one.noise:g}", f"{np.median(noises):.3g}"]
+                [
+                    f"{channel.name}: noise",
+                    "none" if channel.noise is None else f"{channel.noise:g}",
+                    f"{np.median(noises):.3g}",
+                ]
             )
     for finger, failed in zip(config.chosen_fingers(), dead, strict=True):
         if (recorded := np.flatnonzero(failed).tolist()) != sorted(finger.dead):

@@ -114,13 +114,15 @@ class SessionCheck:
             self._clock("camera", CAMERA_OFFSET_S),
             *self._fingers_at_rest(),
         ]
-        missing = self.table is None
-        fix = "is the graph running, and the table in the camera's view?" * missing
         if self._unreadable:
             counts = ", ".join(f"{count} of {topic}" for topic, count in self._unreadable.items())
             wrong = "do the types and the sensor's description fit?"
             found.append(CheckFinding("messages", f"cannot be decoded: {counts}: {self._fault}", wrong))
-        return [*found, CheckFinding("table", "none in the clouds" if missing else "found", fix), self._view()]
+        table = CheckFinding("table", "found")
+        if self.table is None:
+            fix = "is the graph running, and the table in the camera's view?"
+            table = CheckFinding("table", "none in the clouds", fix)
+        return [*found, table, self._view()]
 
     def presses(self) -> list[CheckFinding]:
         """Whether each pressed finger has answered."""
@@ -139,25 +141,27 @@ class SessionCheck:
     def _rate(self, what: str, least_hz: float, fix: str) -> CheckFinding:
         times = [time for received in self._received.values() for time in received]
         rate = len(self._received[what]) / max(1e-9 * (max(times) - min(times)), 1.0) if times else 0.0
-        low = rate < least_hz
-        found = f"{rate:.1f} Hz" + f", at least {least_hz:g} are needed" * low
-        return CheckFinding(f"{what} rate", found, fix * low)
+        if rate < least_hz:
+            return CheckFinding(f"{what} rate", f"{rate:.1f} Hz, at least {least_hz:g} are needed", fix)
+        return CheckFinding(f"{what} rate", f"{rate:.1f} Hz")
 
     def _clock(self, what: str, most_s: float) -> CheckFinding:
         if not self._behind[what]:
             return CheckFinding(f"{what} clock", "there are no messages with a stamp")
         offset = min(self._behind[what]) * 1e-9
-        far = abs(offset) > most_s
-        found = f"{abs(offset):.2f} s {'behind' if offset > 0.0 else 'ahead of'} this computer"
-        fix = "synchronise the clocks (chrony, PTP)" + ", or reduce the load" * (offset > 0.0)
-        return CheckFinding(f"{what} clock", found, fix * far)
+        text = f"{abs(offset):.2f} s {'behind' if offset > 0.0 else 'ahead of'} this computer"
+        if abs(offset) <= most_s:
+            return CheckFinding(f"{what} clock", text)
+        load = ", or reduce the load" if offset > 0.0 else ""
+        return CheckFinding(f"{what} clock", text, f"synchronise the clocks (chrony, PTP){load}")
 
     def _fingers_at_rest(self) -> list[CheckFinding]:
         channels = self._channels
-        counts = np.array([one.counts for one in self._readings], np.float64).reshape(-1, channels.size)
+        counts = np.array([reading.counts for reading in self._readings], np.float64).reshape(-1, channels.size)
         half = len(counts) // 2
         scores = contact_scores(counts[half:], counts[:half], channels) if half > 4 else np.zeros((1, 2))
-        restless, found = np.median(scores, axis=0) > 1.0, []
+        restless = np.median(scores, axis=0) > 1.0
+        found: list[CheckFinding] = []
         for k, (finger, columns) in enumerate(channels.finger_columns.items()):
             state, fix = self._health.states[finger], "check cable and power of the finger"
             if not half and state in (ALIVE, NO_DATA):
@@ -167,13 +171,13 @@ class SessionCheck:
                 state = f"taxels {', '.join(map(str, still))} (the first is 0) never change"
             elif state == ALIVE and restless[k]:
                 state, fix = "is touched: no tare", "keep the fingers open and still"
-            found.append(CheckFinding(finger_label(finger), state, fix * (state != ALIVE)))
+            found.append(CheckFinding(finger_label(finger), state, "" if state == ALIVE else fix))
         return [*found, *self._temperatures()]
 
     def _still(self, counts: Float64, columns: Index) -> Index:
         """Indices of the taxels of which no value has changed; forces at rest may be zero for any time."""
         moved = (counts[:, columns] != counts[:1, columns]).any(axis=0) | ~self._channels.tared[columns]
-        values, size = sum(one.predicted for one in self._reader.sensor.config.values), self._reader.sensor.size
+        values, size = sum(value.predicted for value in self._reader.sensor.config.values), self._reader.sensor.size
         return np.flatnonzero(~moved[len(moved) - values * size :].reshape(values, size).any(axis=0))
 
     def _temperatures(self) -> Iterator[CheckFinding]:
@@ -182,14 +186,12 @@ class SessionCheck:
         for finger in self._channels.fingers if self._readings else ():
             if (channel := f"TDC_{finger}") not in others:
                 continue
-            tdc = float(np.median([one.others[others.index(channel)] for one in self._readings]))
+            tdc = float(np.median([reading.others[others.index(channel)] for reading in self._readings]))
             celsius = to_celsius(tdc) if is_tdc(np.array([tdc]))[0] else None
             found = f"TDC is {tdc:g}: the driver sends none" if celsius is None else f"{celsius:.1f} °C"
-            odd = celsius is not None and not CELSIUS[0] <= celsius <= CELSIUS[1]
-            fix = (
-                f"{CELSIUS[0]:g} to {CELSIUS[1]:g} are plausible: let it warm up or cool down, or check the finger"
-                * odd
-            )
+            low, high = CELSIUS
+            odd = celsius is not None and not low <= celsius <= high
+            fix = f"{low:g} to {high:g} are plausible: let it warm up or cool down, or check the finger" if odd else ""
             yield CheckFinding(f"{finger_label(finger)} temperature", found, fix)
 
     def _view(self) -> CheckFinding:
@@ -199,10 +201,10 @@ class SessionCheck:
             fix = "lay an object on the table and start the graph (foretouch run, or perception.launch.py)"
             return CheckFinding(name, "no object was found, so this is not known", fix)
         gap_m = _nearest_other(self.scene, self.targets, self.table)
-        near = gap_m < _NEAR_M
-        found = f"something stands {100.0 * gap_m:.0f} cm from the object" if near else "no"
-        fix = "move the hand and other things aside while the camera looks" * near
-        return CheckFinding(name, found, fix)
+        if gap_m >= _NEAR_M:
+            return CheckFinding(name, "no")
+        fix = "move the hand and other things aside while the camera looks"
+        return CheckFinding(name, f"something stands {100.0 * gap_m:.0f} cm from the object", fix)
 
 
 def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> float:
@@ -221,7 +223,7 @@ def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> 
 
 def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
     """Append a report to those of a dataset; the caller holds the lock. Raises a `FileError` if it cannot be written."""
-    report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [one.record() for one in findings]}
+    report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [finding.record() for finding in findings]}
     with system_errors(path / CHECKS), os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log:
         log.write((json.dumps(report, ensure_ascii=False) + "\n").encode())
         log.flush()

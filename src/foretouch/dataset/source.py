@@ -72,10 +72,10 @@ class Source:
             yield SourceItem(name, partial(self._load, load, stamp_ns), self.masks.get(name))
 
     def _load(self, load: Callable[[], Cloud | Sample], stamp_ns: int | None) -> Cloud | Sample:
-        found = load()
-        if isinstance(found, Sample):
-            return replace(found, cloud=self._stamped(found.cloud, stamp_ns))
-        return self._stamped(found, stamp_ns)
+        loaded = load()
+        if isinstance(loaded, Sample):
+            return replace(loaded, cloud=self._stamped(loaded.cloud, stamp_ns))
+        return self._stamped(loaded, stamp_ns)
 
     def _stamped(self, cloud: Cloud, stamp_ns: int | None) -> Cloud:
         stamp_ns = cloud.stamp_ns if stamp_ns is None else stamp_ns
@@ -111,7 +111,7 @@ def open_source(
     if is_recording(path):
         with Recording(path) as recording:
             name = recording.cloud_topic(topic)
-            topics = {one.name: one for one in recording.topics}
+            topics = {recorded.name: recorded for recorded in recording.topics}
             count, info, notes = topics.pop(name).count, recording.info_topic(name), recording.notes
         others = tuple(topics.values())
         entries = partial(_recorded, path, name)

@@ -142,8 +142,8 @@ class Store(Sequence[Sample]):
         for part in self.manifest["files"]:
             _require_hash(self.path / part["file"], file_sha256(self.path / part["file"]), part["sha256"])
         parts: list[_Part] = []
-        for one in self.manifest["shards"]:
-            parts += _read_shard(self.path / one["file"], one["sha256"], one["samples"], self.sensor.channels)
+        for shard in self.manifest["shards"]:
+            parts += _read_shard(self.path / shard["file"], shard["sha256"], shard["samples"], self.sensor.channels)
         return parts
 
 
@@ -179,9 +179,9 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def _require_hash(path: Path, found: str, wanted: str) -> None:
-    if found != wanted:
-        raise FileError(path, f"sha256 is {found}, not {shown(wanted)} as in {MANIFEST}: the file was changed")
+def _require_hash(path: Path, digest: str, wanted: str) -> None:
+    if digest != wanted:
+        raise FileError(path, f"sha256 is {digest}, not {shown(wanted)} as in {MANIFEST}: the file was changed")
 
 
 def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
@@ -189,7 +189,7 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
     parts = list[_Part]()
     with open_regular(path) as file:
         _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
-        found = _stat(file)
+        status = _stat(file)
         file.seek(_STREAM)  # behind it a file holds the messages of a stream, and then an index
         try:
             source = pa.PythonFile(file, "r")
@@ -203,7 +203,7 @@ def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> li
                     raise FileError(path, "is compressed", field=field)
                 batch = pa.ipc.read_record_batch(message, schema)
                 _check_batch(path, batch, field)
-                parts.append(_Part(path, found, offset, batch.num_rows))
+                parts.append(_Part(path, status, offset, batch.num_rows))
                 offset = file.tell()
         except (OSError, EOFError, struct.error, *_ARROW_ERRORS) as err:
             raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
@@ -255,7 +255,7 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
         inner = column.flatten() if pa.types.is_nested(column.type) else None
         if (name not in _NULLABLE and column.null_count) or (inner is not None and inner.null_count):
             raise FileError(path, "is null in some rows", field=f"{field}: {name}")
-        if name in _POINTS and any((len(one.values or ()) % 3) for one in column):
+        if name in _POINTS and any((len(cloud.values or ()) % 3) for cloud in column):
             raise FileError(path, "a cloud is not a whole number of points", field=field)
 
 

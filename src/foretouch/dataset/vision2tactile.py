@@ -105,7 +105,9 @@ def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
         others = np.delete(values[ELECTRODES:], _PDC - ELECTRODES)
         extra |= {f"{name}_{finger}": float(value) for name, value in zip(_EXTRA, others, strict=True)}
     both = fingers["TH"], fingers["MF"]
-    return biotac_touch(np.hstack([*(one[_PDC] for one in both), *(one[:ELECTRODES] for one in both)])), extra
+    return biotac_touch(
+        np.hstack([*(finger[_PDC] for finger in both), *(finger[:ELECTRODES] for finger in both)])
+    ), extra
 
 
 def _read_numbers(path: Path, count: int) -> Float64:

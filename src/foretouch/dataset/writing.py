@@ -97,15 +97,17 @@ def write(
     result, remarks = WriteResult(), Remarks()
 
     def made() -> Iterable[SampleRecord]:
-        for number, one in enumerate(records):
-            if isinstance(one, SampleRecord | Sample):
-                yield one if isinstance(one, SampleRecord) else SampleRecord(sample=one)
+        for number, record in enumerate(records):
+            if isinstance(record, SampleRecord | Sample):
+                yield record if isinstance(record, SampleRecord) else SampleRecord(sample=record)
                 continue
             try:
-                yield sample_of(own, missing=missing, remarks=remarks, **one)
+                yield sample_of(own, missing=missing, remarks=remarks, **record)
             except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
                 name = (
-                    f"{one.get('object')}/{one.get('id') or number}" if isinstance(one, Mapping) else type(one).__name__
+                    f"{record.get('object')}/{record.get('id') or number}"
+                    if isinstance(record, Mapping)
+                    else type(record).__name__
                 )
                 raise DatasetError(f"sample {number} ({name}): {str(err).removeprefix('sample_of() ')}") from err
 
@@ -163,23 +165,23 @@ def stamp_faults(stamps_ns: Int64, rate_hz: float) -> dict[str, str]:
     """
     steps = np.diff(stamps_ns)
     later = steps[steps > 0]
-    found = {}
+    faults = {}
     if len(later) < len(steps):
         runs = np.diff(np.flatnonzero(np.concatenate([[True], steps > 0, [True]])))
-        found["equal_stamps"] = (
+        faults["equal_stamps"] = (
             f"{runs.max()} readings have the same stamp, and {len(stamps_ns)} only {len(runs)} different"
         )
     if not len(later):
-        return found
+        return faults
     usual = float(np.median(later))
     gaps = later[later > _GAP * max(usual, SECOND_NS / rate_hz)]
     if len(gaps):
-        found["stamp_gaps"] = f"{len(gaps)} gaps, the longest of {gaps.max() / SECOND_NS:.3g} s"
+        faults["stamp_gaps"] = f"{len(gaps)} gaps, the longest of {gaps.max() / SECOND_NS:.3g} s"
     seen = SECOND_NS / usual
     if len(later) > 1 and not rate_hz / _FACTOR <= seen <= rate_hz * _FACTOR:
         unit = ": another unit?" if not 1e-2 < seen / rate_hz < 1e2 else ""
-        found["other_rate"] = f"stamps of {seen:.3g} Hz, and the sensor is described with {rate_hz:g} Hz{unit}"
-    return found
+        faults["other_rate"] = f"stamps of {seen:.3g} Hz, and the sensor is described with {rate_hz:g} Hz{unit}"
+    return faults
 
 
 def sample_of(
@@ -242,8 +244,8 @@ def sample_of(
     counts = _joined(values, channels, "values")
     single = not counts.shape[1:]
     rows = counts.reshape(-1, channels.size)
-    further = {key: np.asarray(one, np.float64).reshape(-1) for key, one in (others or {}).items()}
-    if wrong := next((key for key, one in further.items() if len(one) != len(rows)), None):
+    further = {key: np.asarray(other, np.float64).reshape(-1) for key, other in (others or {}).items()}
+    if wrong := next((key for key, column in further.items() if len(column) != len(rows)), None):
         raise DatasetError(f"others: {wrong}: {len(further[wrong])} numbers are not {len(rows)} readings")
     rows, whole, gone = _complete(rows, channels, missing, "values")
     names = tuple(further)
@@ -257,20 +259,20 @@ def sample_of(
     if rate_hz is not None:
         flags.append("stamped_by_rate")
     columns = dict(zip(names, filled.T.astype(np.float32), strict=True))
-    found = _outcome(outcome)
+    result = _outcome(outcome)
     resting = None if tare is None else Touch(_joined(tare, channels, "tare").reshape(-1), channels)
     sample = Sample(id=name, object=object, cloud=cloud, grasp=grasp, tare=resting, stamp_ns=int(stamps[0]))
     if single:
-        extra = {key: float(one[0]) for key, one in columns.items()}
+        extra = {key: float(column[0]) for key, column in columns.items()}
         sample = replace(sample, touch=Touch(rows[0], channels), extra=extra)
-        return SampleRecord(sample=sample, outcome=found, note=note, flags=tuple(flags))
+        return SampleRecord(sample=sample, outcome=result, note=note, flags=tuple(flags))
     flags += stamp_faults(stamps, sensor.config.update_rate)
     touch, rested, phases, contact_ns = _cut(stamps, rows, whole, rest, channels)
     if rest and touch is None:
         _remark(remarks, "no_contact", f"{name or object}: none found after {rest} readings at rest, so no touch")
     return SampleRecord(
         sample=replace(sample, touch=touch, tare=rested if resting is None else resting),
-        outcome=found,
+        outcome=result,
         note=note,
         series=TouchSeries(stamps, rows.astype(np.float32), phases, columns),
         contact_ns=contact_ns,
@@ -312,7 +314,7 @@ def _complete(
         gone = ~np.isfinite(rows.astype(np.float32))
     if not gone.any():
         return rows, rows, 0
-    reading, column = (int(one) for one in np.argwhere(gone)[0])
+    reading, column = (int(index) for index in np.argwhere(gone)[0])
     taxels: Bool = np.zeros(rows.shape[1], np.bool_)
     if not isinstance(names, tuple):
         taxels |= names.of_taxels
@@ -349,7 +351,7 @@ def _range_flags(rows: Float64, channels: Channels) -> list[str]:
     outside = (rows < channels.low) | (rows > channels.high)
     for key, columns in channels.modality_columns.items():
         if outside[:, columns].mean() > 0.5:
-            reading, column = (int(one) for one in np.argwhere(outside[:, columns])[0])
+            reading, column = (int(index) for index in np.argwhere(outside[:, columns])[0])
             channel, value = channels.channel_of[key], rows[reading, columns[column]]
             rule = (
                 f"is not between {channel.low:g} and {channel.high:g} {channel.unit}, as most of {key}: another unit?"
@@ -360,7 +362,7 @@ def _range_flags(rows: Float64, channels: Channels) -> list[str]:
 
 def _outcome(outcome: Any) -> Outcome:
     plain = outcome.item() if isinstance(outcome, np.generic) else outcome
-    known = {**_OUTCOMES, **{found: found for found in _OUTCOMES.values()}}
+    known = {**_OUTCOMES, **{name: name for name in _OUTCOMES.values()}}
     if plain not in known:
         raise DatasetError(f"outcome: {none_of(plain, _OUTCOMES.values())}; they are also True, False and None")
     return known[plain]
@@ -378,8 +380,8 @@ def _stamps(
     """(T,) int64 [ns]; a `DatasetError` if they are of another number, go back, or too few digits for the readings."""
     given = [
         name
-        for name, one in (("stamps_ns", stamps_ns), ("stamps_s", stamps_s), ("rate_hz", rate_hz))
-        if one is not None
+        for name, value in (("stamps_ns", stamps_ns), ("stamps_s", stamps_s), ("rate_hz", rate_hz))
+        if value is not None
     ]
     if len(given) != 1 and (given or count > 1):
         raise DatasetError(f"stamps_ns, stamps_s, rate_hz: give one of them, not {' and '.join(given) or 'none'}")
@@ -388,29 +390,29 @@ def _stamps(
         if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0.0):
             raise DatasetError(f"rate_hz: {rate_hz} is not above 0")
         return np.asarray(start + np.rint(np.arange(count) * (SECOND_NS / (rate_hz or 1.0))).astype(np.int64))
-    name, found = given[0], np.atleast_1d(np.asarray(stamps_ns if stamps_s is None else stamps_s))
-    if found.dtype.kind == "M":
-        found = found.astype("datetime64[ns]").astype(np.int64)
+    name, times = given[0], np.atleast_1d(np.asarray(stamps_ns if stamps_s is None else stamps_s))
+    if times.dtype.kind == "M":
+        times = times.astype("datetime64[ns]").astype(np.int64)
         name = "stamps_ns"
-    if found.shape != (count,):
-        raise DatasetError(f"{name}: shape {found.shape} is not ({count},), one of each reading")
-    if found.dtype.kind not in "iuf" or not np.isfinite(found).all():
+    if times.shape != (count,):
+        raise DatasetError(f"{name}: shape {times.shape} is not ({count},), one of each reading")
+    if times.dtype.kind not in "iuf" or not np.isfinite(times).all():
         raise DatasetError(f"{name}: are not finite numbers")
     unit = 1 if name == "stamps_ns" else SECOND_NS
-    largest = float(np.abs(found).max())
+    largest = float(np.abs(times).max())
     if largest * unit > 2.0**62:
         raise DatasetError(f"{name}: {largest:g} is no time in {name[-2:].strip('_')}")
-    if found.dtype.kind == "f":
-        grain = float(np.spacing(found.dtype.type(largest))) * unit / SECOND_NS
+    if times.dtype.kind == "f":
+        grain = float(np.spacing(times.dtype.type(largest))) * unit / SECOND_NS
         if grain > 0.5 / sensor_hz:
             cure = (
                 "read them as float64, or as whole nanoseconds"
-                if found.dtype.itemsize < 8
+                if times.dtype.itemsize < 8
                 else "give whole nanoseconds"
             )
-            raise DatasetError(f"{name}: {found.dtype} holds {largest:g} in steps of {grain:g} s: {cure}")
-    ticks = found.astype(np.int64) if found.dtype.kind in "iu" else None
-    stamps = ticks * unit if ticks is not None else np.rint(found.astype(np.float64) * unit).astype(np.int64)
+            raise DatasetError(f"{name}: {times.dtype} holds {largest:g} in steps of {grain:g} s: {cure}")
+    ticks = times.astype(np.int64) if times.dtype.kind in "iu" else None
+    stamps = ticks * unit if ticks is not None else np.rint(times.astype(np.float64) * unit).astype(np.int64)
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
         by = (stamps[back[0]] - stamps[back[0] + 1]) / SECOND_NS
         raise DatasetError(f"{name}: go back by {by:g} s at reading {back[0] + 1}")
@@ -436,7 +438,7 @@ def _cut(
     if not len(resting):
         return None, None, phases, None
     tare = rest_of(np.median(resting, axis=0), channels)
-    onsets = [one for one in find_contact(stamps, whole, resting, channels) if one is not None]
+    onsets = [onset for onset in find_contact(stamps, whole, resting, channels) if onset is not None]
     if not onsets:
         return None, tare, phases, None
     touching = (contact_scores(whole, resting, channels) >= RELEASE_LEVEL).any(axis=1)

@@ -27,7 +27,7 @@ from foretouch.cloud.geometry.pcl_filters import cell_means, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
-from foretouch.grasp.hand import TILTS
+from foretouch.grasp.hand import TILTS, UNLIMITED_M
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane, WayIn
@@ -293,7 +293,7 @@ class CompletedObject:
         across = self._basis @ (g2 - g1)
         width = float(np.hypot(across[0], across[1]))
         frame = np.array([[across[0], across[1], 0.0], [-across[1], across[0], 0.0], [0.0, 0.0, width]]) / width
-        clearances, behind = np.full((2, len(TILTS)), np.inf), np.zeros(len(TILTS))
+        clearances, behind = np.full((2, len(TILTS)), UNLIMITED_M), np.zeros(len(TILTS))
         if hand.limits_depth:
             own, others = ((one - middle) @ frame.T for one in self._around)
             clearances, behind = hand.clearance(width, own, others, float(middle[2]))
@@ -316,7 +316,9 @@ class CompletedObject:
         pose[:3, :3], pose[:3, 3] = np.stack([x, cross(z, x), z], axis=1), (g1 + g2) / 2.0
         joints = tuple(joint.name for joint in hand.config.joints)
         name: Literal["g1", "g2"] = "g2" if thumb else "g1"
-        return WayIn(z, name, float(behind[tilt]), clearances, pose @ at.tool, at.posture, joints), False
+        return WayIn(
+            z, name, float(behind[tilt]), clearances, pose @ at.tool, at.posture, joints, self._hand.name
+        ), False
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Direction and place of the line that is closest to a grasp."""

@@ -19,7 +19,8 @@ from foretouch.errors import ConfigError, nearest, shown
 from foretouch.types import Float64, Int64
 
 FINGER, THUMB, PALM = "finger", "thumb", "palm"
-_UNLIMITED_M: Final = 10.0  # depth of a hand without a palm
+UNLIMITED_M: Final = 10.0
+"""Depth of a hand without a palm, and how far it could move on [m]."""
 TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
 """Angles of the palm about the line [rad]: 0 is straight above, positive ones come from the side to which z x line points."""
 
@@ -67,7 +68,7 @@ class WidthConfig(Settings):
 
     width_m: float = setting(0.0, "Distance of the contacts", bounds=(0.0, 1.0))
     depth_m: float = setting(
-        _UNLIMITED_M, "How far an object of this width may reach from the line to the palm", bounds=(0.001, 10.0)
+        UNLIMITED_M, "How far an object of this width may reach from the line to the palm", bounds=(0.001, 10.0)
     )
     middle_m: float | None = setting(
         None, "As `depth_m` between the middle halves of the fingers' distance; absent: the same", bounds=(0.001, 10.0)
@@ -162,7 +163,7 @@ class Hand:
         self._sides = np.array([_SIDES[part] for part in self.parts])
         self._rows = np.array([_flat(config, one) for one in config.postures])
         for number, width in enumerate(self.widths):
-            free = min(map(_ahead, self.at(float(width)).corners[: len(config.boxes)]), default=_UNLIMITED_M)
+            free = min(map(_ahead, self.at(float(width)).corners[: len(config.boxes)]), default=UNLIMITED_M)
             for name, depth in zip(("depth_m", "middle_m"), self.depths[:, number].tolist(), strict=True):
                 if depth > free + 1e-4:
                     rule = f"the palm is {free:g} m from the line: the fingers are not that long"
@@ -171,7 +172,7 @@ class Hand:
     @property
     def limits_depth(self) -> bool:
         """Whether the hand has a palm that an object can meet."""
-        return bool(self.depths.min() < _UNLIMITED_M)
+        return bool(self.depths.min() < UNLIMITED_M)
 
     @cached_property
     def palm(self) -> Float64:
@@ -187,7 +188,7 @@ class Hand:
         corners = self.at(width_m).corners.reshape(-1, 3)
         below = np.outer(np.cos(TILTS), np.minimum(corners[:, 2], self.config.tip_radius_m))
         beside = np.outer(np.sin(TILTS), corners[:, 1])
-        return np.stack([(sign * beside - below).min(axis=1, initial=_UNLIMITED_M) for sign in (1.0, -1.0)])
+        return np.stack([(sign * beside - below).min(axis=1, initial=UNLIMITED_M) for sign in (1.0, -1.0)])
 
     def opened(self, width_m: float, share: float = 1.0) -> Float64:
         """(B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
@@ -240,15 +241,15 @@ class Hand:
         between = (np.abs(own[:, 0]) <= width_m / 2.0 + _WIDER_M) & (np.abs(y[:, :split]) <= across_m)
         behind = -np.where(between, z[:, :split], 0.0).min(axis=1, initial=0.0)
         free_m = np.where(np.abs(own[:, 0]) <= width_m / 4.0, middle, depth)
-        between_m = np.where(between, z[:, :split] + free_m, _UNLIMITED_M).min(axis=1, initial=_UNLIMITED_M)
+        between_m = np.where(between, z[:, :split] + free_m, UNLIMITED_M).min(axis=1, initial=UNLIMITED_M)
         found, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
         for row, thumb in enumerate((1.0, -1.0)):
             cells = (_CELLS + 2) * _cell(thumb * xyz[:, 0]) + _cell(thumb * y)
             for part, front in ((slice(split), fronts[0]), (slice(split, None), fronts[1])):
-                free = (z[:, part] - front.take(cells[:, part])).min(axis=1, initial=_UNLIMITED_M)
+                free = (z[:, part] - front.take(cells[:, part])).min(axis=1, initial=UNLIMITED_M)
                 found[row] = free if part.start is None else np.minimum(found[row], free)
             above = height_m + lowest[row]  # the table is where it was seen: there is no tolerance
-            found[row] = np.where(above < 0.0, -_UNLIMITED_M, np.minimum(found[row], np.minimum(between_m, above)))
+            found[row] = np.where(above < 0.0, -UNLIMITED_M, np.minimum(found[row], np.minimum(between_m, above)))
         return found, behind
 
     def at(self, width_m: float) -> HandAt:
@@ -266,14 +267,14 @@ class Hand:
 
 
 def _ahead(corners: Float64) -> float:
-    """How far from the origin towards the palm a box with corners (8, 3) begins [m]; `_UNLIMITED_M` where it is beside."""
+    """How far from the origin towards the palm a box with corners (8, 3) begins [m]; `UNLIMITED_M` where it is beside."""
     edges = corners[[4, 2, 1]] - corners[0]  # along x, y and z of the box
     squares = (edges * edges).sum(axis=1)
     start, step = edges @ -corners[0] / squares, -edges[:, 2] / squares  # in parts of the edges, 0 to 1 inside
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.sort(np.stack([-start / step, (1.0 - start) / step]), axis=0)
     first, last = ends[0].max(), ends[1].min()
-    return float(first) if first <= last else _UNLIMITED_M
+    return float(first) if first <= last else UNLIMITED_M
 
 
 def _cell(values: Float64) -> Int64:
@@ -341,3 +342,8 @@ def load_hand(hand: str | Path) -> Hand:
         return Hand(HandDescription.from_mapping(load_yaml(path)))
     except ConfigError as err:
         raise ConfigError(f"{shown(path)}: {err}") from err
+
+
+def tool_of(hand: str | Path) -> str:
+    """Name of the tool frame of a description; "" without a hand, or of one whose description names none."""
+    return load_hand(hand).config.tool if hand else ""

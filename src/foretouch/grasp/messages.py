@@ -8,8 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import GraspError, TactileError
+from foretouch.grasp.hand import TILTS
 from foretouch.grasp.pose import check_rotation, quaternion_xyzw
-from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Grasps, Predictions, Reference
+from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Grasps, Predictions, Reference, WayIn
 from foretouch.types.arrays import objects
 from foretouch.types.channels import LARGEST, Channel, Channels
 
@@ -84,12 +85,43 @@ def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
         rotation: (3, 3) float64, instead of that of the message.
 
     Raises:
-        GraspError: If a number is not finite, the contacts are one point, or matrix and quaternion are absent or
-            differ.
+        GraspError: If a number is not finite, the contacts are one point, matrix and quaternion are absent or
+            differ, or the way of a hand is incomplete.
     """
     g1, g2 = (np.array([p.x, p.y, p.z], np.float64) for p in (message.g1, message.g2))
     rotation = _rotation_of(message) if rotation is None else rotation
-    return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id)
+    return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id, _way_of(message))
+
+
+def _way_of(message: Any) -> WayIn | None:
+    """Read how the hand comes to a grasp; None of a message without a way in, or of a version before 0.4."""
+    if not getattr(message, "hand", ""):
+        return None
+    pose, (x, y, z) = np.eye(4), (getattr(message.approach, axis) for axis in "xyz")
+    place, turn = message.pose_of_hand.position, message.pose_of_hand.orientation
+    pose[:3, 3] = place.x, place.y, place.z
+    arrays = {"approach": np.array([x, y, z]), "depth_m": np.array(message.depth_m), "pose_of_hand": pose}
+    arrays |= {name: np.asarray(getattr(message, name), np.float64) for name in ("approaches", "posture")}
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise GraspError(f"{name}: {array.tolist()} is not finite")
+    if arrays["approaches"].size != 2 * len(TILTS):
+        raise GraspError(f"approaches: {arrays['approaches'].size} numbers are not 2 x {len(TILTS)}")
+    if len(message.joints) != len(message.posture):
+        raise GraspError(f"posture: {len(message.posture)} angles are not those of {len(message.joints)} joints")
+    if message.thumb_at not in ("g1", "g2"):
+        raise GraspError(f"thumb_at: {message.thumb_at!r} is neither g1 nor g2")
+    pose[:3, :3] = rotation_from_quaternion(np.array([turn.x, turn.y, turn.z, turn.w], np.float64))
+    return WayIn(
+        arrays["approach"],
+        message.thumb_at,
+        float(message.depth_m),
+        arrays["approaches"].reshape(2, -1),
+        pose,
+        arrays["posture"],
+        tuple(message.joints),
+        message.hand,
+    )
 
 
 def decode_predictions(message: Any, channels: Channels | None = None) -> Predictions:

@@ -6,26 +6,36 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.errors import GraspError
-from foretouch.grasp.hand import FINGER, PALM, THUMB, Hand
+from foretouch.grasp.hand import FINGER, PALM, THUMB, Hand, load_hand
 from foretouch.report.panels import new_figure, save
 from foretouch.types import Float64, Grasp
 
 _EDGES: Final = [(a, b) for a in range(8) for b in (a ^ 1, a ^ 2, a ^ 4) if a < b]  # of the corners of a box
-_COLORS: Final = {FINGER: "tab:orange", PALM: "tab:gray", THUMB: "tab:blue"}
+COLOURS: Final = {FINGER: "#d1762b", PALM: "#808080", THUMB: "#1f6fb4"}
+"""Of the parts of a hand."""
 
 
-def hand_lines(hand: Hand, grasp: Grasp) -> Float64:
-    """(E, 2, 3) float64 [m], the edges of all boxes of a hand at a grasp, in the frame of the grasp's cloud.
+def hand_lines(grasp: Grasp) -> dict[str, Float64]:
+    """Find the edges of the boxes of a hand that has taken a grasp.
+
+    Args:
+        grasp: Of a plan.
+
+    Returns:
+        By part (`finger`, `palm`, `thumb`) the ends (E, 2, 3) float64 of E edges [m], in the frame of the grasp's cloud. Empty for a
+        grasp that was not planned for a hand, and for a hand without boxes.
 
     Raises:
-        GraspError: If the grasp was not planned for a hand.
+        ConfigError: If the description of the hand is not found, as of a grasp from another computer.
     """
     if grasp.way is None:
-        raise GraspError("way: is absent: the grasp was not planned for a hand")
+        return {}
+    hand = load_hand(grasp.way.hand)
     at = hand.at(grasp.width_m)
     pose = grasp.way.pose_of_hand @ np.linalg.inv(at.tool)
-    return np.asarray((at.corners[:, _EDGES] @ pose[:3, :3].T + pose[:3, 3]).reshape(-1, 2, 3), np.float64)
+    edges = np.asarray(at.corners[:, _EDGES] @ pose[:3, :3].T + pose[:3, 3], np.float64)  # (B, 12, 2, 3)
+    parts = np.array(hand.parts)
+    return {part: edges[parts == part].reshape(-1, 2, 3) for part in COLOURS if part in hand.parts}
 
 
 def save_hand_figure(hand: Hand, path: Path) -> Path:
@@ -40,7 +50,7 @@ def save_hand_figure(hand: Hand, path: Path) -> Path:
             for part, closed, opened in zip(hand.parts, at.corners, open_, strict=True):
                 for corners, style, wide in ((opened, ":", 0.6), (closed, "-", 1.1)):
                     lines = 1e3 * corners[_EDGES]
-                    axes.plot(lines[..., right].T, -lines[..., 2].T, style, color=_COLORS[part], linewidth=wide)
+                    axes.plot(lines[..., right].T, -lines[..., 2].T, style, color=COLOURS[part], linewidth=wide)
             axes.plot(*([[-500.0 * width, 500.0 * width], [0.0, 0.0]] if row == 0 else [[0.0], [0.0]]), "k.-")
             depth = f", free {1e3 * at.depth_m:.0f} mm" if hand.limits_depth else ""
             axes.set(title=f"{1e3 * width:.0f} mm{depth}", xlabel=f"{name} [mm]", ylabel="towards the palm [mm]", aspect="equal")  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 
 from foretouch.errors import ConfigError
 from foretouch.pipeline import Object, Scene
+from foretouch.report.hand_figure import COLOURS, hand_lines
 from foretouch.report.panels import Axes, new_figure, save
 from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Plane, Prediction, Predictions
@@ -24,6 +25,7 @@ _FINGERS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at 
 _DARK: Final = "#202020"
 _MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 _AROUND_M: Final = 0.06  # shown around object and grasp
+_HAND_M: Final = 0.15  # as far a hand is shown beyond the object
 _LABELS: Final = 40  # objects with an id; more cover the picture
 
 
@@ -163,13 +165,20 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
 
     own = flat(points)
     ends = np.empty((0, 3)) if grasp is None else flat(np.stack([grasp.g1, grasp.g2]))
+    hand = {} if grasp is None else hand_lines(grasp)
+    lines = {part: flat(edges.reshape(-1, 3)).reshape(-1, 2, 3) for part, edges in hand.items()}
     low, high = (f(np.concatenate([own, ends]), axis=0) for f in (np.min, np.max))
+    if lines:  # the hand, but not the whole forearm
+        near = np.clip(np.concatenate(list(lines.values())), low - 1e3 * _HAND_M, high + 1e3 * _HAND_M)
+        low, high = np.minimum(low, near.min(axis=(0, 1))), np.maximum(high, near.max(axis=(0, 1)))
     span = 1.15 * max(*(high - low)[:2] + 2e3 * _AROUND_M, high[2] + 1e3 * _AROUND_M)  # of both panels
     for axes, row, name in ((above, 1, "from above"), (side, 2, "from the side")):
         for other in others:
             rest = flat(_finite(other.cloud))
             axes.scatter(rest[:, 0], rest[:, row], s=2, color="#c8c8c8", linewidths=0)
         axes.scatter(own[:, 0], own[:, row], s=4, c=own[:, 3 - row], cmap="cividis", linewidths=0)
+        for part, edges in lines.items():
+            axes.plot(edges[..., 0].T, edges[..., row].T, color=COLOURS[part], linewidth=0.9, alpha=0.8)
         if grasp is not None:
             axes.plot(ends[:, 0], ends[:, row], color=_DARK, linewidth=1.2)
             for k, (finger, colour) in enumerate(zip(("g1", "g2"), _FINGERS, strict=False)):

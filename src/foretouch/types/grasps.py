@@ -26,6 +26,7 @@ class WayIn:
     pose_of_hand: Float64  # (4, 4) float64, the tool frame of the hand's description in the cloud's frame
     posture: Float64  # (J,) float64 [rad], angles of `joints`
     joints: tuple[str, ...] = ()  # names of J joints
+    hand: str = ""  # its description: a name of the package, or the path of a YAML file
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,11 +2,14 @@
 """What is received is what was sent, to the last bit, or refused with a status and a reason in one line."""
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from answer_builders import refusal, touch_message
 from every_case import every_case
+from geometry_msgs.msg import Pose, Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
@@ -27,7 +30,7 @@ from foretouch.ros.messages.conversions import (
 )
 from foretouch.ros.messages.requests import RefusalError, read_table
 from foretouch.tactile import biotac_touch
-from foretouch.types import Grasp, Plane, Prediction
+from foretouch.types import Grasp, Plane, Prediction, WayIn
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
@@ -56,6 +59,50 @@ def test_a_grasp_is_received_to_the_last_bit_with_its_pose(rng):
         np.testing.assert_allclose(rotation_from_quaternion(quaternion), grasp.rotation, atol=1e-12)
         message.rotation = np.zeros(9)  # the quaternion alone
         np.testing.assert_allclose(decode_grasp(message).rotation, grasp.rotation, atol=1e-12)
+
+
+def way_in(hand: str = "shadow_thumb_middle") -> WayIn:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix(), [0.1, 0.2, 0.3]
+    rows = np.linspace(-0.01, 0.03, 22).reshape(2, 11).astype(np.float32).astype(np.float64)
+    joints = ("rh_MFJ4", "rh_THJ1")
+    return WayIn(np.array([0.0, 0.6, 0.8]), "g2", 0.03125, rows, pose, np.array([0.1, -0.4]), joints, hand)
+
+
+def test_how_a_hand_comes_to_a_grasp_is_received_as_it_was_sent():
+    grasp = replace(UNIT, way=way_in())
+    message = deserialize_message(serialize_message(grasp_to_msg(grasp)), GraspMsg)
+    assert message.width_m == np.float32(np.sqrt(3.0))
+    back = decode_grasp(message).way
+    assert back is not None
+    for name in ("approach", "approaches", "posture"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(grasp.way, name))
+    np.testing.assert_allclose(back.pose_of_hand, grasp.way.pose_of_hand, atol=1e-12)
+    for name in ("thumb_at", "depth_m", "joints", "hand"):
+        assert getattr(back, name) == getattr(grasp.way, name)
+    assert decode_grasp(grasp_to_msg(UNIT)).way is None
+    older = SimpleNamespace(
+        **{name: getattr(message, name) for name in ("id", "object_id", "g1", "g2", "pose", "rotation", "score")}
+    )
+    assert decode_grasp(older).way is None  # a recording of 0.3
+
+
+def test_a_way_in_that_cannot_be_used_is_refused_by_name():
+    def check(match, name, value):
+        message = grasp_to_msg(replace(UNIT, way=way_in()))
+        setattr(message, name, value)
+        with pytest.raises(GraspError, match=match):
+            decode_grasp(message)
+
+    cases = [
+        (r"approaches: 3 numbers are not 2 x 11", "approaches", [0.0, 1.0, 2.0]),
+        (r"approaches: .*nan.* is not finite", "approaches", [math.nan] * 22),
+        (r"posture: 1 angles are not those of 2 joints", "posture", [0.5]),
+        (r"thumb_at: 'g3' is neither g1 nor g2", "thumb_at", "g3"),
+        (r"depth_m: inf is not finite", "depth_m", math.inf),
+        (r"orientation: length 0.* is not 1", "pose_of_hand", Pose(orientation=Quaternion(w=0.0))),
+    ]
+    every_case(cases, check)
 
 
 def test_a_grasp_that_cannot_be_used_is_refused_by_name():

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from answer_builders import refusal
 from constant_models import sensor_with_dead
+from seen_solids import Camera
+from seen_solids import box as solid_box
 from std_msgs.msg import Header
 
+from foretouch.grasp import GeoGraspConfig, HandConfig, plan_grasps
 from foretouch.grasp.pose import fingertip_rotation
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import object_to_msg
@@ -55,6 +58,22 @@ def test_fingertips_are_rotations_whose_pads_face_each_other_in_a_closed_or_turn
         rotation, inward = fingertip_rotation(GRASP, contact), GRASP.midpoint - contact
         np.testing.assert_allclose(-rotation[:, 2], inward / np.linalg.norm(inward), atol=1e-12)
         assert rotation[:, 0] @ GRASP.midpoint > 0.0  # the tip points away from the camera
+
+
+def test_the_boxes_of_the_hand_are_at_the_contacts():
+    solid = solid_box(0.05, 0.08, 0.1)
+    cloud, table = Camera(50.0).see(solid), Camera(50.0).table()
+    (grasp,) = plan_grasps(cloud, table, GeoGraspConfig(), hand=HandConfig(name="franka_hand")).grasps
+    touch = biotac_touch(np.full(50, 2800.0))
+    boxes = by_name(touch_markers(Prediction.of(grasp, touch), HEADER, BIOTAC_VIEW, P2_RANGES.ranges))["hand_boxes"]
+    assert [len(marker.points) for marker in boxes] == [2 * 24, 24, 2 * 24]  # finger, palm, thumb: 12 edges a box
+    thumb = grasp.g1 if grasp.way.thumb_at == "g1" else grasp.g2
+    outward = (thumb - grasp.midpoint) / np.linalg.norm(thumb - grasp.midpoint)
+    inner = ((points(boxes[2]) - grasp.midpoint) @ outward).min()
+    assert inner == pytest.approx(grasp.width_m / 2.0, abs=1e-9)
+    palm = (points(boxes[1]) - grasp.midpoint) @ grasp.way.approach
+    assert palm.max() == pytest.approx(-0.046, abs=1e-9)
+    assert "hand_boxes" not in drawn(np.ones(24), np.ones(24))
 
 
 def test_electrodes_contacts_and_hand_axes_are_where_the_grasp_is_and_thumb_takes_g1():

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.pipeline import Pipeline
@@ -56,6 +57,20 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card
     headers = [(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates]
     assert headers == [(CAMERA, 11)] * 5
     assert not feedback[0].grasps  # no field but those of MoveIt
+    for name, reason in (
+        ("nothing", "hand.name: nothing: is neither a file nor one of franka_hand"),
+        ("", "hand.name: "),
+    ):
+        (answer,) = node.set_parameters([Parameter("hand.name", value=name)])
+        assert not answer.successful
+        assert reason in answer.reason
+    assert node.set_parameters([Parameter("hand.name", value="shadow_thumb_middle")])[0].successful  # while it runs
+    _, _, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
+    _, own, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=5))
+    assert {grasp.hand for grasp in own.grasps} == {"shadow_thumb_middle"}, own.grasp_state
+    poses = [pose.pose for pose in feedback[0].grasp_candidates]
+    assert poses == [grasp.pose_of_hand for grasp in own.grasps]
+    assert poses != [grasp.pose for grasp in own.grasps]
     assert not node.internal_errors.counts()
 
 

@@ -31,7 +31,6 @@ PAIRING: Final = (
 """The rule of folders, for help texts."""
 
 _LIMIT: Final = 1_000_000  # bytes of a file of intrinsics
-_IMAGE_LIMIT: Final = 500_000_000  # bytes of an image
 _DEPTH: Final = re.compile(r"(.+)[-_]depth|depth[-_](.+)", re.IGNORECASE)
 _MASKS: Final = ("mask", "label", "labels", "seg", "segmap")
 _INFOS: Final = ("info", "camera", "camera_info", "camera-info", "intrinsics", "meta")
@@ -83,22 +82,6 @@ class DepthCamera:
         return cloud
 
 
-def read_image(path: Path) -> AnyArray:
-    """Read the pixels of an image as they are stored, (H, W) or with colours (H, W, C); a `FileError` if it cannot be read."""
-    from PIL import Image, UnidentifiedImageError
-
-    if path.stat().st_size > _IMAGE_LIMIT:
-        raise FileError(path, f"has more than {_IMAGE_LIMIT} bytes")
-    try:
-        with Image.open(path) as image:
-            count = int(getattr(image, "n_frames", 1))
-            if count > 1:
-                raise FileError(path, f"holds {count} images, not one", field="depth")
-            return np.asarray(image)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as err:
-        raise FileError(path, f"depth: cannot be read: {described(err)}") from err
-
-
 def _as_depth(depth: AnyArray) -> AnyArray:
     """The image without sides of length one, whole numbers as uint16 where they fit, and half floats as float32."""
     if depth.ndim == 3 and 1 in (depth.shape[0], depth.shape[2]):
@@ -125,19 +108,19 @@ def _row_major(matrix: AnyArray) -> AnyArray:
 
 def _distortion(facts: Mapping[str, Any]) -> AnyArray | None:
     """The coefficients of OpenCV's models, if there are any; a `CloudError` for a model that cannot be undone."""
-    found = next(
+    coefficients = next(
         (np.ravel(facts[name]).astype(np.float64) for name in _NAMES_OF_D if facts.get(name) is not None), None
     )
     model = str(facts.get("distortion_model") or facts.get("model") or "")
-    if _OTHER_MODELS.search(model) and found is not None and found.any():
+    if _OTHER_MODELS.search(model) and coefficients is not None and coefficients.any():
         raise CloudError(f"distortion: model {model!r} cannot be undone: use the rectified image with its K")
-    return found
+    return coefficients
 
 
 def _scale(facts: Mapping[str, Any]) -> float | None:
     """Metres per unit by a file, which states it (RealSense) or its inverse (Open3D, GraspNet); None if it does not."""
-    found = next((float(np.ravel(facts[name])[0]) for name in _NAMES_OF_SCALE if name in facts), None)
-    return 1.0 / found if found is not None and found > 1.0 else found
+    scale = next((float(np.ravel(facts[name])[0]) for name in _NAMES_OF_SCALE if name in facts), None)
+    return 1.0 / scale if scale is not None and scale > 1.0 else scale
 
 
 def _facts(path: Path) -> dict[str, Any]:
@@ -163,16 +146,16 @@ def _facts(path: Path) -> dict[str, Any]:
         raise FileError(path, f"holds no camera: {described(err)}") from err
     facts = facts.get("intrinsic", facts) if isinstance(facts, dict) else {}
     facts = facts if isinstance(facts, dict) else {}
-    found: dict[str, Any] = {
-        name: one["data"] if isinstance(one, dict) and "data" in one else one for name, one in facts.items()
+    stated: dict[str, Any] = {
+        name: fact["data"] if isinstance(fact, dict) and "data" in fact else fact for name, fact in facts.items()
     }
     for name, other in (("width", "image_width"), ("height", "image_height"), ("cx", "ppx"), ("cy", "ppy")):
-        found.setdefault(name, found.get(other))
-    if all(found.get(name) is not None for name in ("fx", "fy", "cx", "cy")):
-        found.setdefault("K", [found[name] for name in ("fx", "fy", "cx", "cy")])
-    if not any(name in found for name in _NAMES_OF_K):
+        stated.setdefault(name, stated.get(other))
+    if all(stated.get(name) is not None for name in ("fx", "fy", "cx", "cy")):
+        stated.setdefault("K", [stated[name] for name in ("fx", "fy", "cx", "cy")])
+    if not any(name in stated for name in _NAMES_OF_K):
         raise FileError(path, f"holds no camera: none of {', '.join(_NAMES_OF_K)}, or fx, fy, cx, cy")
-    return found
+    return stated
 
 
 @dataclass(frozen=True)
@@ -193,23 +176,29 @@ class Pairs:
             by_stem.setdefault(file.stem.lower(), []).append(file)
 
         def first(stems: Iterable[str], suffixes: tuple[str, ...]) -> Path | None:
-            fitting = (one for stem in stems for one in by_stem.get(stem.lower(), []) if one.suffix.lower() in suffixes)
+            fitting = (
+                file for stem in stems for file in by_stem.get(stem.lower(), []) if file.suffix.lower() in suffixes
+            )
             return next(fitting, None)
 
         masks, infos, depths = {}, {}, set()
         for file in files:
-            found = _DEPTH.fullmatch(file.stem)
-            if found is None or file.suffix.lower() not in (*IMAGE_SUFFIXES, ".npy"):
+            match = _DEPTH.fullmatch(file.stem)
+            if match is None or file.suffix.lower() not in (*IMAGE_SUFFIXES, ".npy"):
                 continue
             depths.add(file)
-            name = found[1] or found[2]
+            name = match[1] or match[2]
             own = [
-                text for one in _MASKS for text in (f"{name}-{one}", f"{name}_{one}", f"{one}-{name}", f"{one}_{name}")
+                text
+                for word in _MASKS
+                for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")
             ]
             if (mask := first(own, MASK_SUFFIXES)) is not None:
                 masks[file] = mask
             own = [
-                text for one in _INFOS for text in (f"{name}-{one}", f"{name}_{one}", f"{one}-{name}", f"{one}_{name}")
+                text
+                for word in _INFOS
+                for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")
             ]
             if (info := first([*own, *_INFOS], INFO_SUFFIXES)) is not None:
                 infos[file] = info

@@ -41,11 +41,23 @@ def decode_depth(message: Any) -> AnyArray:
     Raises:
         CloudError: If it is no depth image, or damaged. The message names the field and the rule.
     """
-    return _raw(message) if hasattr(message, "encoding") else _compressed(message)
+    return image_pixels(message, _pixel(message.encoding)) if hasattr(message, "encoding") else _compressed(message)
 
 
-def _raw(message: Any) -> AnyArray:
-    kind = np.dtype(_pixel(message.encoding)).newbyteorder(">" if message.is_bigendian else "<")
+def image_pixels(message: Any, pixel: str) -> AnyArray:
+    """View the pixels of a `sensor_msgs/Image` with one number each.
+
+    Args:
+        message: The image.
+        pixel: Type of a pixel in NumPy's letters, such as `u2`.
+
+    Returns:
+        (H, W) in the byte order of the message, which must stay unchanged as long as they are used.
+
+    Raises:
+        CloudError: If sizes and bytes do not fit together.
+    """
+    kind = np.dtype(pixel).newbyteorder(">" if message.is_bigendian else "<")
     height, width, step = message.height, message.width, message.step
     _check_size(height, width)
     if step < width * kind.itemsize:
@@ -282,7 +294,7 @@ class CameraInfos:
             self._missing_s = now_s
         info, image = info_topic(self.topic), f"an image of {_named(place)}"
         for reason, same in (("other_size", slice(0, 1)), ("other_frame", slice(1, 3))):
-            others = [_named(one) for one in self._known if one[same] == place[same]]
+            others = [_named(other) for other in self._known if other[same] == place[same]]
             if others:
                 return CalibrationError(f"{info}: is of {', '.join(others)}, not of {image}", reason)
         reason = "awaits_camera_info" if now_s - self._missing_s < _PATIENCE_S else "no_camera_info"

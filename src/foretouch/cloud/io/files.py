@@ -18,7 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, DepthCamera, read_image
+from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, DepthCamera
+from foretouch.cloud.io.mask_files import read_image
 from foretouch.cloud.io.point_files import SIZE_LIMIT, check_unpacked, read_pcd, read_ply, write_pcd, write_ply
 from foretouch.errors import CloudError, FileError, described, shown
 from foretouch.files import read_bytes, system_errors
@@ -114,7 +115,7 @@ def read_arrays(path: Path, required: Collection[str], optional: Collection[str]
 def _read_numbers(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
     """The cloud in an image or a file of NumPy, whose points are x, y, z or the depth of pixels."""
     if suffix in IMAGE_SUFFIXES:
-        return camera.cloud(path, read_image(path))
+        return camera.cloud(path, read_image(path, "depth"))
     if suffix == ".npy":
         array = _array(path, read_bytes(path, SIZE_LIMIT))
         depth = array.ndim in (2, 3) and array.shape[1] > _POINT_WIDTH and array.shape[-1] != 3  # else a list of points
@@ -160,10 +161,10 @@ def _array(path: Path, content: bytes, field: str | None = None) -> AnyArray:
         if math.prod(shape) * dtype.itemsize > len(content):  # NumPy would take the memory first
             raise ValueError(f"shape {shown(shape)} of {dtype} needs more bytes than there are")
         stream.seek(0)
-        found: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
+        array: AnyArray = formats.read_array(stream, allow_pickle=False, max_header_size=_NPY_HEADER_LIMIT)
     except _DAMAGE as err:
         raise FileError(path, f"is damaged or contains objects: {described(err)}", field=field) from err
-    return found
+    return array
 
 
 def _coordinates(path: Path, xyz: AnyArray) -> Float32:

@@ -78,7 +78,7 @@ def write_pcd(path: Path, cloud: Cloud) -> None:
     count = len(layout.fields)
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
-        f"FIELDS {' '.join(one.name for one in layout.fields)}\n"
+        f"FIELDS {' '.join(field.name for field in layout.fields)}\n"
         f"SIZE{' 4' * count}\nTYPE{' F' * count}\nCOUNT{' 1' * count}\nWIDTH {layout.width}\nHEIGHT {layout.height}\n"
         f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {cloud.size}\nDATA binary\n"
     )
@@ -182,20 +182,20 @@ def read_ply(path: Path) -> Cloud:
     columns, rows = shape.get("num_cols", vertex.count), shape.get("num_rows", 1)
     if grid is not None and grid.count != columns * rows:
         grid = None
-    last = max(list(elements).index(one.name) for one in (vertex, grid) if one)
+    last = max(list(elements).index(element.name) for element in (vertex, grid) if element)
     needed = list(elements.values())[: last + 1]
-    numbers = [(one.name, one.kind) for one in vertex.properties if not one.counted]
+    numbers = [(part.name, part.kind) for part in vertex.properties if not part.counted]
     _point_dtype(path, numbers, "property")
     body, text = content[end.end() :], encoding == "ascii"
     data = _PlyData(path, _ply_numbers(path, body, needed) if text else body, None if text else _ORDERS[encoding])
-    found = {element.name: data.read(element) for element in needed}
-    records = found["vertex"][0]
+    contents = {element.name: data.read(element) for element in needed}
+    records = contents["vertex"][0]
     rgb = None
     if {(name, "u1") for name in _COLOURS} <= set(numbers):
         with np.errstate(invalid="ignore"):
             rgb = np.stack([records[name].astype(np.uint8) for name in _COLOURS], axis=-1)
     if grid is not None:
-        return _on_grid(path, _to_cloud(records, rgb, 1, vertex.count), found["range_grid"][1], (rows, columns, 3))
+        return _on_grid(path, _to_cloud(records, rgb, 1, vertex.count), contents["range_grid"][1], (rows, columns, 3))
     organised = columns * rows == vertex.count  # otherwise points were removed since
     return _to_cloud(records, rgb, *((rows, columns) if organised else (1, vertex.count)))
 
@@ -266,12 +266,12 @@ def _ply_numbers(path: Path, body: bytes, needed: Sequence[_Element]) -> bytes:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)  # NumPy 1 warns where NumPy 2 raises
-            found = np.fromstring(body, np.float64, sep=" ") if body.strip() else np.empty(0)
+            numbers = np.fromstring(body, np.float64, sep=" ") if body.strip() else np.empty(0)
     except (ValueError, DeprecationWarning) as err:
         raise FileError(path, "holds a word between its numbers", field="vertex") from err
-    if len(found) < expected:
-        raise FileError(path, f"{len(found)} numbers are fewer than {expected}: truncated", field="vertex")
-    return found.tobytes()
+    if len(numbers) < expected:
+        raise FileError(path, f"{len(numbers)} numbers are fewer than {expected}: truncated", field="vertex")
+    return numbers.tobytes()
 
 
 class _PlyData:
@@ -282,23 +282,23 @@ class _PlyData:
 
     def read(self, element: _Element) -> tuple[_Records, list[int]]:
         """The (count,) records of single numbers, and the first entry of the first list of each, -1 of an empty one."""
-        single = np.dtype([(one.name, self._dtype(one.kind)) for one in element.properties if not one.counted])
-        if not any(one.counted for one in element.properties):
+        single = np.dtype([(part.name, self._dtype(part.kind)) for part in element.properties if not part.counted])
+        if not any(part.counted for part in element.properties):
             size = element.count if single.itemsize else 0
             return self._numbers(element, single, size), []
         parts: list[AnyArray] = []
         firsts: list[int] = []
         for _ in range(element.count):
             lists: list[AnyArray] = []
-            for one in element.properties:
+            for part in element.properties:
                 size = 1
-                if one.counted:
-                    (number,) = self._numbers(element, self._dtype(one.counted), 1).tolist()
+                if part.counted:
+                    (number,) = self._numbers(element, self._dtype(part.counted), 1).tolist()
                     if not 0 <= number < 2**31:
-                        raise FileError(self._path, f"a list of {number} entries", field=one.name)
+                        raise FileError(self._path, f"a list of {number} entries", field=part.name)
                     size = int(number)
-                found = self._numbers(element, self._dtype(one.kind), size)
-                (lists if one.counted else parts).append(found)
+                values = self._numbers(element, self._dtype(part.kind), size)
+                (lists if part.counted else parts).append(values)
             firsts.append(int(lists[0][0]) if lists[0].size and abs(lists[0][0]) < 2**31 else -1)
         joined = b"".join(part.tobytes() for part in parts)
         return np.frombuffer(joined, single) if joined else np.empty(0, single), firsts

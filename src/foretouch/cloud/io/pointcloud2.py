@@ -74,10 +74,10 @@ def _checked_fields(message: Any) -> dict[str, Any]:
     if message.height and message.row_step < message.width * message.point_step:
         row = f"width {message.width} x point_step {message.point_step}"
         raise CloudError(f"row_step: {message.row_step} is less than {row}")
-    found: dict[str, Any] = {}
+    by_name: dict[str, Any] = {}
     solid = []
     for field in message.fields:
-        if field.name in found:
+        if field.name in by_name:
             raise CloudError(f"fields: {field.name} occurs twice")
         if field.datatype not in DATATYPES:
             raise CloudError(f"{field.name}: datatype {field.datatype} is not one of 1 to 8")
@@ -86,13 +86,13 @@ def _checked_fields(message: Any) -> dict[str, Any]:
         end = field.offset + field.count * int(DATATYPES[field.datatype][1])
         if end > message.point_step:
             raise CloudError(f"{field.name}: ends at byte {end}, beyond point_step {message.point_step}")
-        found[field.name] = field
+        by_name[field.name] = field
         if field.count:
             solid.append((field.offset, end, field.name))
     for (_, end, name), (offset, _, after) in pairwise(sorted(solid)):
         if offset < end:
             raise CloudError(f"{after}: offset {offset} lies within {name}, which ends at {end}")
-    return found
+    return by_name
 
 
 def _xyz(view: _View, fields: Mapping[str, Any], big: bool) -> Float32:
@@ -103,10 +103,10 @@ def _xyz(view: _View, fields: Mapping[str, Any], big: bool) -> Float32:
             raise CloudError(f"{name}: is not one FLOAT32 or FLOAT64")
     x, y, z = (fields[name] for name in "xyz")
     spacing = y.offset - x.offset
-    single = all(one.datatype == _FLOAT32 for one in (x, y, z))
+    single = all(axis.datatype == _FLOAT32 for axis in (x, y, z))
     if single and spacing == z.offset - y.offset and big == (sys.byteorder == "big"):
         return view("f4", x.offset, 3, spacing)
-    parts = [view((">" if big else "<") + DATATYPES[one.datatype], one.offset) for one in (x, y, z)]
+    parts = [view((">" if big else "<") + DATATYPES[axis.datatype], axis.offset) for axis in (x, y, z)]
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 becomes infinite, and a signalling NaN quiet
         return np.stack([part.astype(np.float32) for part in parts], axis=-1)
 
@@ -119,7 +119,7 @@ def _rgb(view: _View, fields: Mapping[str, Any], big: bool) -> UInt8 | None:
         # In memory: blue, green, red, alpha, or the reverse where big-endian.
         return view("u1", packed.offset + 1, 3, 1) if big else view("u1", packed.offset + 2, 3, -1)
     channels = [fields[name] for name in "rgb" if name in fields]
-    plain = [view("u1", one.offset) for one in channels if one.datatype == _UINT8 and one.count == 1]
+    plain = [view("u1", channel.offset) for channel in channels if channel.datatype == _UINT8 and channel.count == 1]
     return np.stack(plain, axis=-1) if len(plain) == 3 else None
 
 
@@ -144,14 +144,14 @@ def encode(cloud: Cloud, **columns: AnyArray) -> SimpleNamespace:
     step = 12 if cloud.rgb is None else 16
     if columns:
         record = np.dtype(
-            [("own", "<f4", (step // 4,)), *((name, f"<u{one.itemsize}") for name, one in columns.items())]
+            [("own", "<f4", (step // 4,)), *((name, f"<u{column.itemsize}") for name, column in columns.items())]
         )
         records = np.empty(cloud.size, record)
         records["own"] = points.reshape(-1, points.shape[-1])
-        for name, one in columns.items():
-            records[name] = one
-            fields.append(_field(name, step, _UINT[one.itemsize]))
-            step += one.itemsize
+        for name, column in columns.items():
+            records[name] = column
+            fields.append(_field(name, step, _UINT[column.itemsize]))
+            step += column.itemsize
         points = records
     return SimpleNamespace(
         height=height,

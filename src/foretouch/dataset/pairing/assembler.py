@@ -149,8 +149,8 @@ class SampleAssembler:
             self._health.update(reading.counts)
             if self.readings.anomalies["clock_jump"] != jumps:
                 self._episodes.reset()
-            for one in accepted:
-                episode = self._episodes.update(one.stamp_ns, one.counts)
+            for accepted_reading in accepted:
+                episode = self._episodes.update(accepted_reading.stamp_ns, accepted_reading.counts)
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
         return accepted
@@ -169,12 +169,14 @@ class SampleAssembler:
             self._health.silence()
         results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled]
         self._unlabelled.clear()
-        for one in self.matcher.poll(now_s, ending=ending):
+        for match in self.matcher.poll(now_s, ending=ending):
             result: AssembledSample | RejectedGrasp
             try:
-                result = one if isinstance(one, RejectedGrasp) else AssembledSample(self._labelled(one), one.cut)
+                result = (
+                    match if isinstance(match, RejectedGrasp) else AssembledSample(self._labelled(match), match.cut)
+                )
             except PairingError as err:
-                name = one.executed.grasp_id if isinstance(one, MatchedGrasp) else one.grasp_id
+                name = match.executed.grasp_id if isinstance(match, MatchedGrasp) else match.grasp_id
                 result = RejectedGrasp(grasp_id=name, reason=err.reason, message=str(err))
             self.results["recorded" if isinstance(result, AssembledSample) else result.reason] += 1
             results.append(result)
@@ -234,15 +236,17 @@ class SampleAssembler:
 
     def _object_at(self, stamp_ns: int) -> str:
         """Label of the object on the table at a time, such as when the hand began to close; by default the first."""
-        return next((one for since, one in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
+        return next((label for since, label in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
 
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:
         """Temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
-        found: dict[str, float] = {}
+        temperatures: dict[str, float] = {}
         for prefix, row in (("", cut.others), ("tare_", cut.tare_others)):
             named = zip(self._reader.others, row, strict=True)
-            found |= {f"{prefix}{name}": float(value) for name, value in named if name in self._reader.temperatures}
-        return found
+            temperatures |= {
+                f"{prefix}{name}": float(value) for name, value in named if name in self._reader.temperatures
+            }
+        return temperatures
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
@@ -265,12 +269,12 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
             grasps.append(message if isinstance(message, Grasp) else decode_grasp(message))
         except GraspError as err:
             faults[message.id] = str(err)
-    grasp = next((one for one in grasps if one.id == wanted), None)
+    grasp = next((planned for planned in grasps if planned.id == wanted), None)
     if wanted in faults:
         raise PairingError("bad_grasp", faults[wanted])
     if grasp is None:
         raise PairingError("grasp_unknown", f"grasp {wanted}: is not among the grasps of its cloud any more")
-    others = tuple(one for one in grasps if one.object_id == grasp.object_id and one.id != wanted)
+    others = tuple(planned for planned in grasps if planned.object_id == grasp.object_id and planned.id != wanted)
     return grasp, others, "; ".join(f"candidate {name} left out: {fault}" for name, fault in faults.items())
 
 
@@ -283,10 +287,14 @@ def _object_cloud(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Cloud:
     if message.header.frame_id != frame_id:
         raise PairingError("frame_differs", f"cloud in {message.header.frame_id!r}, grasps in {frame_id!r}")
     if cloud.message.by_place and objects:
-        return min((one.cloud for one in objects), key=lambda one: _gap(one, grasp))
+        return min((candidate.cloud for candidate in objects), key=lambda candidate: _gap(candidate, grasp))
     object_id = grasp.object_id
     alone = len(objects) == 1  # then it is the object of a grasp without an id too, as for the prediction
-    match = [one.cloud for one in objects if one.id == object_id or (alone and "" in (one.id, object_id))]
+    match = [
+        candidate.cloud
+        for candidate in objects
+        if candidate.id == object_id or (alone and "" in (candidate.id, object_id))
+    ]
     if len(match) != 1:
         raise PairingError("object_unknown", f"object {object_id!r} is not in the cloud of {cloud.stamp_ns}")
     return match[0]

@@ -148,11 +148,11 @@ class SerializedCloud:
         if self.data == other.data:
             return True
         try:
-            one, two = decode_cloud(self.decode()), decode_cloud(other.decode())
+            mine, theirs = decode_cloud(self.decode()), decode_cloud(other.decode())
         except (CloudError, DatasetError):
             return False
-        return (one.frame_id, one.xyz.shape) == (two.frame_id, two.xyz.shape) and np.allclose(
-            one.xyz, two.xyz, rtol=0.0, atol=_SAME_M, equal_nan=True
+        return (mine.frame_id, mine.xyz.shape) == (theirs.frame_id, theirs.xyz.shape) and np.allclose(
+            mine.xyz, theirs.xyz, rtol=0.0, atol=_SAME_M, equal_nan=True
         )
 
 

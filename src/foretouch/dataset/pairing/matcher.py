@@ -116,7 +116,11 @@ class GraspTouchMatcher:
         for grasp in grasps:
             self._stamp_of[grasp.id] = stamp_ns if self._stamp_of.get(grasp.id, stamp_ns) == stamp_ns else None
         before, ids = self.plans.get(stamp_ns), {grasp.id for grasp in grasps}
-        kept = [one for one in before.grasps if one.id not in ids] if before and before.frame_id == frame_id else []
+        kept = (
+            [planned for planned in before.grasps if planned.id not in ids]
+            if before and before.frame_id == frame_id
+            else []
+        )
         self.plans[stamp_ns] = PlannedGrasps(stamp_ns, frame_id, (*kept, *grasps))
         while len(self.plans) > _MAX_PLANS:
             self.forget_plan(next(iter(self.plans)))
@@ -137,8 +141,12 @@ class GraspTouchMatcher:
 
     def add_episode(self, episode: Interval, now_s: float) -> None:
         """Add a contact that has ended; the robot has `wait_s` to report it."""
-        known = [one.interval for one in (*self._finished, *(one for one, _ in self.pending)) if one.interval]
-        if not any(one.overlaps(episode) for one in known):
+        known = [
+            executed.interval
+            for executed in (*self._finished, *(executed for executed, _ in self.pending))
+            if executed.interval
+        ]
+        if not any(interval.overlaps(episode) for interval in known):
             self._unclaimed.append((episode, now_s))
 
     def add_label(self, label: Label, now_s: float) -> tuple[str, str]:
@@ -169,8 +177,8 @@ class GraspTouchMatcher:
     def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp | RejectedGrasp]:
         """The grasps that are complete by now; at the end, all."""
         self._claim_late_episodes(now_s, ending=ending)
-        ready = [one for one in self.pending if ending or self._is_ready(*one, now_s)]
-        self.pending = [one for one in self.pending if one not in ready]
+        ready = [pair for pair in self.pending if ending or self._is_ready(*pair, now_s)]
+        self.pending = [pair for pair in self.pending if pair not in ready]
         results = [self._finish(executed) for executed, _ in ready]
         if ending:
             message = "labelled, but never executed"
@@ -179,7 +187,7 @@ class GraspTouchMatcher:
         return results
 
     def _is_pending(self, name: str) -> bool:
-        return any(one.grasp_id == name for one, _ in self.pending)
+        return any(executed.grasp_id == name for executed, _ in self.pending)
 
     def _latest(self) -> str:
         if self.pending:
@@ -193,8 +201,10 @@ class GraspTouchMatcher:
         late = [pair for pair in self._unclaimed if ending or now_s - pair[1] > self.config.wait_s]
         self._unclaimed = [pair for pair in self._unclaimed if pair not in late]
         for episode, since_s in late:
-            waiting = (one for one in self._labels if not self._is_pending(one))
-            name = next((one for one in waiting if (self._stamp_of.get(one) or episode.start) < episode.start), None)
+            waiting = (label for label in self._labels if not self._is_pending(label))
+            name = next(
+                (label for label in waiting if (self._stamp_of.get(label) or episode.start) < episode.start), None
+            )
             flags: tuple[str, ...] = ("detected_interval",)
             if name is None and self._assume:
                 before = [plan for stamp, plan in self.plans.items() if stamp < episode.start]

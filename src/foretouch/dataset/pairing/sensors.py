@@ -49,7 +49,7 @@ class ContactEpisodes:
         if not before or self._holding:
             return None
         first, both = sorted(self._onset.values())
-        release = min(one.stamp_ns for one in changes if one.kind == "release")
+        release = min(change.stamp_ns for change in changes if change.kind == "release")
         return Interval(start=first, contact=both, release=release)
 
     def reset(self) -> None:
@@ -65,9 +65,11 @@ class SensorHealth:
         self._channels = channels
         self._last: dict[str, Float32] = {}
         self._same = dict.fromkeys(channels.fingers, 0)
-        first = np.cumsum([0, *(one.size for one in channels.channels)]).tolist()
+        first = np.cumsum([0, *(channel.size for channel in channels.channels)]).tolist()
         pairs = zip(first, channels.channels, strict=False)
-        self._single = {k: one.name for k, one in pairs if one.size == 1 and one.noise > 0.0}  # by place in a finger
+        self._single = {
+            k: channel.name for k, channel in pairs if channel.size == 1 and channel.noise > 0.0
+        }  # by place in a finger
         self._constant = {finger: np.zeros(len(self._single), np.int64) for finger in channels.fingers}
         self.silence()
 

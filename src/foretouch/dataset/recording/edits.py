@@ -94,7 +94,8 @@ class EditLog:
         """Each edit in words, with its number."""
         lines = []
         for number, edit in enumerate(self.edits, 1):
-            words = [edit.action, edit.object, edit.text, f"({len(edit.ids)} samples)" * bool(edit.ids)]
+            samples = f"({len(edit.ids)} samples)" if edit.ids else ""
+            words = [edit.action, edit.object, edit.text, samples]
             text = f"undo {edit.edit}" if edit.action == "undo" else " ".join(filter(None, words))
             lines.append(f"{number}: {text}{' (undone)' if number in self._undone else ''}")
         return lines

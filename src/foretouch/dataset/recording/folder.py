@@ -77,7 +77,7 @@ def session_files(path: Path) -> list[Path]:
 def new_session_path(path: Path) -> Path:
     """The file of the next session; numbers are never used twice."""
     names = (p.name for p in path.glob("session-*"))
-    taken = [int(found[1]) for name in names if (found := re.match(r"session-(\d{4})\.mcap", name))]
+    taken = [int(match[1]) for name in names if (match := re.match(r"session-(\d{4})\.mcap", name))]
     return path / f"session-{max(taken, default=0) + 1:04d}.mcap"
 
 

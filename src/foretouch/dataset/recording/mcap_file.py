@@ -72,8 +72,10 @@ class McapFile:
 
     def write_chunk(self, messages: Sequence[Message]) -> None:
         """Append messages as one chunk: afterwards, either all of it is in the file or nothing."""
-        for one in messages:
-            self._writer.add_message(one.channel_id, one.log_time, one.data, one.publish_time, one.sequence)
+        for message in messages:
+            self._writer.add_message(
+                message.channel_id, message.log_time, message.data, message.publish_time, message.sequence
+            )
         self._commit()
 
     def write_attachment(self, attachment: Attachment) -> None:
@@ -92,10 +94,10 @@ class McapFile:
         if self._fd < 0:
             return False
         try:
-            found = self.path.stat()
+            status = self.path.stat()
         except OSError:
             return True
-        return not os.path.samestat(found, os.fstat(self._fd))
+        return not os.path.samestat(status, os.fstat(self._fd))
 
     @property
     def free_bytes(self) -> int:

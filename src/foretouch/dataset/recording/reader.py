@@ -38,8 +38,8 @@ class RecordedDataset:
         files = [RecordingFile(file) for file in recorded_files(self.path)]
         self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
-        self.unfinished = [one.path for one in files if not one.finished]  # read as far as they are intact
-        self._samples = [(one, message) for one in files for message in samples_in(one)]
+        self.unfinished = [file.path for file in files if not file.finished]  # read as far as they are intact
+        self._samples = [(file, message) for file in files for message in samples_in(file)]
         self._files = files
 
     def __len__(self) -> int:
@@ -115,18 +115,18 @@ def samples_in(file: RecordingFile) -> list[RecordedMessage]:
     another number of samples than it counts.
     """
     for only in (SAMPLE_TYPES, ()):  # other tools may have put samples into chunks behind other messages
-        found = []
+        messages = []
         for item in file.messages(only):
             if isinstance(item, RecordedMessage):
-                found += [item] if item.type in SAMPLE_TYPES else []
+                messages += [item] if item.type in SAMPLE_TYPES else []
             elif not file.finished and (item.rule.startswith("cut off") or len(file.data) < len(MAGIC)):
                 break
             else:
                 raise item.error(file.path)
         counted = (file.counts or MessageCounts()).topics.get(SAMPLE_TOPIC, TopicCounts()).written
-        if not file.finished or counted == len(found):
-            return found
-    raise FileError(file.path, f"damaged: holds {len(found)} samples, and counts {counted}", field="samples")
+        if not file.finished or counted == len(messages):
+            return messages
+    raise FileError(file.path, f"damaged: holds {len(messages)} samples, and counts {counted}", field="samples")
 
 
 def readable(file: RecordingFile, message: RecordedMessage) -> StoredSample | None:
@@ -144,8 +144,8 @@ def recorded_ids(path: Path) -> set[str]:
     ids = set()
     for session in session_files(path):
         file = RecordingFile(session)
-        for one in samples_in(file) if file.finished else file.messages():
-            stored = None if isinstance(one, Damage) else readable(file, one)
+        for item in samples_in(file) if file.finished else file.messages():
+            stored = None if isinstance(item, Damage) else readable(file, item)
             if stored is not None:
                 ids.add(stored.record.sample.id)
             elif file.finished:

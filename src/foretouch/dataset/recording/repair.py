@@ -71,17 +71,17 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
         return [_repaired_or_refused(file) for file in files]
     with lock(path):
         reports = [_repaired_or_refused(file) for file in files]
-        found = {file.name: session_id(file) for file in files}
+        present = {file.name: session_id(file) for file in files}
         for name, session in stated(path, SESSIONS).items():
-            if found.get(name) != session:
+            if present.get(name) != session:
                 rule = (
                     "has another id than the manifest listed, and is now"
-                    if name in found
+                    if name in present
                     else "is absent, and no longer"
                 )
                 reports.append(RepairReport(path / name, changed=True, lost=[Damage(0, f"{rule} listed")]))
-        if found != stated(path, SESSIONS):
-            restate(path, SESSIONS, found)
+        if present != stated(path, SESSIONS):
+            restate(path, SESSIONS, present)
         try:
             read_edits(path)
         except FileError as err:
@@ -104,9 +104,9 @@ def _repaired_or_refused(path: Path) -> RepairReport:
 def _repair_file(path: Path) -> RepairReport:
     """Repair one recording; a clean one is not changed."""
     file = RecordingFile(path)
-    found = verify_file(file)
-    report = RepairReport(path, samples=len(found.ids), messages=found.messages.total())
-    if found.clean:
+    verified = verify_file(file)
+    report = RepairReport(path, samples=len(verified.ids), messages=verified.messages.total())
+    if verified.clean:
         return report
     report.changed = True
     part = path.with_name(f"{path.name}.repairing")
@@ -117,7 +117,7 @@ def _repair_file(path: Path) -> RepairReport:
         name = "" if file.is_own else file.compression.upper()
         compression = CompressionType.__members__.get(name, CompressionType.NONE)
         _copy_intact(file, McapFile(part, None if file.is_own else file.header, compression), report)
-        only_cut = len(file.data) <= len(MAGIC) or all(one.rule.startswith("cut off") for one in report.lost)
+        only_cut = len(file.data) <= len(MAGIC) or all(damage.rule.startswith("cut off") for damage in report.lost)
         if not report.messages and not (file.is_own and only_cut and not file.compression):
             rule = report.lost[0].rule if report.lost else "it has no end"
             raise FileError(path, f"holds no message that could be kept, and stays as it is: {rule}")
@@ -164,22 +164,22 @@ def _copy_intact(file: RecordingFile, out: McapFile, report: RepairReport) -> No
             schema = file.schemas.get(channel.schema_id)
             if not file.is_own or (schema is not None and channel.topic != SAMPLE_TOPIC):
                 numbers[number] = out.add_channel(channel, schema)
-        for one in file.messages():
-            if isinstance(one, Damage):
-                report.lost.append(one)
+        for item in file.messages():
+            if isinstance(item, Damage):
+                report.lost.append(item)
                 continue
-            is_sample = one.type in SAMPLE_TYPES or (file.is_own and one.channel not in numbers)
-            if is_sample and readable(file, one) is None:
-                report.lost.append(Damage(one.offset, "a message whose declaration or content is damaged"))
+            is_sample = item.type in SAMPLE_TYPES or (file.is_own and item.channel not in numbers)
+            if is_sample and readable(file, item) is None:
+                report.lost.append(Damage(item.offset, "a message whose declaration or content is damaged"))
                 continue
-            if not is_sample and one.channel not in numbers:
+            if not is_sample and item.channel not in numbers:
                 undeclared += 1
                 continue
             if is_sample or sum(len(message.data) for message in pending) > _CHUNK_BYTES:
                 flush()
-            number = numbers.get(one.channel, sample_number)
-            pending.append(Message(number, one.log_time_ns, file.content(one), one.publish_time_ns, one.sequence))
-            written[SAMPLE_TOPIC if number == sample_number else one.topic] += 1
+            number = numbers.get(item.channel, sample_number)
+            pending.append(Message(number, item.log_time_ns, file.content(item), item.publish_time_ns, item.sequence))
+            written[SAMPLE_TOPIC if number == sample_number else item.topic] += 1
             samples += is_sample
             if is_sample:  # which gets a chunk of its own
                 flush()

@@ -175,7 +175,10 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None) -> Sto
     except Exception as err:  # the digest does not prove that foretouch wrote it: the parser may fail anywhere
         raise DatasetError(f"damaged: {described(err)}") from err
     if sensor is not None and stored.sensor.sha256 != sensor.sha256:
-        names = [f"{one.config.name} ({one.sha256[:8]})" for one in (stored.sensor, sensor)]
+        names = [
+            f"{described_sensor.config.name} ({described_sensor.sha256[:8]})"
+            for described_sensor in (stored.sensor, sensor)
+        ]
         raise DatasetError(f"is of {names[0]}, and the dataset of {names[1]}")
     return stored
 

@@ -56,7 +56,7 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     read_edits(path)
     reports = [verify_file(RecordingFile(file), sensor) for file in files]
     for name, session in sorted(stated(path, SESSIONS).items()):
-        report = next((one for one in reports if one.path.name == name), None)
+        report = next((candidate for candidate in reports if candidate.path.name == name), None)
         if report is None:
             reports.append(FileReport(path / name, faults=[Damage(0, "is absent, though the manifest lists it")]))
         elif session_id(report.path) != session:
@@ -100,16 +100,16 @@ def _count_faults(report: FileReport) -> Iterator[Damage]:
         yield Damage(0, "holds no message counts")
         return
     for topic in sorted(report.counts.topics.keys() | report.messages.keys()):
-        counts, found = report.counts.topic(topic), report.messages[topic]
+        counts, present = report.counts.topic(topic), report.messages[topic]
         if counts.pending:
             total = f"written {counts.written} + dropped {counts.dropped.total()}"
             yield Damage(0, f"{topic}: received {counts.received} is not {total}")
-        if counts.written != found:
-            yield Damage(0, f"{topic}: {counts.written} messages are counted as written, {found} are there")
+        if counts.written != present:
+            yield Damage(0, f"{topic}: {counts.written} messages are counted as written, {present} are there")
 
 
 def _index_faults(file: RecordingFile, report: FileReport) -> Iterator[Damage]:
     """Compare the counts in the index of a file of others, if it has some, with the contents."""
-    counted, found = file.statistics.message_count if file.statistics else 0, report.messages.total()
-    if file.statistics and counted != found:
-        yield Damage(0, f"the index counts {counted} messages, {found} are there")
+    counted, present = file.statistics.message_count if file.statistics else 0, report.messages.total()
+    if file.statistics and counted != present:
+        yield Damage(0, f"the index counts {counted} messages, {present} are there")

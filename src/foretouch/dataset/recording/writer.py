@@ -312,7 +312,8 @@ class RecordingWriter:
         with suppress(FileError):  # no space for the index: the chunks remain, and `repair` creates one
             self._end(reason)
         kept = f"the session has ended, its {self.samples} samples are in the file"
-        rest = self._removal or kept + "; run `foretouch dataset repair`" * (cause is not None)
+        cure = "" if cause is None else "; run `foretouch dataset repair`"
+        rest = self._removal or kept + cure
         raise FileError(self.file, f"{rule}: {rest}") from cause
 
     def _end(self, reason: str) -> None:

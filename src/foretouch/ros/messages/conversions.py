@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point, Pose, Quaternion
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
@@ -15,7 +15,7 @@ from foretouch.grasp import Obstacles, quaternion_xyzw
 from foretouch.grasp.messages import REFERENCES, decode_predictions
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Prediction
+from foretouch.types import SECOND_NS, Evidence, Float64, Grasp, Plane, Prediction, WayIn
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -108,7 +108,7 @@ def rotation_to_msg(rotation: Float64) -> Quaternion:
 
 
 def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> GraspMsg:
-    """Convert a grasp; `pose` is redundant and meant for those who move the hand."""
+    """Convert a grasp; `pose` is redundant, `pose_of_hand` is for those who move the hand."""
     return GraspMsg(
         id=grasp.id,
         object_id=grasp.object_id,
@@ -119,7 +119,27 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
         score=grasp.score,
         status=status,
         reason=reason,
+        width_m=grasp.width_m,
+        **_way_fields(grasp.way),
     )
+
+
+def _way_fields(way: WayIn | None) -> dict[str, Any]:
+    """The fields of a grasp that hold how the hand comes to it; none without a way in."""
+    if way is None:
+        return {}
+    x, y, z = map(float, way.approach)
+    at = way.pose_of_hand
+    return {
+        "hand": way.hand,
+        "approach": Vector3(x=x, y=y, z=z),
+        "depth_m": way.depth_m,
+        "approaches": array.array("f", np.ascontiguousarray(way.approaches, np.float32).tobytes()),
+        "thumb_at": way.thumb_at,
+        "pose_of_hand": Pose(position=point_to_msg(at[:3, 3]), orientation=rotation_to_msg(at[:3, :3])),
+        "joints": list(way.joints),
+        "posture": array.array("d", np.ascontiguousarray(way.posture, np.float64).tobytes()),
+    }
 
 
 def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP) -> Prediction:

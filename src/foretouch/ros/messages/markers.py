@@ -13,6 +13,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.grasp.pose import taxels_at
+from foretouch.report.hand_figure import COLOURS, hand_lines
 from foretouch.ros.messages.conversions import evidence_text, point_to_msg
 from foretouch.tactile import Ranges
 from foretouch.tactile.taxel_view import TaxelView
@@ -23,6 +24,7 @@ _CONTACT_M = 0.012  # diameter of a contact's sphere
 _AXIS_M = 0.06  # length of the hand's axes
 _TAXEL_M = 0.003
 _LINE_M = 0.004  # width of the table's outline
+_EDGE_M = 0.0015  # width of the edges of the hand's boxes
 _TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
 _OTHER = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.25)
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
@@ -58,7 +60,7 @@ def touch_markers(
     *,
     thumb_takes_g1: bool = True,
 ) -> MarkerArray:
-    """Draw contacts, hand frame and all taxels of one prediction, with its scalars and what it is based on.
+    """Draw contacts, hand frame, the boxes of a described hand and all taxels of one prediction, with its scalars and what it is based on.
 
     The text is yellow if there is a flag. A refused prediction gives no marker. A taxel that contact has not moved is green, one
     that it has moved by the whole range red (see `TaxelView.shares`), and a dead one grey.
@@ -81,6 +83,10 @@ def touch_markers(
         ball.pose.position = point_to_msg(contact)
         ball.scale = Vector3(x=_CONTACT_M, y=_CONTACT_M, z=_CONTACT_M)
         markers.append(ball)
+    for number, (part, edges) in enumerate(hand_lines(grasp).items()):
+        boxes = _marker(header, "hand_boxes", number, Marker.LINE_LIST, ColorRGBA(**_rgb(COLOURS[part]), a=0.9))
+        boxes.points, boxes.scale.x = [point_to_msg(point) for point in edges.reshape(-1, 3)], _EDGE_M
+        markers.append(boxes)
     for axis, colour in zip(grasp.rotation.T, _AXES, strict=True):
         arrow = _marker(header, "hand", next(ids), Marker.ARROW, colour)
         arrow.points = [point_to_msg(grasp.midpoint), point_to_msg(grasp.midpoint + _AXIS_M * axis)]
@@ -120,6 +126,11 @@ def _taxels(header: Header, view: TaxelView, finger: int, grasp: Grasp, contact:
 def _heat(share: float) -> ColorRGBA:
     """Colour from green (no change) over yellow to red (the full range)."""
     return ColorRGBA(r=float(min(1.0, 2.0 * share)), g=float(min(1.0, 2.0 - 2.0 * share)), b=0.1, a=1.0)
+
+
+def _rgb(colour: str) -> dict[str, float]:
+    """Red, green and blue of a colour such as `#ff8000`."""
+    return {name: int(colour[k : k + 2], 16) / 255.0 for name, k in zip("rgb", (1, 3, 5), strict=True)}
 
 
 def _label(

@@ -7,7 +7,7 @@ from typing import Final
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
 from foretouch.dataset.pairing.cut import PairingConfig
-from foretouch.grasp import GeoGraspConfig
+from foretouch.grasp import GeoGraspConfig, HandConfig
 from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch_msgs.action import SampleGrasps
@@ -56,3 +56,4 @@ class TouchSettings(ReachConfig, TactileInput):
     pairing: PairingConfig = field(default_factory=PairingConfig)
     limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
+    hand: HandConfig = HandConfig()

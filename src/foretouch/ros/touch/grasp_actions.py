@@ -12,11 +12,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
 from foretouch.errors import described
+from foretouch.grasp.hand import tool_of
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages import requests
@@ -71,7 +72,7 @@ def sample_grasps(
         raise RefusalError(Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {config.max_grasps}")
     header, targets = _targets(goal, latest, config)
     planning = config.grasp.replace(count=goal.count) if goal.count else config.grasp
-    pipeline = Pipeline(PipelineConfig(grasp=planning, limits=config.limits))
+    pipeline = Pipeline(PipelineConfig(grasp=planning, hand=config.hand, limits=config.limits))
     candidates: list[_Candidate] = []
     plan = GraspArray()
     for target in targets:
@@ -137,10 +138,15 @@ def _targets(goal: Any, latest: Latest | None, config: TouchSettings) -> tuple[H
 def _fields(candidates: Sequence[_Candidate], header: Header) -> dict[str, Any]:
     """What results and feedback have in common."""
     return {
-        "grasp_candidates": [PoseStamped(header=header, pose=c.grasp.pose) for c in candidates],
+        "grasp_candidates": [PoseStamped(header=header, pose=_pose_for_arm(c.grasp)) for c in candidates],
         "costs": [c.cost for c in candidates],
         "grasps": [c.grasp for c in candidates],
     }
+
+
+def _pose_for_arm(grasp: Grasp) -> Pose:
+    """The pose of the tool frame of a described hand; without one, the pose by GeoGrasp."""
+    return grasp.pose_of_hand if tool_of(grasp.hand) else grasp.pose
 
 
 def refused_goal(refusal: RefusalError) -> Any:

@@ -2,6 +2,7 @@
 """Grasps of requests, as messages or as arrays, read and posed; or why they cannot be predicted."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def _of_messages(
         try:
             grasp = decode_grasp(message, None if has_orientation(message) else np.eye(3))
             if not has_orientation(message):
-                grasp = Grasp(grasp.g1, grasp.g2, posed(grasp.g1, grasp.g2), grasp.score, grasp.id, grasp.object_id)
+                grasp = replace(grasp, rotation=posed(grasp.g1, grasp.g2))
             known[k] = grasp
         except (GraspError, CloudError, RefusalError) as err:
             errors[k] = err
