@@ -83,7 +83,7 @@ class DepthCamera:
 
 
 def _as_depth(depth: AnyArray) -> AnyArray:
-    """The image without sides of length one, whole numbers as uint16 where they fit, and half floats as float32."""
+    """Return the image without sides of length one, whole numbers as uint16 where they fit, and half floats as float32."""
     if depth.ndim == 3 and 1 in (depth.shape[0], depth.shape[2]):
         depth = depth.squeeze(2 if depth.shape[2] == 1 else 0)
     if (
@@ -98,7 +98,7 @@ def _as_depth(depth: AnyArray) -> AnyArray:
 
 
 def _row_major(matrix: AnyArray) -> AnyArray:
-    """Intrinsics by rows; those of Open3D are by columns."""
+    """Return the intrinsics by rows; those of Open3D are by columns."""
     if matrix.size == 9:
         matrix = matrix.reshape(3, 3)
         if not matrix[:2, 2].any() and matrix[2, :2].any():
@@ -107,7 +107,7 @@ def _row_major(matrix: AnyArray) -> AnyArray:
 
 
 def _distortion(facts: Mapping[str, Any]) -> AnyArray | None:
-    """The coefficients of OpenCV's models, if there are any; a `CloudError` for a model that cannot be undone."""
+    """Return the coefficients of OpenCV's models, if there are any; a `CloudError` for a model that cannot be undone."""
     coefficients = next(
         (np.ravel(facts[name]).astype(np.float64) for name in _NAMES_OF_D if facts.get(name) is not None), None
     )
@@ -118,13 +118,13 @@ def _distortion(facts: Mapping[str, Any]) -> AnyArray | None:
 
 
 def _scale(facts: Mapping[str, Any]) -> float | None:
-    """Metres per unit by a file, which states it (RealSense) or its inverse (Open3D, GraspNet); None if it does not."""
+    """Return metres per unit by a file, which states it (RealSense) or its inverse (Open3D, GraspNet); None if it does not."""
     scale = next((float(np.ravel(facts[name])[0]) for name in _NAMES_OF_SCALE if name in facts), None)
     return 1.0 / scale if scale is not None and scale > 1.0 else scale
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """What a file states of a camera, by name; a `FileError` if it cannot be read or holds no intrinsics."""
+    """Return what a file states of a camera, by name; a `FileError` if it cannot be read or holds no intrinsics."""
     path, suffix = require_existing(path), path.suffix.lower()
     if suffix not in INFO_SUFFIXES:
         raise FileError(path, f"suffix: {none_of(suffix, INFO_SUFFIXES)}")
