@@ -148,7 +148,7 @@ def read_layout(path: Path, absent: Sequence[int] = ()) -> Layout:
             + (", without those absent" if absent else ""),
             again | ~np.isin(index, present(len(table) + len(absent), absent)),
         ),
-        ("nx, ny, nz: the normal is zero; where it is unknown, state that of the nearest taxel", length == 0.0),
+        ("nx, ny, nz: the normal is zero; where it is unknown, state the nearest taxel's", length == 0.0),
         ("nx, ny, nz: the normal is not of unit length", np.abs(length - 1.0) > 0.01),
     ):
         if wrong.any():
