@@ -175,7 +175,7 @@ CLAIMS: dict[str, list[tuple[str, Callable[[], Sequence[str] | bool]]]] = {
         ),
         ("without a touch, no model differs significantly from the mean of the training readings", no_model_is_better_than_the_mean),
         (
-            "a clock alone has {} {} {} {} there",
+            "a clock alone has {} {} {} {} \\(PDC_TH",
             lambda: skills("unseen_object/results.csv", touches=0, predictor="clock"),
         ),
     ],

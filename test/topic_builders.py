@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from foretouch.dataset.bag_writer import BagWriter
+from foretouch.dataset.recording import sample_codec
 from foretouch.types import Cloud
 
+STORED = Path(sample_codec.__file__).parent / "definitions"
 NS = 1_000_000_000
 
 
@@ -84,7 +86,8 @@ def write_topics(
     tactile = tactile or (lambda at_ns, level: biotac_all(at_ns, level, faults.electrodes))
     start = 1_700_000_000 * NS
     with BagWriter(path) as writer:
-        for name, text in (definitions or {}).items():
+        first = {"foretouch_msgs/msg/Grasp": (STORED / "Grasp.msg").read_text()}  # its fields in 0.3
+        for name, text in {**first, **(definitions or {})}.items():
             writer.definitions.register(name, text)
 
         def write(topic: str, kind: str, at_ns: int, message: Any) -> None:

@@ -305,7 +305,11 @@ def summary(
     recoveries = [PATIENCE_S if one["recovery_s"] == "none" else float(one["recovery_s"]) for one in done]
     late = [one["disturbance"] for one, recovery in zip(done, recoveries, strict=True) if recovery > RECOVERY_S]
     broken = [
-        *(f"unexplained at {node}: {seen.clouds[stamp] - origin:.1f} s after the start" for stamp, node in unexplained),
+        *(
+            f"unexplained at {node}: {seen.clouds[stamp] - origin:.1f} s after the start, followed by "
+            f"{sum(other > stamp for other in seen.clouds)} clouds"
+            for stamp, node in unexplained
+        ),
         *["an answer is not finite"] * seen.not_finite,
         *soak.unexpected,
         *errors,

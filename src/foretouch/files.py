@@ -62,7 +62,7 @@ def system_errors(path: str | Path, rule: str = "") -> Iterator[None]:
 
 @contextmanager
 def _named(path: str | Path) -> Iterator[None]:
-    """As `system_errors`, also where no file can have this name."""
+    """Do what `system_errors` does, also where no file can have this name."""
     try:
         with system_errors(path):
             yield
@@ -102,7 +102,7 @@ def open_own(path: Path, flags: int) -> int:
 
 
 def _descriptor(path: str | Path, flags: int) -> int:
-    """A descriptor of a regular file, without waiting for the other end of a FIFO."""
+    """Return a descriptor of a regular file, without waiting for the other end of a FIFO."""
     with _named(path):
         descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     mode = os.fstat(descriptor).st_mode
@@ -146,19 +146,19 @@ class FileBytes:
         return content
 
     def blocks(self, start: int, end: int, overlap: int = 0) -> Iterator[tuple[int, bytes]]:
-        """The bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
+        """Iterate over the bytes between two offsets by blocks with their offsets; each reaches `overlap` bytes into the next."""
         for at in range(start, end, _BLOCK):
             yield at, self[at : min(at + _BLOCK + overlap, end)]
 
     def crc32(self, start: int, end: int) -> int:
-        """CRC-32 of the bytes between two offsets."""
+        """Return the CRC-32 of the bytes between two offsets."""
         crc = 0
         for _, block in self.blocks(start, end):
             crc = zlib.crc32(block, crc)
         return crc
 
     def find_all(self, pattern: re.Pattern[bytes], overlap: int, start: int, end: int) -> Iterator[int]:
-        """Offsets between two others at which a pattern of at most `overlap` bytes matches."""
+        """Iterate over the offsets between two others at which a pattern of at most `overlap` bytes matches."""
         for at, block in self.blocks(start, end, overlap):
             yield from (at + match.start() for match in pattern.finditer(block) if match.start() < _BLOCK)
 
@@ -203,7 +203,7 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def free_name(path: Path, addition: str) -> Path:
-    """The path with an addition to its name, and a number where there is a file of that name."""
+    """Return the path with an addition to its name, and a number where there is a file of that name."""
     names = (f"{path.name}.{addition}{'' if number == 1 else f'-{number}'}" for number in count(1))
     return next(path.with_name(name) for name in names if not os.path.lexists(path.with_name(name)))
 
@@ -214,7 +214,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def require_existing(path: str | Path) -> Path:
-    """The path of something that exists; a `FileError` if it does not, or if no file can have this name."""
+    """Return the path of something that exists; a `FileError` if it does not, or if no file can have this name."""
     with _named(path):
         try:
             Path(path).stat()
@@ -240,7 +240,7 @@ def require_writable(path: str | Path, *suffixes: str) -> None:
 
 
 def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
-    """The content of a regular file of at most `limit` bytes.
+    """Return the content of a regular file of at most `limit` bytes.
 
     Raises:
         FileError: As `open_regular`; also if the file is larger, or reading fails.
@@ -254,12 +254,12 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
 
 
 def read_json(path: str | Path) -> Any:
-    """The document in a JSON file; raises as `read_bytes` and `json_in`."""
+    """Return the document in a JSON file; raises as `read_bytes` and `json_in`."""
     return json_in(path, read_bytes(path, TEXT_LIMIT))
 
 
 def json_in(path: str | Path, content: bytes) -> Any:
-    """The document in the content of a file; a `FileError` if it is not JSON that `parse_json` accepts."""
+    """Return the document in the content of a file; a `FileError` if it is not JSON that `parse_json` accepts."""
     try:
         return parse_json(content.decode("utf-8"))
     except ValueError as err:
@@ -267,7 +267,7 @@ def json_in(path: str | Path, content: bytes) -> Any:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """The document in a JSON text.
+    """Return the document in a JSON text.
 
     Raises:
         ValueError: If it is not JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file
@@ -356,6 +356,6 @@ def require_schema(path: str | Path, value: Any, schema: Any, field: str = "") -
 
 
 def file_sha256(path: str | Path) -> str:
-    """SHA-256 of a regular file, hexadecimal; a `FileError` as `open_regular`, or if reading fails."""
+    """Return the SHA-256 of a regular file, hexadecimal; a `FileError` as `open_regular`, or if reading fails."""
     with open_regular(path) as file, _named(path):
         return hashlib.file_digest(file, "sha256").hexdigest()

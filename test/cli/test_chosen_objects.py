@@ -62,7 +62,7 @@ def test_bad_masks_and_clicks_are_refused_in_one_line(call, scene, tmp_path):
     np.savez(tmp_path / "other.npz", xyz=np.zeros(3))
     np.save(tmp_path / "float.npy", scene.labels.astype(float))
     cases = [
-        (("--mask", tmp_path / "colours.png"), "mask: an image of mode RGB has colours"),
+        (("--mask", tmp_path / "colours.png"), "mask: an image with colours"),
         (("--mask", tmp_path / "small.png"), "mask: shape (5, 5) is not (360, 480)"),
         (("--mask", tmp_path / "empty.png"), "mask: holds no label above 0"),
         (("--mask", tmp_path / "pixel.png"), "label 255 has 1 points above the table, fewer than 30"),

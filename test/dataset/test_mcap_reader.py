@@ -248,3 +248,37 @@ def test_two_hundred_cuts_of_a_bag(tmp_path: Path, compression: str) -> None:
     (tmp_path / "good.mcap").unlink()
     for _ in range(200):
         cut_and_check(good, noise.randrange(len(good)), tmp_path, texts)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("writer", ["mcap", "foxglove", "rosbags"])
+def test_two_hundred_cuts_of_one_of_three_files(tmp_path: Path, writer: str) -> None:
+    rng = random.Random(writer)
+    written = [TEXTS[8 * k : 8 * k + 8] for k in range(3)]
+    good = []
+    for k, texts in enumerate(written):
+        write_strings(tmp_path / "good.mcap", texts, Parts(writer=writer), first_ns=FIRST_NS + 8_000_000 * k)
+        good.append((tmp_path / "good.mcap").read_bytes())
+        (tmp_path / "good.mcap").unlink()
+    for _ in range(200):
+        folder = tmp_path / "split"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        which = rng.randrange(3)
+        cut = rng.randrange(len(good[which]))
+        paths = [folder / f"x_{k}.mcap" for k in range(3)]
+        for k, path in enumerate(paths):
+            path.write_bytes(good[k][:cut] if k == which else good[k])
+        texts, error = read(folder)
+        others = {text for k, own in enumerate(written) if k != which for text in own}
+        assert others | in_front(good[which], cut) <= set(texts)
+        assert texts == sorted(set(texts))
+        assert str(paths[which]) in error
+        reports = repair_dataset(folder)
+        assert [report.changed or bool(report.refusal) for report in reports] == [k == which for k in range(3)]
+        kept = len(set(texts) - others)
+        assert bool(reports[which].refusal) == (kept == 0)
+        if kept:
+            assert reports[which].messages == kept
+            assert read(folder) == (texts, "")

@@ -239,14 +239,24 @@ def _npz(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
     return dict(np.load(f"{path}.npz"))
 
 
-def _hdf5(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
+def _packed_npz(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
+    np.savez_compressed(path, **columns)
+    return dict(np.load(f"{path}.npz"))
+
+
+def _hdf5(path: Path, columns: dict[str, Any], **packing: Any) -> dict[str, Any]:
     """In groups, as robomimic and ALOHA store them."""
     h5py = pytest.importorskip("h5py", reason="h5py is not installed")
     with h5py.File(path, "w") as file:
         for name, column in columns.items():
-            file[f"data/demo_0/obs/{name}"] = column
+            file.create_dataset(f"data/demo_0/obs/{name}", data=column, **packing)
     with h5py.File(path) as file:
         return {name: file[f"data/demo_0/obs/{name}"][:] for name in columns}
+
+
+def _packed_hdf5(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
+    """In compressed chunks that can grow, as a recorder writes them."""
+    return _hdf5(path, columns, chunks=True, compression="gzip", shuffle=True, fletcher32=True)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -255,7 +265,7 @@ def test_any_table_gives_the_numbers_in_it(tmp_path_factory: Any, data: Any) -> 
     """Formats, types of numbers, units of stamps, and taxels as columns or as arrays of two or three dimensions, in all combinations."""
     folder = tmp_path_factory.mktemp("table")
     (folder / "pads.yaml").write_text(yaml.safe_dump(SENSOR))
-    store = data.draw(st.sampled_from([_csv, _parquet, _npz, _hdf5]))
+    store = data.draw(st.sampled_from([_csv, _parquet, _npz, _packed_npz, _hdf5, _packed_hdf5]))
     kind = data.draw(st.sampled_from([np.uint16, np.int32, np.float32, np.float64]))
     rows = pressed(40, 30, seed=data.draw(st.integers(0, 9))).astype(kind)
     form = data.draw(

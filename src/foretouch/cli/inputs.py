@@ -148,7 +148,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--thumb": {
         "metavar": "NAME",
-        "help": "name of the thumb in the tactile messages (default: TH or 0, by their type, or that of the sensor)",
+        "help": "name of the thumb in the tactile messages (default: TH or 0, by their type, or the sensor's)",
     },
     "--middle": {"metavar": "NAME", "help": "name of the middle finger, or the other one (default: MF or 1)"},
     "--namespace": {"metavar": "NAME", "help": "namespace of the graph (default: /foretouch)"},
@@ -274,7 +274,7 @@ def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
 
 
 def heading(record: Record, by: str = "") -> str:
-    """What is printed above a table: input, object and status; a remark follows in a line of its own."""
+    """What is printed above a table: input, object and status; a remark follows on the next line."""
     status = "" if record["status"] == "ok" else f": {record['status'].replace('_', ' ')}"
     remark = f"\n{record['reason']}" if record["reason"] else ""
     return f"{record['input']}, object {record['object']}{by}{status}{remark}"

@@ -181,7 +181,7 @@ class Recording:
                 infos.add(self.content(message), message.bag_time_ns * 1e-9)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages of some topics, or of all, in order of their bag time.
+        """Iterate over the messages of some topics, or of all, in order of their bag time.
 
         Raises a `FileError` where the recording is damaged (of an MCAP file after all messages that are intact), and at its
         end if it holds other counts than it declares.
@@ -210,7 +210,7 @@ class Recording:
                 raise FileError(self.path, rule, field=topic.name)
 
     def content(self, message: Message) -> Any:
-        """The fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
+        """Return the fields of a message, as an object that resembles a ROS message; a `FileError` if it is damaged."""
         with _known_failures(self.path, _position(message)):
             try:
                 return _typestore(*message.definition).deserialize_cdr(message.data, message.type)
@@ -266,7 +266,7 @@ class _McapFile:
             self.connections.append(Connection(number, channel.topic, kind, definition, "", counts[number], ext, self))
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """The messages of some connections with their times [ns], in order; damage then is the `fault`."""
+        """Iterate over the messages of some connections with their times [ns], in order; damage then is the `fault`."""
         by_number = {connection.id: connection for connection in connections}
         faults: list[Damage] = []
         for item in self._file.in_time({connection.topic for connection in connections}):
@@ -282,7 +282,7 @@ class _McapFile:
 
 
 def _opened(file: Path, stack: ExitStack) -> Any:
-    """A reader of one file, with `connections` and `messages`; it is closed with the stack."""
+    """Return a reader of one file, with `connections` and `messages`; it is closed with the stack."""
     from rosbags.rosbag1 import Reader as Ros1Reader
     from rosbags.rosbag2 import Reader as Ros2Reader
 
@@ -302,7 +302,7 @@ def _opened(file: Path, stack: ExitStack) -> Any:
 
 
 def _unpacked(file: Path, folder: Path) -> Path:
-    """A file that was compressed as a whole, unpacked into a folder."""
+    """Return a file that was compressed as a whole, unpacked into a folder."""
     import zstandard
 
     unpacked = folder / file.stem
@@ -312,7 +312,7 @@ def _unpacked(file: Path, folder: Path) -> Path:
 
 
 def _plain(data: bytes) -> bytes:
-    """A message, which may have been compressed by itself."""
+    """Return a message, which may have been compressed by itself."""
     if not data.startswith(_ZSTD):
         return data
     import zstandard
@@ -329,7 +329,7 @@ def _standard() -> Typesdict:
 
 @lru_cache(maxsize=1024)
 def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestore:
-    """A recorded type and all types in it; those without a definition, as before ROS 2 Iron, as in a current release."""
+    """Return a recorded type and all types in it; those without a definition, as before ROS 2 Iron, as in a current release."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -352,12 +352,12 @@ def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestor
 
 
 def _definition(connection: Connection) -> tuple[MessageDefinition, str, bool]:
-    """What the messages of a connection are decoded by; two of a recording may define a type otherwise."""
+    """Return what the messages of a connection are decoded by; two of a recording may define a type otherwise."""
     return connection.msgdef, _type_of(connection), _is_ros1(connection)
 
 
 def types_in(fields: Any) -> Iterator[str]:
-    """The names of message types in the fields of another, the only texts there with a slash."""
+    """Iterate over the names of message types in the fields of another, the only texts there with a slash."""
     for part in fields:
         if isinstance(part, tuple | list):
             yield from types_in(part)
@@ -366,7 +366,7 @@ def types_in(fields: Any) -> Iterator[str]:
 
 
 def _contradictions(path: Path, files: Collection[Path], topics: Collection[Topic]) -> Iterator[str]:
-    """What the `metadata.yaml` of a directory states otherwise than the files have it."""
+    """Yield what the `metadata.yaml` of a directory states otherwise than the files have it."""
     file = path / _METADATA
     if not file.is_file():
         return
@@ -389,14 +389,14 @@ def _contradictions(path: Path, files: Collection[Path], topics: Collection[Topi
 
 
 def is_recording(path: Path) -> bool:
-    """Whether the path looks like a recording, by its name or, for a directory, by the files in it."""
+    """Return whether the path looks like a recording, by its name or, for a directory, by the files in it."""
     if path.is_dir():
         return (path / _METADATA).is_file() or bool(_loose_files(path))
     return path.suffix in RECORDING_SUFFIXES or path.name.endswith(_PACKED_SUFFIXES)
 
 
 def _storage_files(path: Path) -> list[Path]:
-    """The files of a recording, all of them regular ones."""
+    """Return the files of a recording, all of them regular ones."""
     require_existing(path)
     if not is_recording(path):
         raise FileError(
@@ -435,7 +435,7 @@ def _is_ros1(connection: Connection) -> bool:
 
 
 def _type_of(connection: Connection) -> str:
-    """The ROS 2 name of a type, such as `std_msgs/msg/String`; with its encoding where that is not one of ROS."""
+    """Return the ROS 2 name of a type, such as `std_msgs/msg/String`; with its encoding where that is not one of ROS."""
     kind, encoding = connection.msgtype, getattr(connection.ext, "serialization_format", "ros1")
     kind = kind if kind.count("/") != 1 else kind.replace("/", "/msg/")
     return kind if encoding in {"cdr", "ros1"} else f"{kind} as {encoding}"

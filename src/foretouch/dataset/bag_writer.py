@@ -20,6 +20,7 @@ from foretouch.dataset.recording.sample_codec import (
     SAMPLE_TYPE,
     Definitions,
     encode_sample,
+    sample_types,
     serialize_cloud,
 )
 from foretouch.dataset.samples import ExportResult, SampleSet
@@ -61,8 +62,9 @@ class BagWriter:
     def add_topic(self, topic: str, type_name: str) -> Connection:
         """Declare a topic; a `DatasetError` if its type has no definition, or the topic has another type."""
         if topic not in self._connections:
-            self.definitions.text(type_name)
-            self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=self.definitions.store)
+            definitions = sample_types() if type_name == SAMPLE_TYPE else self.definitions
+            definitions.text(type_name)
+            self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=definitions.store)
         if self._connections[topic].msgtype != type_name:
             raise DatasetError(f"{self.path}: {topic}: holds {self._connections[topic].msgtype}, not {type_name}")
         return self._connections[topic]
@@ -91,7 +93,7 @@ def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOP
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """See `foretouch.dataset.formats`."""
+    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
     with BagWriter(out) as writer:
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
         for record in samples.records(discarded=True):

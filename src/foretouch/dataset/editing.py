@@ -57,7 +57,7 @@ def undo(path: str | Path) -> int:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[dict[str, str]]:
-    """The recorded ids by the current ones of a dataset that nobody else writes meanwhile."""
+    """Return the recorded ids by the current ones of a dataset that nobody else writes meanwhile."""
     if not is_dataset(path):
         raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     with lock(path):

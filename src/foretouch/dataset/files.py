@@ -54,14 +54,14 @@ def require_version(version: Any, known: int, *also: int) -> None:
 
 
 def sealed(content: Mapping[str, Any], seal: str) -> str:
-    """The text of a manifest with its checksum under the name `seal`; equal content gives equal text."""
+    """Return the text of a manifest with its checksum under the name `seal`; equal content gives equal text."""
     body = {name: value for name, value in content.items() if name != seal}
     digest = hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
     return json.dumps({**body, seal: digest}, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_manifest(file: Path, kind: str, seal: str, *versions: int) -> dict[str, Any]:
-    """The content of a manifest.
+    """Return the content of a manifest.
 
     Raises:
         FileError: If it is absent, no JSON, of another format or schema version, or changed.

@@ -72,7 +72,7 @@ class FormatEntry:
     exported: bool = False  # whether samples can be written in this format
 
     def may_hold(self, path: Path) -> bool:
-        """Whether the name of a file, or those in a folder, allow this format; its module decides."""
+        """Return whether the name of a file, or those in a folder, allow this format; its module decides."""
         if path.is_dir():
             return any(next(path.glob(pattern), None) is not None for pattern in self.folders)
         return path.suffix in self.files and path.is_file()
@@ -89,19 +89,19 @@ FORMATS: tuple[FormatEntry, ...] = (  # the first that recognises a path reads i
 
 
 def readable_formats() -> str:
-    """The formats that can be read, for help texts and error messages."""
+    """Return the formats that can be read, for help texts and error messages."""
     *others, last = [entry.title for entry in FORMATS if entry.folders]
     return f"{', '.join(others)} or {last}"
 
 
 def _format_of(path: Path) -> ModuleType | None:
-    """The module of the format that a path is of."""
+    """Return the module of the format that a path is of."""
     candidates = (entry.load() for entry in FORMATS if entry.may_hold(path))
     return next((module for module in candidates if module.recognise(path)), None)
 
 
 def is_sample_set(path: str | Path) -> bool:
-    """Whether the path is a dataset that `open_samples` can read."""
+    """Return whether the path is a dataset that `open_samples` can read."""
     return _format_of(Path(path)) is not None
 
 

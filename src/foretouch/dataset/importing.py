@@ -56,7 +56,7 @@ class BagTopics:
     tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by that of the topic
 
     def roles(self) -> dict[str, Role]:
-        """Role by topic."""
+        """Return the role of each topic."""
         return {self.clouds: "cloud", self.grasps: "grasps", self.executed: "executed", self.tactile: "tactile"}
 
 
@@ -100,7 +100,7 @@ def import_samples(
 
 
 def _not_imported(source: Path) -> str:
-    """Why a source is none, and what reads it instead."""
+    """Return why a source is none, and what reads it instead."""
     if not source.exists():
         return "does not exist"
     if (source / "meta" / "info.json").is_file():
@@ -114,7 +114,7 @@ def _not_imported(source: Path) -> str:
 
 
 def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
-    """Hand, camera and sensor of the first sample of foretouch on some topics of a bag, and all samples."""
+    """Read hand, camera and sensor of the first sample of foretouch on some topics of a bag, and all samples."""
 
     def _stored() -> Iterator[StoredSample]:
         for message in bag.messages(topics):
@@ -159,7 +159,7 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
 
 
 def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
-    """The topics, with that of the depth images of a bag without object clouds."""
+    """Return the topics, with that of the depth images of a bag without object clouds."""
     if topics.clouds != BagTopics().clouds or any(topic.name == topics.clouds for topic in bag.topics):
         return topics
     with suppress(FileError):
@@ -169,7 +169,7 @@ def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
 
 
 def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNamespace:
-    """The objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
+    """Return the objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
     cloud = bag.decode_cloud(message, infos)
     objects = segment(cloud).objects
     points = np.concatenate([seen.cloud.xyz for seen in objects] or [np.empty((0, 3), np.float32)])
@@ -190,7 +190,7 @@ def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResu
 
 
 def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
-    """The decoder of the bag's tactile messages; the default one where the bag has no such topic."""
+    """Return the decoder of the bag's tactile messages; the default one where the bag has no such topic."""
     types = {topic.name: topic.type for topic in bag.topics}
     for name in (topics.clouds, topics.grasps):
         if name not in types:
@@ -207,7 +207,7 @@ def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
 
 
 def _is_live(bag: Recording, topics: BagTopics) -> bool:
-    """Whether the bag was recorded live, so that its times show how far the clocks of robot and sensor differ.
+    """Return whether the bag was recorded live, so that its times show how far the clocks of robot and sensor differ.
 
     In one that was converted, or recorded from a replay or in simulated time, the robot's messages too are stamped far
     from their time of reception.

@@ -55,7 +55,10 @@ _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "x
 def export(
     samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None], fps: int | None = None
 ) -> None:
-    """See `foretouch.dataset.formats`; with `fps`, frames hold windows of readings."""
+    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`.
+
+    With `fps`, frames hold windows of readings.
+    """
     out.mkdir(parents=True)
     tables = _Tables(out, samples, fps)
     config = RecordingConfig(fsync_samples=0, min_free_mb=0.0)
@@ -74,14 +77,14 @@ def export(
 
 
 def _no_episode(record: SampleRecord, seen: bool) -> str:
-    """Why a sample is not an episode, or "" if it is one."""
+    """Return why a sample is not an episode, or "" if it is one."""
     if DISCARDED in record.flags or record.sample.touch is None:
         return "discarded" if DISCARDED in record.flags else "unlabelled"
     return "" if has_points(record.sample) or not seen else "no points"
 
 
 def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
-    """What the episodes have in common: channels of both fingers besides their touches, readings per second, shapes of clouds."""
+    """Return what the episodes have in common: channels of both fingers besides their touches, readings per second, shapes of clouds."""
     others: list[set[str]] = []
     periods: list[float] = []
     shapes: set[tuple[int, ...]] = set()
@@ -241,7 +244,7 @@ class _Tables:
 
 
 def _value_names(sensor: Sensor) -> list[str]:
-    """Names of the values of a finger, such as `pdc` and `electrode_1`, or `taxel_x_1`."""
+    """Return the names of the values of a finger, such as `pdc` and `electrode_1`, or `taxel_x_1`."""
     names = []
     for channel in sensor.channels.channels:
         key = _channel_key(channel.name)
@@ -250,7 +253,7 @@ def _value_names(sensor: Sensor) -> list[str]:
 
 
 def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[Index, dict[str, Any]]]:
-    """(N, C) columns of a touch, and what they are, of each channel of each finger; x, y and z are the axes of one.
+    """Return (N, C) columns of a touch, and what they are, of each channel of each finger; x, y and z are the axes of one.
 
     Positions and normals of the taxels are in the frame of the sensor [m]; values of a whole finger have none.
     """
@@ -289,7 +292,7 @@ def _described(sensor: Sensor, fingers: Mapping[str, str]) -> dict[str, tuple[In
 
 
 def _frames(stamps_ns: Int64, fps: int, window: int) -> tuple[Index, Index]:
-    """(F,) newest reading of each frame, and (F,) or (F, W) readings of its window; each is a frame without a window.
+    """Return (F,) newest reading of each frame, and (F,) or (F, W) readings of its window; each is a frame without a window.
 
     Before W readings there are, the first is repeated.
     """
@@ -302,7 +305,7 @@ def _frames(stamps_ns: Int64, fps: int, window: int) -> tuple[Index, Index]:
 
 
 def _depth(cloud: Cloud) -> tuple[AnyArray, dict[str, float]]:
-    """(H, W) uint16 depth of an organised cloud [mm], 0 without, and the intrinsics that its points have [pixels]."""
+    """Return (H, W) uint16 depth of an organised cloud [mm], 0 without, and the intrinsics that its points have [pixels]."""
     z = np.nan_to_num(cloud.xyz[..., 2].astype(np.float64))
     rows, columns = np.nonzero(z > 0.0)
     rays = cloud.xyz[rows, columns, :2] / z[rows, columns, None]
@@ -315,7 +318,7 @@ def _depth(cloud: Cloud) -> tuple[AnyArray, dict[str, float]]:
 
 
 def _tiff(image: AnyArray) -> bytes:
-    """A depth map as an uncompressed TIFF file, as LeRobot stores it."""
+    """Return a depth map as an uncompressed TIFF file, as LeRobot stores it."""
     from PIL import Image
 
     file = io.BytesIO()
@@ -337,13 +340,13 @@ def _arrow(values: AnyArray, feature: Mapping[str, Any]) -> Any:
 
 
 def _points(cloud: Cloud) -> Float32:
-    """The coordinates of so many points with depth, evenly spaced in their order; some are repeated if there are fewer."""
+    """Return the coordinates of `_POINTS` points with depth, evenly spaced in their order; some are repeated if there are fewer."""
     finite = cloud.xyz.reshape(-1, 3)[np.isfinite(cloud.xyz).all(axis=-1).ravel()]
     return np.asarray(finite[np.arange(_POINTS) * len(finite) // _POINTS].ravel(), np.float32)
 
 
 def _statistics(values: AnyArray, shape: Sequence[int]) -> dict[str, AnyArray]:
-    """Statistics of (T, D) values by column, in the shape of a feature."""
+    """Return the statistics of (T, D) values by column, in the shape of a feature."""
     wide = values.astype(np.float64)
     statistics = {
         "min": values.min(axis=0),
@@ -373,12 +376,12 @@ def _combined(episodes: Sequence[Mapping[str, AnyArray]]) -> dict[str, AnyArray]
 
 
 def recognise(path: Path) -> bool:
-    """Whether a folder is a LeRobot dataset."""
+    """Return whether a folder is a LeRobot dataset."""
     return (path / _INFO).is_file()
 
 
 def open_set(path: Path, unfinished: bool) -> SampleSet:
-    """The samples of an export from the recorded dataset in it (raises a `FileError` for other LeRobot datasets)."""
+    """Return the samples of an export from the recorded dataset in it (raises a `FileError` for other LeRobot datasets)."""
     if not (path / _SAMPLES).is_dir():
         rule = f"is a LeRobot dataset without the folder {_SAMPLES}, which an export of foretouch has"
         raise FileError(path, f"{rule}: write its taxels with foretouch.write, as examples/import_lerobot.py does")
@@ -386,11 +389,11 @@ def open_set(path: Path, unfinished: bool) -> SampleSet:
 
 
 def _finger_key(finger: str) -> str:
-    """Name of a finger in columns, such as middle_finger."""
+    """Return the name of a finger in columns, such as middle_finger."""
     return finger_label(finger).replace(" ", "_")
 
 
 def _channel_key(channel: str) -> str:
-    """Name of a channel in columns, such as pdc and electrode; x, y and z are the coordinates of a taxel."""
+    """Return the name of a channel in columns, such as pdc and electrode; x, y and z are the coordinates of a taxel."""
     name = channel.lower()
     return {"e": "electrode", **{axis: f"taxel_{axis}" for axis in "xyz"}}.get(name, name)

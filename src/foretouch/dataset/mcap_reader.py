@@ -68,7 +68,7 @@ class Damage(NamedTuple):
     rule: str  # the rule that it breaks
 
     def error(self, path: Path) -> FileError:
-        """As an error that names file and position."""
+        """Make an error that names file and position."""
         return FileError(path, self.rule, field=f"byte {self.offset}")
 
 
@@ -137,7 +137,7 @@ class McapReader:
         self._unpacked: tuple[int, bytes] = (-1, b"")  # offset and content of the latest compressed chunk
 
     def messages(self, only: Collection[str] = ()) -> Iterator[RecordedMessage | Damage]:
-        """The messages in the order of the file, and all damage, after which it continues at the next intact chunk.
+        """Iterate over the messages in the order of the file, and all damage, after which it continues at the next intact chunk.
 
         With types in `only`, no checksum is verified, and uncompressed chunks that begin with a message of another type are
         skipped.
@@ -151,7 +151,7 @@ class McapReader:
                 yield from self._in_chunk(record, only)
 
     def in_time(self, topics: Collection[str]) -> Iterator[tuple[RecordedMessage, bytes] | Damage]:
-        """The messages of some topics with their data, in order of their log times, and all damage at the end."""
+        """Iterate over the messages of some topics with their data, in order of their log times, and all damage at the end."""
         faults: list[Damage] = []
         bare: list[tuple[int, RecordedMessage]] = []
         runs: list[Iterator[tuple[int, Any]]] = []
@@ -173,7 +173,7 @@ class McapReader:
             yield index
 
     def count_messages(self) -> Counter[int]:
-        """The number of messages by channel, all of which are then declared; by the index, else by a walk over the file."""
+        """Return the number of messages by channel, all of which are then declared; by the index, else by a walk over the file."""
         self._read_index()
         counts = Counter(self.statistics.channel_message_counts if self.statistics else ())
         declared = (self.channels.get(number) for number in counts)
@@ -185,12 +185,12 @@ class McapReader:
         return Counter(message.channel for message in self.messages() if isinstance(message, RecordedMessage))
 
     def content(self, message: RecordedMessage) -> bytes:
-        """The data of a message."""
+        """Return the data of a message."""
         source = self.data if message.chunk is None else self._unpack(message.chunk)
         return source[message.start : message.end]
 
     def next_chunk(self, start: int) -> int:
-        """Offset of the first intact chunk from `start` on; the size of the file if there is none."""
+        """Return the offset of the first intact chunk from `start` on; the size of the file if there is none."""
         for at in self.data.find_all(_CHUNK_START, 64, start, len(self.data)):
             record = next(self._records(self.data, at, len(self.data), _IN_DATA))
             if isinstance(record, Record):
@@ -200,7 +200,7 @@ class McapReader:
         return len(self.data)
 
     def _top(self, *, verified: bool) -> Iterator[Record | Damage]:
-        """The records in front of the index, and all damage of them."""
+        """Iterate over the records in front of the index, and all damage of them."""
         data, start, index = self.data, len(MAGIC), self._read_index()
         self.extras.clear()
         if data[:start] != MAGIC:
@@ -247,7 +247,7 @@ class McapReader:
     def _chunk_in_time(
         self, record: Record, topics: Collection[str], faults: list[Damage]
     ) -> Iterator[tuple[int, tuple[RecordedMessage, bytes] | None]]:
-        """The messages of a chunk by time, after None at the time of the first: until then the chunk is not read."""
+        """Iterate over the messages of a chunk by time, after None at the time of the first: until then the chunk is not read."""
         yield self._head(record).first_ns, None
         messages = []
         for item in self._in_chunk(record, unpacked=True):
@@ -266,7 +266,7 @@ class McapReader:
         return RecordedMessage(*names, sequence, logged_ns, sent_ns, number, start, record.end, chunk)
 
     def _head(self, chunk: Record) -> _Chunk:
-        """The head of a chunk, whose record was found valid."""
+        """Return the head of a chunk, whose record was found valid."""
         start = chunk.start + _CHUNK.size
         first_ns, _, size, crc, length = _CHUNK.unpack(self.data[chunk.start : start])
         compression = self.data[start : start + length].decode("utf-8", "replace")
@@ -276,7 +276,7 @@ class McapReader:
         )
 
     def _fault(self, record: Record, head: _Chunk, *, unpacked: bool) -> str:
-        """What is wrong with the content of a chunk; "" if nothing, or if it is cut off."""
+        """Return what is wrong with the content of a chunk; "" if nothing, or if it is cut off."""
         if head.compression not in _UNPACKERS:
             return f"a chunk is compressed by {head.compression!r}, which is not supported"
         if head.size > _MOST_UNPACKED and head.compression:
@@ -291,7 +291,7 @@ class McapReader:
         )
 
     def _unpack(self, record: Record) -> bytes:
-        """The content of a chunk, as far as it unpacks."""
+        """Return the content of a chunk, as far as it unpacks."""
         if self._unpacked[0] != record.offset:
             head, parts, size = self._head(record), list[bytes](), 0
             packed = BytesIO(self.data[head.start : record.end])
@@ -306,7 +306,7 @@ class McapReader:
     def _records(
         self, source: FileBytes | bytes, start: int, end: int, allowed: Collection[int]
     ) -> Iterator[Record | Damage]:
-        """The records between two offsets, which are declared; it ends at damage that leaves open where the next one begins."""
+        """Iterate over the records between two offsets, which are declared; it ends at damage that leaves open where the next one begins."""
         while start < end:
             left = end - start - _HEAD.size
             opcode, length = _HEAD.unpack(source[start : start + _HEAD.size]) if left >= 0 else (0, 0)
@@ -366,7 +366,7 @@ class McapReader:
             self.header = content
 
     def _read_index(self) -> tuple[int, int] | Damage:
-        """Start and end of the index of a finished file, verified by its checksum if it has one, and declared."""
+        """Return the start and end of the index of a finished file, verified by its checksum if it has one, and declared."""
         data, at = self.data, len(self.data) - len(MAGIC) - _FOOTER.size
         if at < len(MAGIC) or not self.finished:
             return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
@@ -377,7 +377,7 @@ class McapReader:
         return start or at, at
 
     def _fits(self, place: int, start: int, end: int) -> bool:
-        """Whether bytes match the checksum at a place, if there is one."""
+        """Return whether bytes match the checksum at a place, if there is one."""
         crc = int.from_bytes(self.data[place : place + 4], "little")
         return not crc or crc == self.data.crc32(start, end)
 

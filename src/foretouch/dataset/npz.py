@@ -35,7 +35,7 @@ _GRASP: Final = {"g1": (3,), "g2": (3,), "rotation": (3, 3), "score": (), "grasp
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """See `foretouch.dataset.formats`."""
+    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
     out.mkdir(parents=True)
     for record in samples.records():
         progress()
@@ -71,7 +71,7 @@ def _arrays(record: SampleRecord, identity: Identity, sensor: Sensor) -> dict[st
 
 
 def _grasps(grasps: Sequence[Grasp]) -> dict[str, AnyArray]:
-    """K grasps by field."""
+    """Return the fields of K grasps by name."""
     kinds = {name: np.str_ if name.endswith("_id") else np.float64 for name in _GRASP}
     return {
         name: np.array([getattr(grasp, name.removeprefix("grasp_")) for grasp in grasps], kinds[name]).reshape(
@@ -82,7 +82,7 @@ def _grasps(grasps: Sequence[Grasp]) -> dict[str, AnyArray]:
 
 
 def _read(path: Path) -> StoredSample:
-    """The sample in an archive; a `FileError` if it is none."""
+    """Return the sample in an archive; a `FileError` if it is none."""
     arrays = read_arrays(path, _REQUIRED)
     try:
         cloud = archived_cloud(path, arrays)
@@ -124,7 +124,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def recognise(path: Path) -> bool:
-    """Whether the first archive, whose name says where it is, names a sample; others may be clouds alone."""
+    """Return whether the first archive, whose name says where it is, names a sample; others may be clouds alone."""
     first = next(iter(_files(path)), None)
     try:
         return first is not None and bool(read_arrays(first, ["id", "g1"], []))
@@ -133,7 +133,7 @@ def recognise(path: Path) -> bool:
 
 
 def open_set(path: Path, _: bool) -> SampleSet:
-    """The samples in archives; a `FileError` names one that is none, or of another hand."""
+    """Return the samples in archives; a `FileError` names one that is none, or of another hand."""
     files = _files(path)
     first = _read(files[0])
 

@@ -29,7 +29,7 @@ class Entry:
 
 
 def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
-    """The messages of a source in order, for a recording its clouds and these topics.
+    """Iterate over the messages of a source in order, for a recording its clouds and these topics.
 
     Clouds of a recording are yielded as they were recorded, even where their sizes do not add up: the subscribers must
     refuse these. A message that is not valid CDR, or a file that cannot be read, is a `refusal`. Raises a `FileError`
@@ -46,7 +46,7 @@ def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
 
 
 def cloud_is_object(source: Source) -> bool:
-    """Whether each cloud holds one object: samples do, and files if the first readable one is not organised."""
+    """Return whether each cloud holds one object: samples do, and files if the first readable one is not organised."""
     if source.kind != "clouds":
         return source.kind == "samples"
     for item in source:
@@ -78,7 +78,7 @@ class Pace:
         self._last_ns = 0
 
     def due_s(self, entry: Entry) -> float:
-        """Time from the start of the round at which to publish the entry [s]; called once per entry, in order."""
+        """Return the time from the start of the round at which to publish the entry [s]; called once per entry, in order."""
         if self._first_ns is None:
             self._first_ns = self._last_ns = entry.at_ns
         cut_ns = max(entry.at_ns - self._last_ns - self._longest_ns, 0) if self._rate_hz <= 0.0 else 0

@@ -74,7 +74,7 @@ class SampleRecord:
 
 
 def readings(record: SampleRecord) -> TouchSeries | None:
-    """The readings around a grasp; of a sample without a series its touch as the only one, or None without a touch."""
+    """Return the readings around a grasp; of a sample without a series its touch as the only one, or None without a touch."""
     sample = record.sample
     if record.series is not None or sample.touch is None:
         return record.series
@@ -97,17 +97,17 @@ def check_name(name: str, what: str) -> str:
 
 
 def numbered_id(label: str, number: int) -> str:
-    """The id of a sample that was given none: `<object>/<number>`."""
+    """Return the id of a sample that was given none: `<object>/<number>`."""
     return f"{label}/{number:06d}"
 
 
 def renamed_id(sample_id: str, label: str) -> str:
-    """The id of a sample that is assigned to another object."""
+    """Return the id of a sample that is assigned to another object."""
     return f"{label}/{sample_id.partition('/')[2]}"
 
 
 def id_number(sample_id: str) -> int:
-    """The number in an id of `numbered_id`, else 0; names of 10 digits are unix times."""
+    """Return the number in an id of `numbered_id`, else 0; names of 10 digits are unix times."""
     name = sample_id.rpartition("/")[2]
     return int(name) if 6 <= len(name) <= 9 and name.isdecimal() and name.isascii() else 0
 

@@ -39,11 +39,11 @@ class SampleSet:
         return self.size
 
     def __iter__(self) -> Iterator[Sample]:
-        """The samples in order, without those that the operator discarded."""
+        """Return the samples in order, without those that the operator discarded."""
         return (record.sample for record in self.records())
 
     def to_arrays(self) -> dict[str, AnyArray]:
-        """All labelled samples as columns, one row for each; clouds, whose sizes differ, are left out.
+        """Return all labelled samples as columns, one row for each; clouds, whose sizes differ, are left out.
 
         Returns:
             `id`, `object` (S,) texts; `stamp_ns` (S,) int64 [ns]; `g1`, `g2` (S, 3) and `rotation` (S, 3, 3) float64 [m] in
@@ -97,12 +97,12 @@ class SampleSet:
         ]
 
     def subset(self, numbers: Sequence[int]) -> "SampleSet":
-        """Some samples by their numbers, in this order."""
+        """Return some samples by their numbers, in this order."""
         kept, record, name = list(numbers), self.record, self.name
         return replace(self, size=len(kept), record=lambda k: record(kept[k]), name=lambda k: name(kept[k]))
 
     def records(self, *, discarded: bool = False) -> Iterator[SampleRecord]:
-        """The samples in order, optionally with those that the operator discarded."""
+        """Iterate over the samples in order, optionally with those that the operator discarded."""
         for k in range(self.size):
             record = self.record(k)
             if discarded or DISCARDED not in record.flags:
@@ -123,7 +123,7 @@ class ExportResult:
 
 
 def sensor_of_samples(samples: SampleSet) -> Sensor:
-    """The sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
+    """Return the sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
     rows = [
         series.counts[:: max(1, len(series.counts) // _SHOWN)]
         for record in samples.records()
@@ -133,11 +133,11 @@ def sensor_of_samples(samples: SampleSet) -> Sensor:
 
 
 def has_points(sample: Sample) -> bool:
-    """Whether a point of the cloud is finite; a recording without a camera has none."""
+    """Return whether a point of the cloud is finite; a recording without a camera has none."""
     return bool(np.isfinite(sample.cloud.xyz).all(axis=-1).any())
 
 
 def only_finite(sample: Sample) -> Sample:
-    """The sample with an unorganised cloud, without points that have no depth."""
+    """Return the sample with an unorganised cloud, without points that have no depth."""
     finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)
     return sample if not sample.cloud.organised and finite.all() else replace(sample, cloud=sample.cloud.take(finite))

@@ -43,7 +43,7 @@ class _Tally:
             self.rests.append(np.median(rest, axis=0))
 
     def modality(self, columns: Index, dead: Bool) -> dict[str, Any]:
-        """Row of one modality, by which of its values are of dead taxels."""
+        """Return the row of one modality, by which of its values are of dead taxels."""
         levels = np.array(self.levels)[:, columns]
         calm = np.sort(self.noise, axis=0)[: max(1, int(0.9 * len(self.noise)))]  # a tenth was least at rest
         drift = np.abs(np.diff(self.rests, axis=0)) if self.rests[1:] else None
@@ -59,7 +59,7 @@ class _Tally:
 
 
 def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
-    """Ranges, noise, drift, rate and failed taxels of a dataset, beside those of a description, in plain types.
+    """Measure ranges, noise, drift, rate and failed taxels of a dataset, beside those of a description, in plain types.
 
     Dead taxels are those that training would mask (see `foretouch.tactile.dead_taxels`), stuck ones did not change through at least one grasp.
     Noise is the standard deviation at rest, drift the change of the rest level from a grasp to the next (medians over taxels).

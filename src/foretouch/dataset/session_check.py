@@ -42,7 +42,7 @@ class CheckFinding(NamedTuple):
     fix: str = ""
 
     def record(self) -> dict[str, Any]:
-        """As it is stored and printed."""
+        """Return the finding as it is stored and printed."""
         return {"name": self.name, "fault": bool(self.fix), "found": self.found, "fix": self.fix}
 
 
@@ -102,7 +102,7 @@ class SessionCheck:
         self._answers[finger] = tuple(dict.fromkeys(self.pressed))
 
     def at_rest(self) -> list[CheckFinding]:
-        """What the messages so far show, while nothing was to be touched."""
+        """Return what the messages so far show, while nothing was to be touched."""
         found = [
             self._rate(
                 "hand",
@@ -125,7 +125,7 @@ class SessionCheck:
         return [*found, table, self._view()]
 
     def presses(self) -> list[CheckFinding]:
-        """Whether each pressed finger has answered."""
+        """Return whether each pressed finger has answered."""
         found = []
         for finger, answers in self._answers.items():
             first, second = self._fingers.values()
@@ -175,13 +175,13 @@ class SessionCheck:
         return [*found, *self._temperatures()]
 
     def _still(self, counts: Float64, columns: Index) -> Index:
-        """Indices of the taxels of which no value has changed; forces at rest may be zero for any time."""
+        """Return the indices of the taxels of which no value has changed; forces at rest may be zero for any time."""
         moved = (counts[:, columns] != counts[:1, columns]).any(axis=0) | ~self._channels.tared[columns]
         values, size = sum(value.predicted for value in self._reader.sensor.config.values), self._reader.sensor.size
         return np.flatnonzero(~moved[len(moved) - values * size :].reshape(values, size).any(axis=0))
 
     def _temperatures(self) -> Iterator[CheckFinding]:
-        """Of the fingers of which it is read."""
+        """Check the temperatures of the fingers that send one."""
         others = self._reader.others
         for finger in self._channels.fingers if self._readings else ():
             if (channel := f"TDC_{finger}") not in others:
@@ -195,7 +195,7 @@ class SessionCheck:
             yield CheckFinding(f"{finger_label(finger)} temperature", found, fix)
 
     def _view(self) -> CheckFinding:
-        """Whether the hand, or another thing, stands where the object is."""
+        """Return whether the hand, or another thing, stands where the object is."""
         name = "hand in view"
         if self.table is None or self.scene is None or not self.targets:
             fix = "lay an object on the table and start the graph (foretouch run, or perception.launch.py)"
@@ -208,7 +208,7 @@ class SessionCheck:
 
 
 def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> float:
-    """Distance from the first object to what else stands on or above the table near it [m]; infinite if nothing."""
+    """Return the distance from the first object to what else stands on or above the table near it [m]; infinite if nothing."""
     points: Float64 = scene.reshape(-1, 3)[np.isfinite(scene.reshape(-1, 3)).all(axis=1)].astype(np.float64)
     height = points @ table.normal + table.offset
     other = points[(height > _ABOVE_M) & (height < 2.0 * _NEAR_M)]

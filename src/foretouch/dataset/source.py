@@ -152,5 +152,5 @@ def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:
-    """Sort key that puts `2.pcd` before `10.pcd`."""
+    """Make a sort key that puts `2.pcd` before `10.pcd`."""
     return [(0, int(word)) if word.isdecimal() else (1, word) for word in re.split(r"(\d+)", str(name))]

@@ -72,14 +72,14 @@ _MANIFEST_SCHEMA: Final = {
 
 
 def schema_of(channels: Channels) -> pa.Schema:
-    """The columns of a store with readings of a sensor; a row is a sample."""
+    """Return the columns of a store with readings of a sensor; a row is a sample."""
     touch = pa.list_(pa.float64(), channels.size)
     columns = [(name, touch if name in ("touch", "tare") else kind) for name, kind in _COLUMNS]
     return pa.schema(columns, metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)})
 
 
 def is_store(path: str | Path) -> bool:
-    """Whether the path is a training store."""
+    """Return whether the path is a training store."""
     return (Path(path) / MANIFEST).is_file()
 
 
@@ -118,7 +118,7 @@ class Store(Sequence[Sample]):
         return str(self.manifest["sha256"])
 
     def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
-        """Another process opens the store again."""
+        """Let another process open the store again."""
         return type(self), (self.path,)
 
     def __len__(self) -> int:
@@ -148,7 +148,7 @@ class Store(Sequence[Sample]):
 
 
 def sample_digest(sample: Sample) -> bytes:
-    """SHA-256 over all values of the sample."""
+    """Return the SHA-256 over all values of the sample."""
     digest = hashlib.sha256()
     cloud, grasp = sample.cloud, sample.grasp
     head = [sample.id, sample.object, sample.stamp_ns, cloud.frame_id, cloud.size, dict(sorted(sample.extra.items()))]
@@ -162,7 +162,7 @@ def sample_digest(sample: Sample) -> bytes:
 
 
 def content_sha256(samples: Iterable[Sample]) -> str:
-    """SHA-256 over some samples in order, hexadecimal."""
+    """Return the SHA-256 over some samples in order, hexadecimal."""
     content = hashlib.sha256()
     for sample in samples:
         content.update(sample_digest(sample))
@@ -185,7 +185,7 @@ def _require_hash(path: Path, digest: str, wanted: str) -> None:
 
 
 def _read_shard(path: Path, sha256: str, samples: int, channels: Channels) -> list[_Part]:
-    """The record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
+    """Return the record batches of a shard, checked after its hash, for Arrow trusts what it is given."""
     parts = list[_Part]()
     with open_regular(path) as file:
         _require_hash(path, hashlib.file_digest(file, "sha256").hexdigest(), sha256)
@@ -218,7 +218,7 @@ def _stat(file: BinaryIO) -> tuple[int, ...]:
 
 
 def _is_compressed(message: Any) -> bool:
-    """Whether a message of Arrow names a compression of its buffers; to decode it would unpack them first.
+    """Return whether a message of Arrow names a compression of its buffers; to decode it would unpack them first.
 
     The metadata are a flatbuffer: a `Message`, whose third field is a `RecordBatch`, whose fourth is the compression.
     """
@@ -236,7 +236,7 @@ def _is_compressed(message: Any) -> bool:
 
 
 def _read_batch(schema: Any, part: _Part) -> Any:
-    """The record batch of a part, whose shard must be the one that was verified."""
+    """Return the record batch of a part, whose shard must be the one that was verified."""
     with open_regular(part.path) as file:
         if _stat(file) != part.stat:
             raise FileError(part.path, "was changed after it was opened")
@@ -260,7 +260,7 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
 
 
 def _sample(batch: Any, row: int, channels: Channels) -> Sample:
-    """A row of a batch; its cloud is a view, and the rest copied, so that it does not keep the bytes of the batch."""
+    """Return a row of a batch; its cloud is a view, and the rest copied, so that it does not keep the bytes of the batch."""
 
     def vector(name: str) -> Any:
         values = batch.column(name)[row].values
@@ -286,7 +286,7 @@ def _sample(batch: Any, row: int, channels: Channels) -> Sample:
 
 
 def _numbers(text: str) -> dict[str, float]:
-    """The named numbers of a sample."""
+    """Return the named numbers of a sample."""
     numbers = parse_json(text)
     if not isinstance(numbers, dict) or not all(
         type(value) in (int, float) and abs(value) < 1e300 for value in numbers.values()
@@ -299,7 +299,7 @@ recognise = is_store
 
 
 def open_set(path: Path, _: bool) -> SampleSet:
-    """The samples of a store (raises as `Store`)."""
+    """Return the samples of a store (raises as `Store`)."""
     store = Store(path)
     about = store.manifest.get("about", {})
     return SampleSet(

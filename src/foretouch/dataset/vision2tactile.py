@@ -44,14 +44,14 @@ _STAMP_END_NS: Final = 2**63  # where stamps of 64 bits end
 
 
 def _folders_in(root: Path) -> Iterator[Path]:
-    """The folders meant as samples: they hold at least one of the three files."""
+    """Iterate over the folders meant as samples: they hold at least one of the three files."""
     for path in chain([root], root.glob("*"), root.glob("*/*")):
         if path.is_dir() and any((path / name).is_file() for name in _FILES):
             yield path
 
 
 def folder_sha256(path: str | Path) -> str:
-    """One hash over names and contents of all samples' files, independent of where the folder is."""
+    """Compute one hash over names and contents of all samples' files, independent of where the folder is."""
     digest = hashlib.sha256()
     for folder in sorted(_folders_in(Path(path))):
         for name in _FILES:
@@ -61,7 +61,7 @@ def folder_sha256(path: str | Path) -> str:
 
 
 def _read_sample(folder: Path) -> Sample:
-    """The sample in a folder `<object>/<name>`, with PAC0, PAC1, TAC and TDC of both fingers as `extra` [counts]."""
+    """Return the sample in a folder `<object>/<name>`, with PAC0, PAC1, TAC and TDC of both fingers as `extra` [counts]."""
     folder = folder.absolute()
     touch, extra = read_touch(folder / TOUCH_FILE)
     cloud = read_cloud(folder / CLOUD_FILE)
@@ -79,7 +79,7 @@ def _read_sample(folder: Path) -> Sample:
 
 
 def _stamp_ns(name: str) -> int:
-    """The unix time that a folder is named by [ns]; 0 if it is none."""
+    """Return the unix time that a folder is named by [ns]; 0 if it is none."""
     stamp_ns = int(name) * SECOND_NS if name.isascii() and name.isdecimal() and len(name) < 20 else 0
     return stamp_ns if stamp_ns < _STAMP_END_NS else 0
 
@@ -97,7 +97,7 @@ def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
 
 
 def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
-    """The touch in a `tactile.tac`, and PAC0, PAC1, TAC and TDC of both fingers by name [counts]."""
+    """Return the touch in a `tactile.tac`, and PAC0, PAC1, TAC and TDC of both fingers by name [counts]."""
     numbers = _read_numbers(path, 2 * _FINGER_SIZE)
     fingers = {"MF": numbers[:_FINGER_SIZE], "TH": numbers[_FINGER_SIZE:]}
     extra: dict[str, float] = {}
@@ -111,7 +111,7 @@ def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
 
 
 def _read_numbers(path: Path, count: int) -> Float64:
-    """The file's comma-separated numbers, without an empty first field."""
+    """Return the file's comma-separated numbers, without an empty first field."""
     try:
         text = read_bytes(path, 100_000).decode("ascii").strip()  # the public files have less than 400 bytes
     except FileError as err:
@@ -133,12 +133,12 @@ def _read_numbers(path: Path, count: int) -> Float64:
 
 
 def recognise(path: Path) -> bool:
-    """Whether a folder holds samples."""
+    """Return whether a folder holds samples."""
     return next(_folders_in(path), None) is not None
 
 
 def open_set(path: Path, _: bool) -> SampleSet:
-    """The samples in the folders at a path."""
+    """Return the samples in the folders at a path."""
     folders = sorted(_folders_in(path))
     return SampleSet(
         path=path,
@@ -151,7 +151,7 @@ def open_set(path: Path, _: bool) -> SampleSet:
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """See `foretouch.dataset.formats`."""
+    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
     require_same(samples.sensor.channels, BIOTAC, str(samples.path))
     out.mkdir(parents=True)
     exported = {f"{name}_{finger}" for name in _EXTRA for finger in ("MF", "TH")}
@@ -176,7 +176,7 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
 
 
 def _fingers(sample: Sample, touch: Touch) -> list[float]:
-    """Middle finger, then thumb: 24 electrodes, PAC0, PAC1, PDC, TAC, TDC; 0 for channels that the sample lacks."""
+    """List the values of the middle finger, then of the thumb: 24 electrodes, PAC0, PAC1, PDC, TAC, TDC; 0 for channels that the sample lacks."""
     values: list[float] = []
     for finger in ("MF", "TH"):
         pac0, pac1, tac, tdc = (sample.extra.get(f"{name}_{finger}", 0.0) for name in _EXTRA)
@@ -185,5 +185,5 @@ def _fingers(sample: Sample, touch: Touch) -> list[float]:
 
 
 def _as_text(values: Sequence[float]) -> str:
-    """With as many digits as reading the same numbers back requires."""
+    """Write numbers with as many digits as reading the same numbers back requires."""
     return ",".join(f"{int(value)}" if float(value).is_integer() else repr(float(value)) for value in values)

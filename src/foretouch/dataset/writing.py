@@ -282,7 +282,7 @@ def sample_of(
 
 
 def _joined(values: Mapping[str, npt.ArrayLike], channels: Channels, what: str) -> Float64:
-    """(T, D) or (D,) numbers of all modalities; a `DatasetError` names one that is missing, not known or of another size."""
+    """Return (T, D) or (D,) numbers of all modalities; a `DatasetError` names one that is missing, not known or of another size."""
     if not isinstance(values, Mapping):
         raise DatasetError(f"{what}: give a mapping of {', '.join(channels.modalities)} to their arrays")
     if unknown := [key for key in values if key not in channels.modalities]:
@@ -309,7 +309,7 @@ def _joined(values: Mapping[str, npt.ArrayLike], channels: Channels, what: str) 
 def _complete(
     rows: Float64, names: Channels | tuple[str, ...], missing: Missing, what: str
 ) -> tuple[Float64, Float64, int]:
-    """The (T, D) numbers to store, without those that are not finite; the same with the reading before held; their number."""
+    """Return the (T, D) numbers to store, without those that are not finite; the same with the reading before held; their number."""
     with np.errstate(over="ignore", invalid="ignore"):
         gone = ~np.isfinite(rows.astype(np.float32))
     if not gone.any():
@@ -341,13 +341,13 @@ def _complete(
 
 
 def _named(channels: Channels, column: int) -> str:
-    """A modality and the number of its value, such as E_TH[3], by the column of a touch."""
+    """Return a modality and the number of its value, such as E_TH[3], by the column of a touch."""
     key, columns = next((key, own) for key, own in channels.modality_columns.items() if column in own)
     return f"{key}[{list(columns).index(column)}]"
 
 
 def _range_flags(rows: Float64, channels: Channels) -> list[str]:
-    """A flag, if a working sensor cannot have sent some of (T, D) values; if most of a finger, they are of another unit."""
+    """Return a flag, if a working sensor cannot have sent some of (T, D) values; if most of a finger, they are of another unit."""
     outside = (rows < channels.low) | (rows > channels.high)
     for key, columns in channels.modality_columns.items():
         if outside[:, columns].mean() > 0.5:
@@ -377,7 +377,7 @@ def _stamps(
     rate_hz: float | None,
     start_s: float,
 ) -> Int64:
-    """(T,) int64 [ns]; a `DatasetError` if they are of another number, go back, or too few digits for the readings."""
+    """Return (T,) int64 [ns]; a `DatasetError` if they are of another number, go back, or too few digits for the readings."""
     given = [
         name
         for name, value in (("stamps_ns", stamps_ns), ("stamps_s", stamps_s), ("rate_hz", rate_hz))
@@ -429,7 +429,7 @@ def _stamps(
 def _cut(
     stamps: Int64, values: Float64, whole: Float64, rest: int, channels: Channels
 ) -> tuple[Touch | None, Touch | None, AnyArray, int | None]:
-    """Touch and tare of (T, D) readings, the phase of each, and the first contact [ns]; what is not there is None.
+    """Cut touch and tare out of (T, D) readings, the phase of each, and the first contact [ns]; what is not there is None.
 
     Contact is found in the readings without gaps, `whole`.
     """

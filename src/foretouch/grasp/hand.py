@@ -73,7 +73,7 @@ class WidthConfig(Settings):
     middle_m: float | None = setting(
         None, "As `depth_m` between the middle halves of the fingers' distance; absent: the same", bounds=(0.001, 10.0)
     )
-    xyz: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Origin of the tool's frame in that of the grasp", unit="m")
+    xyz: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Origin of the tool's frame in the grasp's", unit="m")
     rpy: tuple[float, ...] = setting((0.0, 0.0, 0.0), "Its angles, as in URDF", unit="rad")
     angles: tuple[float, ...] = setting((), "Angles of `joints`, in their order", unit="rad")
     boxes: tuple[BoxConfig, ...] = ()

@@ -75,7 +75,7 @@ INLINE int is_within(const ray *hull, int64_t n, float u, float v) {
 }
 
 /* Connects neighbours that are of a kind, or, if `but`, that are not; a neighbour that is connected by another one already is left out. */
-static void connect(const board *g, int32_t *parent, int kind, int but) {
+INLINE void connect(const board *g, int32_t *parent, int kind, int but) {
     for (int64_t y = 0; y < g->h; y++) {
         for (int64_t x = 0; x < g->w; x++) {
             const int64_t i = y * g->w + x, up = i - g->w;
@@ -97,19 +97,22 @@ static void connect(const board *g, int32_t *parent, int kind, int but) {
 }
 
 /* Heights and kinds of the cells, the rows and columns in view, and the connected sets of the table, and of all but the world below. */
-static void read_cells(board *g) {
+INLINE void read_cells(board *g) {
     const float a = (float)g->s[PLANE], b = (float)g->s[PLANE + 1], c = (float)g->s[PLANE + 2], d = (float)g->s[PLANE + 3];
     int32_t *filled = calloc((size_t)g->w, sizeof(int32_t));
     for (int64_t y = 0; y < g->h; y++) {
+        const float *p = g->p + 3 * y * g->w;
+        float *height = g->height + y * g->w;
         for (int64_t x = 0; x < g->w; x++) {
-            const int64_t i = y * g->w + x;
-            const float *p = g->p + 3 * i, height = p[0] * a + p[1] * b + p[2] * c + d, noise = p[2] * p[2] * (float)g->s[NOISE];
-            const float level = noise > (float)g->s[LEVEL] ? noise : (float)g->s[LEVEL];
-            g->height[i] = height;
-            g->kind[i] = height != height ? HOLE : g->labels[i] ? OVER : height < -(float)g->s[BELOW] ? UNDER : fabsf(height) <= level ? TABLE : OVER;
-            if (filled) {
-                filled[x] += g->kind[i] != HOLE;
-            }
+            height[x] = p[3 * x] * a + p[3 * x + 1] * b + p[3 * x + 2] * c + d;
+        }
+        for (int64_t x = 0; x < g->w; x++) {
+            const float z = p[3 * x + 2], noise = z * z * (float)g->s[NOISE], level = noise > (float)g->s[LEVEL] ? noise : (float)g->s[LEVEL];
+            const int32_t other = height[x] < -(float)g->s[BELOW] ? UNDER : fabsf(height[x]) <= level ? TABLE : OVER;
+            g->kind[y * g->w + x] = (uint8_t)(height[x] != height[x] ? HOLE : g->labels[y * g->w + x] ? OVER : other);
+        }
+        for (int64_t x = 0; x < g->w && filled; x++) {
+            filled[x] += g->kind[y * g->w + x] != HOLE;
         }
     }
     connect(g, g->piece, TABLE, 0);
@@ -128,20 +131,21 @@ static void read_cells(board *g) {
 }
 
 /* Keeps as TABLE the cells of the pieces that belong together; size: (h w), zeros. */
-static void gather_table(board *g, int32_t *size) {
+INLINE void gather_table(board *g, int32_t *size) {
     int32_t largest = -1;
     for (int64_t i = 0; i < g->h * g->w; i++) {
         if (g->kind[i] == TABLE) {
-            const int32_t root = g->piece[i] = root_of(g->piece, (int32_t)i);
+            const int32_t root = g->piece[i] = g->piece[g->piece[i]]; /* those before are numbered with their roots already */
             size[root]++;
             largest = largest < 0 || size[root] > size[largest] ? root : largest;
         }
     }
     int several = 0;
     for (int64_t i = 0; i < g->h * g->w; i++) {
-        const int kept = g->kind[i] == TABLE && PIECE * size[g->piece[i]] >= size[largest];
-        g->kind[i] = g->kind[i] == TABLE && !kept ? OVER : g->kind[i];
-        several |= kept && g->piece[i] != largest;
+        if (g->kind[i] == TABLE && g->piece[i] != largest) {
+            const int kept = PIECE * size[g->piece[i]] >= size[largest];
+            g->kind[i] = kept ? TABLE : OVER, several |= kept;
+        }
     }
     if (several) {
         connect(g, g->link, UNDER, 1);
@@ -153,16 +157,18 @@ static void gather_table(board *g, int32_t *size) {
 }
 
 /* The ends of each row of the table, and where the image cuts it off and `further` is positive, points so far beyond. */
-static int64_t ends_of(const board *g, float further, ray *some) {
+INLINE int64_t ends_of(const board *g, float further, ray *some) {
     int64_t n = 0;
     for (int64_t y = g->first[0]; y <= g->last[0]; y++) {
-        int64_t ends[2] = {-1, -1};
-        for (int64_t x = g->first[1]; x <= g->last[1]; x++) {
-            if (g->kind[y * g->w + x] == TABLE) {
-                ends[0] = ends[0] < 0 ? x : ends[0], ends[1] = x;
-            }
+        const uint8_t *kind = g->kind + y * g->w;
+        int64_t ends[2] = {g->first[1], g->last[1]};
+        while (ends[0] <= ends[1] && kind[ends[0]] != TABLE) {
+            ends[0]++;
         }
-        for (int k = 0; k < 2 && ends[0] >= 0; k++) {
+        while (ends[1] > ends[0] && kind[ends[1]] != TABLE) {
+            ends[1]--;
+        }
+        for (int k = 0; k < 2 && ends[0] <= ends[1]; k++) {
             const float *p = g->p + 3 * (y * g->w + ends[k]);
             const float aside = (float)((ends[k] == g->last[1]) - (ends[k] == g->first[1]));
             const float along = (float)((y == g->last[0]) - (y == g->first[0]));
@@ -275,7 +281,7 @@ static void continue_walls(const board *g, part *parts, const int32_t *near, int
  *
  * labels: (h, w), from 1 to n - 1. pitch: of the grid, lateral distance per depth. reasons: (n). outline: (4 h + 2, 2), the ends of the hull of the
  * table as x / z and y / z; found: (1), how many, -1 without memory. */
-void find_background(const float *grid, int64_t h, int64_t w, const int32_t *labels, int64_t n, double pitch, const double *settings, int64_t *reasons,
+VECTORISED void find_background(const float *grid, int64_t h, int64_t w, const int32_t *labels, int64_t n, double pitch, const double *settings, int64_t *reasons,
                      float *outline, int64_t *found) {
     const size_t cells = (size_t)(h * w), some = (size_t)(4 * h + 2);
     board g = {.h = h, .w = w, .p = grid, .labels = labels, .s = settings};

@@ -487,7 +487,7 @@ static void join(graph *g, int32_t a, int32_t b) {
     g->n_borders = kept;
 }
 
-/* Joins tiny fragments across the border that bends least; then those that are rated highest, as long as they are rated as one
+/* Joins tiny fragments across the border that bends least, across a step only where nothing else is beside them; then those that are rated highest, as long as they are rated as one
  * object; at last those that are smaller than the smallest part. */
 static void join_all(graph *g) {
     for (int pass = 0; pass < 3;) {
@@ -499,7 +499,7 @@ static void join_all(graph *g) {
                 rate(g, one);
             }
             const int tiny = a[CELLS] < TINY || b[CELLS] < TINY, little = a[AREA] < g->s[PART_M2] || b[AREA] < g->s[PART_M2];
-            const double score = pass ? one->score : -one->sum[BENT] / one->sum[LENGTH];
+            const double score = pass ? one->score : -(one->sum[BENT] + one->sum[STEPS]) / one->sum[LENGTH];
             if (score > most && (pass == 1 || (one->sum[LENGTH] > 0.0 && (pass ? little : tiny)))) {
                 most = score, best = one;
             }

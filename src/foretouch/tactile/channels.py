@@ -29,7 +29,7 @@ FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 
 
 def finger_label(finger: str) -> str:
-    """Name of a finger for people: that of its sensor's description where there is no other."""
+    """Return the name of a finger for people: that of its sensor's description where there is no other."""
     return FINGER_NAMES.get(finger, finger)
 
 
@@ -46,7 +46,7 @@ _WIDEST: Final = 1e12  # [counts]
 
 
 def biotac_touch(values: npt.ArrayLike) -> Touch:
-    """A reading of the BioTac SP from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
+    """Return a reading of the BioTac SP from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
     return Touch(np.array(values, np.float64), BIOTAC)
 
 
@@ -64,11 +64,11 @@ class Ranges:
 
     @classmethod
     def of_sensor(cls, channels: Channels) -> Self:
-        """Those of a working sensor."""
+        """Make the ranges of a working sensor."""
         return cls(channels, tuple((channel.low, channel.high) for channel in channels.channel_of.values()))
 
     def of(self, modality: str) -> tuple[float, float]:
-        """(low, high) of one modality; a `TactileError` if there is no such modality."""
+        """Return (low, high) of one modality; a `TactileError` if there is no such modality."""
         self.channels.columns([modality])
         return self.limits[self.channels.modalities.index(modality)]
 
@@ -83,17 +83,17 @@ class Ranges:
         return self._vector(1)
 
     def outside(self, values: npt.ArrayLike) -> Bool:
-        """Which of (..., D) values are outside their range; NaN is outside."""
+        """Return which of (..., D) values are outside their range; NaN is outside."""
         numbers = np.asarray(values, np.float64)
         return np.asarray(~((numbers >= self.low) & (numbers <= self.high)), np.bool_)
 
     def to_mapping(self) -> dict[str, Any]:
-        """By name of the modality in lower case, for a card."""
+        """Return the limits by name of the modality in lower case, for a card."""
         return {name.lower(): list(limits) for name, limits in zip(self.channels.modalities, self.limits, strict=True)}
 
     @classmethod
     def from_mapping(cls, channels: Channels, mapping: Mapping[str, Any], where: str) -> Self:
-        """The inverse of `to_mapping`; a `ConfigError` names `where` it was read, the modality and the rule."""
+        """Read the ranges from a mapping by `to_mapping`; a `ConfigError` names `where` it was read, the modality and the rule."""
         names = [name.lower() for name in channels.modalities]
         for name, limits in mapping.items():
             if name not in names:
@@ -150,6 +150,6 @@ P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_t
 
 
 def skin_axes(layer_m: float = LAYER_M) -> Float64:
-    """(3,) float64: semi-axes of the skin over a layer of this thickness [m]."""
+    """Return (3,) float64: semi-axes of the skin over a layer of this thickness [m]."""
     across = CORE_RADIUS_M + layer_m
     return np.array([CORE_HALF_LENGTH_M + layer_m, across, across])

@@ -146,14 +146,14 @@ class ContactDetector:
 
 
 def _resting_noise(readings: Float64, channels: Channels) -> Float64:
-    """(M,) standard deviation of each value in (T, M) readings of a finger without contact, at least what is stated."""
+    """Return (M,) standard deviation of each value in (T, M) readings of a finger without contact, at least what is stated."""
     spread = 1.4826 * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
     stated = [value for channel in channels.channels for value in [channel.noise or channel.resolution] * channel.size]
     return np.asarray(np.maximum(spread, stated), np.float64)
 
 
 def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channels = BIOTAC) -> Float64:
-    """(T, F) scores of the fingers; above 1 a finger is in contact.
+    """Return (T, F) scores of the fingers; above 1 a finger is in contact.
 
     Args:
         counts: (T, D) readings.
@@ -172,7 +172,7 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channel
 def find_contact(
     stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channels = BIOTAC
 ) -> tuple[int | None, ...]:
-    """First contact of each finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
+    """Find the first contact of each finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
     onsets: list[int | None] = []
     for above in (contact_scores(counts, rest, channels) > 1.0).T:
         run = (
@@ -183,7 +183,7 @@ def find_contact(
 
 
 def _scores(change: Float64, channels: Channels) -> Float64:
-    """(...) scores of (..., M) changes of a finger in units of each value's noise."""
+    """Return (...) scores of (..., M) changes of a finger in units of each value's noise."""
     scores, first = [], 0
     for channel in channels.channels:
         part, first = change[..., first : first + channel.size], first + channel.size

@@ -18,18 +18,18 @@ FEWEST_READINGS: Final = 5
 
 
 def usable(readings: Float64, channels: Channels, valid: Bool | None = None) -> Float64:
-    """(..., D) readings with NaN for numbers of taxels that cannot be used; `valid` are (D,) those not declared dead."""
+    """Return (..., D) readings with NaN for numbers of taxels that cannot be used; `valid` are (D,) those not declared dead."""
     inside = (readings >= channels.low) & (readings <= channels.high)
     return np.where(channels.of_taxels & ~(inside if valid is None else inside & valid), np.nan, readings)
 
 
 def is_storable(readings: AnyArray, channels: Channels) -> bool:
-    """Whether (..., D) readings are finite, but for NaN of taxels that were not read."""
+    """Return whether (..., D) readings are finite, but for NaN of taxels that were not read."""
     return bool((np.isfinite(readings) | (np.isnan(readings) & channels.of_taxels)).all())
 
 
 def dead_taxels(sensor: Sensor, readings: Float64) -> Bool:
-    """(F, N) taxels that (S, D) readings show to be dead; none of fewer than five readings.
+    """Return (F, N) taxels that (S, D) readings show to be dead; none of fewer than five readings.
 
     A number that is zero at rest and has no noise, such as a force that no contact reached, may be constant. Of a finger of which half of the taxels or
     more would be dead none is: it was not read.
@@ -47,13 +47,13 @@ def dead_taxels(sensor: Sensor, readings: Float64) -> Bool:
 
 
 def with_dead_taxels(sensor: Sensor, readings: Float64) -> Sensor:
-    """The sensor, with those of its taxels declared dead, too, that (S, D) readings show to be."""
+    """Return the sensor, with those of its taxels declared dead, too, that (S, D) readings show to be."""
     dead = dead_taxels(sensor, readings)
     return sensor.with_dead(dead) if (dead & sensor.valid).any() else sensor
 
 
 def filled(readings: Float64, sensor: Sensor) -> Float64:
-    """(S, D) readings with numbers for those that cannot be used, so that a model can be fitted to all taxels.
+    """Return (S, D) readings with numbers for those that cannot be used, so that a model can be fitted to all taxels.
 
     A dead taxel has the mean of the nearest valid ones, as a dead pixel of a camera has. One that was not read once has its mean over the
     other readings, moved as the valid taxels of its finger are.

@@ -98,7 +98,7 @@ class ChannelConfig(Settings):
         return self.contact != "none" and self.rest != "none"
 
     def channel(self, size: int) -> Channel:
-        """What a touch holds of it, for `size` numbers of a finger."""
+        """Return what a touch holds of it, for `size` numbers of a finger."""
         low, high = np.clip(self.limits, -LARGEST, LARGEST).tolist()
         span = high - low if high - low < LARGEST else 1.0  # of a force without a stated range, a millionth of a newton
         resolution = (self.noise or 1e-6 * span) if self.dtype.startswith("float") else 1.0
@@ -170,7 +170,7 @@ class SensorConfig(Settings):
             raise ConfigError(f"source.invalid: {none_of(unknown.pop(), scalars)}")
 
     def chosen_fingers(self, names: Sequence[str] = ()) -> list[FingerConfig]:
-        """The fingers of some names, by default those that grasp; a `ConfigError` if there is no such finger."""
+        """Return the fingers of some names, by default those that grasp; a `ConfigError` if there is no such finger."""
         known = {finger.name: finger for finger in self.fingers}
         chosen = names or self.grasp or list(known)[:2]
         unknown = [name for name in chosen if name not in known]
@@ -283,12 +283,12 @@ class Sensor:
         return self.taxels_of(~self.valid_values)
 
     def taxels_of(self, values: Bool) -> dict[str, list[int]]:
-        """Indices of the taxels of which a value is in a (D,) mask, by finger that has some."""
+        """Return the indices of the taxels of which a value is in a (D,) mask, by finger that has some."""
         named = zip(self.channels.fingers, np.asarray(values[self.taxel_columns].any(axis=-1)), strict=True)
         return {finger: np.flatnonzero(chosen).tolist() for finger, chosen in named if chosen.any()}
 
     def with_dead(self, dead: Bool) -> "Sensor":
-        """The same sensor with further taxels declared dead, by an (F, N) mask."""
+        """Return the same sensor with further taxels declared dead, by an (F, N) mask."""
         failed: Bool = np.logical_or(dead, ~self.valid)
         failed_of = dict(zip((finger.name for finger in self.config.chosen_fingers()), failed, strict=True))
         fingers = [
@@ -300,7 +300,7 @@ class Sensor:
         return Sensor(self.config.replace(fingers=tuple(fingers)), self.layout)
 
     def to_mapping(self) -> dict[str, Any]:
-        """All that `sensor_of` needs, as plain types, for manifests and cards."""
+        """Return all that `sensor_of` needs, as plain types, for manifests and cards."""
         stated: dict[str, Any] = _stated(self.config.to_mapping())
         if self.config.taxels:
             stated["taxels"] = [self.layout.positions.tolist(), self.layout.normals.tolist(), None]
@@ -308,7 +308,7 @@ class Sensor:
 
 
 def sensor_files() -> dict[str, Path]:
-    """The descriptions that come with the package, by name."""
+    """Return the descriptions that come with the package, by name."""
     folder = Path(str(resources.files("foretouch.tactile"))) / "sensors"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
@@ -336,7 +336,7 @@ def load_sensor(sensor: str | Path) -> Sensor:
 
 
 def _checked(config: SensorConfig, layout: Layout, where: str) -> Sensor:
-    """The sensor; a `ConfigError` if a taxel is outside of the pad, or a dead one does not exist."""
+    """Return the sensor; a `ConfigError` if a taxel is outside of the pad, or a dead one does not exist."""
     outside = ((layout.positions < config.pad[:3]) | (layout.positions > config.pad[3:])).any(axis=1)
     if outside.any():
         index = int(outside.argmax())
@@ -352,7 +352,7 @@ def _checked(config: SensorConfig, layout: Layout, where: str) -> Sensor:
 
 
 def sensor_of(mapping: Any, where: str) -> Sensor:
-    """The inverse of `Sensor.to_mapping`; a `ConfigError` names `where` it was read, field and rule."""
+    """Make the sensor of a mapping by `Sensor.to_mapping`; a `ConfigError` names `where` it was read, field and rule."""
     if not isinstance(mapping, dict):
         raise ConfigError(f"{where}: is not a description of a sensor")
     stated, layout = dict(mapping), None
@@ -368,7 +368,7 @@ def sensor_of(mapping: Any, where: str) -> Sensor:
 
 
 def _layout_of(taxels: list[Any], where: str) -> Layout:
-    """The taxels in a description of `Sensor.to_mapping`."""
+    """Return the taxels in a description of `Sensor.to_mapping`."""
     try:
         points, normals, _ = taxels
         parts = np.asarray([points, normals], np.float64).reshape(2, -1, 3)
@@ -382,22 +382,22 @@ def _layout_of(taxels: list[Any], where: str) -> Layout:
 
 
 def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:
-    """The sensor of a manifest or a card by its key `sensor`: that of `with_sensor`; the BioTac SP where there is none."""
+    """Return the sensor of a manifest or a card by its key `sensor`: that of `with_sensor`; the BioTac SP where there is none."""
     return sensor_of(facts["sensor"], f"{shown(where)}: sensor") if "sensor" in facts else packaged_sensor("biotac_sp")
 
 
 def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
-    """The facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none, unless taxels are dead."""
+    """Return the facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none, unless taxels are dead."""
     return facts if sensor.is_biotac and sensor.valid.all() else {**facts, "sensor": sensor.to_mapping()}
 
 
 def named_taxels(taxels: Mapping[str, Sequence[int]]) -> str:
-    """Indices of taxels by finger, for people: `TH 5, 7; MF 0`."""
+    """Return the indices of taxels by finger, for people: `TH 5, 7; MF 0`."""
     return "; ".join(f"{finger} {', '.join(map(str, own))}" for finger, own in taxels.items())
 
 
 def require_two(sensor: Sensor) -> Sensor:
-    """The sensor, if it is read on two fingers as a hand is driven; a `ConfigError` if a recording has more."""
+    """Return the sensor, if it is read on two fingers as a hand is driven; a `ConfigError` if a recording has more."""
     if len(sensor.channels.fingers) != 2:
         raise ConfigError(
             f"sensor: {sensor.config.name}: grasp: {', '.join(sensor.channels.fingers)} are not two fingers"
@@ -406,7 +406,7 @@ def require_two(sensor: Sensor) -> Sensor:
 
 
 def require_same(given: Channels, wanted: Channels, what: str) -> None:
-    """Refuse `what` is of another sensor, or of another description of the same, by a `TactileError` that names both."""
+    """Refuse `what` where it is of another sensor, or of another description of the same, by a `TactileError` that names both."""
     if given is wanted or given.sha256 == wanted.sha256:
         return
     rule = f"the description of {given.sensor} has changed" if given.sensor == wanted.sensor else f"not {wanted.sensor}"
@@ -436,7 +436,7 @@ def _check_list(what: str, names: Sequence[str]) -> None:
 
 
 def _stated(value: Any) -> Any:
-    """A mapping without what is left out: empty texts, lists and groups, and None."""
+    """Return a mapping without what is left out: empty texts, lists and groups, and None."""
     if isinstance(value, dict):
         stated = {key: _stated(part) for key, part in value.items()}
         return {key: part for key, part in stated.items() if part not in (None, "", [], {})}

@@ -39,7 +39,7 @@ class FieldPath:
         self.steps = [_step(step) for step in steps]  # of a field, an element, a part, and a name with its value
 
     def get(self, message: Any) -> Any:
-        """What stands there, a list for a series; a `TactileError` names what the message lacks."""
+        """Return what stands there, a list for a series; a `TactileError` names what the message lacks."""
         return self._follow(message, 0)
 
     def _follow(self, value: Any, first: int) -> Any:

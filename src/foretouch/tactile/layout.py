@@ -64,7 +64,7 @@ class Layout:
 
 @lru_cache(maxsize=64)
 def _nearest_valid(layout: Layout, valid: bytes) -> list[tuple[int, Index]]:
-    """The index of each taxel that is not valid, with those of the nearest valid ones."""
+    """Return the index of each taxel that is not valid, with those of the nearest valid ones."""
     mask = np.frombuffer(valid, np.bool_)
     usable, pairs = np.flatnonzero(mask), []
     for index in np.flatnonzero(~mask).tolist():
@@ -98,7 +98,7 @@ class ArrayConfig(Settings):
             raise ConfigError("size, spacing: 0 m from a taxel to the next")
 
     def layout(self, absent: Sequence[int] = ()) -> Layout:
-        """The taxels, in the order of a message; places of the array that are `absent` hold none.
+        """Return the taxels, in the order of a message; places of the array that are `absent` hold none.
 
         Raises:
             ConfigError: If there is no such place, or no taxel is left.
@@ -113,7 +113,7 @@ class ArrayConfig(Settings):
 
 
 def present(count: int, absent: Sequence[int]) -> Index:
-    """The places 0 to `count` - 1 that are not absent, ascending."""
+    """Return the places 0 to `count` - 1 that are not absent, ascending."""
     return np.setdiff1d(np.arange(count), np.array(absent, np.intp))
 
 
@@ -148,7 +148,7 @@ def read_layout(path: Path, absent: Sequence[int] = ()) -> Layout:
             + (", without those absent" if absent else ""),
             again | ~np.isin(index, present(len(table) + len(absent), absent)),
         ),
-        ("nx, ny, nz: the normal is zero; where it is unknown, state that of the nearest taxel", length == 0.0),
+        ("nx, ny, nz: the normal is zero; where it is unknown, state the nearest taxel's", length == 0.0),
         ("nx, ny, nz: the normal is not of unit length", np.abs(length - 1.0) > 0.01),
     ):
         if wrong.any():

@@ -25,7 +25,7 @@ _REFERENCE_KOHM: Final = 10.0
 
 
 def touch_faults(touch: Touch, finger: str = "") -> tuple[str, ...]:
-    """Why working sensors cannot have produced a reading, or the part of one finger; one line each, empty if they can.
+    """Return why working sensors cannot have produced a reading, or the part of one finger; one line each, empty if they can.
 
     Single taxels may be dead: NaN or out of range. A finger of which half of them or more are does not work.
     """
@@ -52,7 +52,7 @@ def _fault(name: str, channel: Channel, values: Float64) -> str:
 
 
 def make_tare(readings: Sequence[Touch]) -> Touch:
-    """The median of readings without contact; a `TactileError` if there is none, or one is not valid."""
+    """Return the median of readings without contact; a `TactileError` if there is none, or one is not valid."""
     if not readings:
         raise TactileError("tare: no reading")
     for i, reading in enumerate(readings):
@@ -62,12 +62,12 @@ def make_tare(readings: Sequence[Touch]) -> Touch:
 
 
 def rest_of(values: npt.ArrayLike, channels: Channels) -> Touch:
-    """The tare of (D,) values at rest, which is 0 for a channel whose rest level is zero, whatever was read."""
+    """Return the tare of (D,) values at rest, which is 0 for a channel whose rest level is zero, whatever was read."""
     return Touch(np.where(channels.tared, np.asarray(values, np.float64), 0.0), channels)
 
 
 def tdc_of(values: Mapping[str, float], channels: Channels, prefix: str = "") -> Float64:
-    """(F,) TDC of the fingers of a touch [counts] among further channels by name; NaN where it is absent or dead.
+    """Return (F,) TDC of the fingers of a touch [counts] among further channels by name; NaN where it is absent or dead.
 
     Args:
         values: As `Sample.extra`.
@@ -79,18 +79,18 @@ def tdc_of(values: Mapping[str, float], channels: Channels, prefix: str = "") ->
 
 
 def is_tdc(values: Float64) -> Bool:
-    """Which values a working thermistor can have sent: not NaN, not 0 as of drivers without one, and not saturated."""
+    """Return which values a working thermistor can have sent: not NaN, not 0 as of drivers without one, and not saturated."""
     return (values > 0.0) & (values < FULL_SCALE)
 
 
 def to_celsius(tdc: float) -> float:
-    """Temperature of a finger [°C] by its TDC [counts], for which `is_tdc` holds, by the product manual."""
+    """Return the temperature of a finger [°C] by its TDC [counts], for which `is_tdc` holds, by the product manual."""
     share = tdc / FULL_SCALE
     return 4025.0 / math.log((155183.0 - 46555.0 * share) / share) - 273.15
 
 
 def to_kohm(electrode: npt.ArrayLike) -> Float64:
-    """Impedance of electrodes [kOhm], float64, by the product manual: Z = (4095 / E - 1) * 10.
+    """Return the impedance of electrodes [kOhm], float64, by the product manual: Z = (4095 / E - 1) * 10.
 
     Raises:
         TactileError: If a count is not finite, above 4095, or not above 0, where Z is undefined.

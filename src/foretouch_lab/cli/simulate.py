@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--out", type=Path, metavar="DIR", help="training store to create, which must not exist; required as -n"
     )
-    parser.add_argument("--seed", type=seed_number, help="random seed (default: that of the scene)")
+    parser.add_argument("--seed", type=seed_number, help="random seed (default: the scene's)")
     parser.add_argument(
         "--workers",
         type=positive_number,

@@ -165,7 +165,7 @@ class Split:
         return ends[apart], both[apart], self.bends[tuple(at[apart].T)]
 
     def joined(self, part: Array, trees: Array, least: float, counts: list[int]) -> Array:
-        """Tiny fragments joined across the border that bends least, then those rated as one object, then small parts."""
+        """Tiny fragments joined across the border that bends and steps least, then those rated as one object, then small parts."""
         lines, rated, step = self.lines(part), {}, 0
         groups = {int(k): frozenset([int(k)]) for k in np.unique(part[part > 0])}
         while step < 3:
@@ -177,7 +177,8 @@ class Split:
             for a, b in sorted(pairs):
                 of = ((both == (a, b)) | (both == (b, a))).all(axis=1)
                 if step == 0 and of.any() and min(cells[a], cells[b]) < _TINY:
-                    found.append((-np.clip(bends[of], 0.0, _FULL).mean(), (a, b), True))
+                    stepped = np.mean(bends[of] == _STEP)
+                    found.append((-np.clip(bends[of], 0.0, _FULL).mean() - stepped, (a, b), True))
                 if step > 0:
                     key = groups[a], groups[b]
                     if key not in rated:

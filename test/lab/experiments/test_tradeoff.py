@@ -170,6 +170,7 @@ def test_the_frontier_holds_what_nothing_beats_and_of_equals_of_the_best_the_fas
     assert [row["variant"] for row in frontier([*rows, late, none], panel)] == ["mean", "quick", "slow", "fast"]
 
 
+@pytest.mark.slow
 def test_models_are_measured_on_each_split_and_timed() -> None:
     area = tradeoff_model.EXPERIMENT
     settings = TradeoffSettings(requests=(1, 2), bootstrap=QUICK)

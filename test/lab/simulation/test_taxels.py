@@ -229,7 +229,7 @@ def test_groups_of_another_sensor_are_refused_by_name(tmp_path: Path) -> None:
         ({"fingers": {"sensor": str(tmp_path / "volume.yaml")}}, "V: is not a force that can be simulated"),
         ({"fingers": {"sensor": str(tmp_path / "open.yaml")}}, "X: has neither the unit N or Pa nor a range"),
         ({"fingers": {"sensor": str(tmp_path / "dead.yaml")}}, "dead: half of the taxels of a finger or more"),
-        ({"fingers": USKIN, "campaign": {}}, "campaign: its drift is that of the BioTac SP"),
+        ({"fingers": USKIN, "campaign": {}}, "campaign: its drift is for the BioTac SP"),
     ]
 
     def check(groups: dict[str, Any], message: str) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from contact_model_builders import HAND, cylinder, lines_sheets_and_repeated_points, moved, patch, sphere
 from every_case import every_case, every_refusal
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
@@ -148,7 +148,8 @@ def test_a_contact_in_empty_space_is_described_by_zeros_and_what_shows_no_shape_
 
 
 @settings(max_examples=60, deadline=None)
-@given(found=lines_sheets_and_repeated_points(HERE))
-def test_lines_sheets_and_repeated_points_are_finite(found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-    points, g1, g2 = found
+@given(case=lines_sheets_and_repeated_points(HERE))
+def test_lines_sheets_and_repeated_points_are_finite(case: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    points, g1, g2 = case
+    assume((points != points[0]).any())  # in one place, they are refused
     assert np.isfinite(describe(points, Grasp(g1, g2, HAND))).all()

@@ -8,7 +8,8 @@ import pytest
 from foretouch.dataset.session_check import SessionCheck
 from foretouch.ros.recorder.check_feed import CheckFeed
 from foretouch.ros.recorder.subscriptions import InputTopic, SerializedMessage
-from foretouch.tactile.messages.table import TactileConfig, make_reader
+from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileConfig
 from foretouch_msgs.msg import BiotacAll
 
 pytestmark = pytest.mark.ros

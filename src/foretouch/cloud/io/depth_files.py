@@ -31,7 +31,6 @@ PAIRING: Final = (
 """The rule of folders, for help texts."""
 
 _LIMIT: Final = 1_000_000  # bytes of a file of intrinsics
-_IMAGE_LIMIT: Final = 500_000_000  # bytes of an image
 _DEPTH: Final = re.compile(r"(.+)[-_]depth|depth[-_](.+)", re.IGNORECASE)
 _MASKS: Final = ("mask", "label", "labels", "seg", "segmap")
 _INFOS: Final = ("info", "camera", "camera_info", "camera-info", "intrinsics", "meta")
@@ -83,24 +82,8 @@ class DepthCamera:
         return cloud
 
 
-def read_image(path: Path) -> AnyArray:
-    """Read the pixels of an image as they are stored, (H, W) or with colours (H, W, C); a `FileError` if it cannot be read."""
-    from PIL import Image, UnidentifiedImageError
-
-    if path.stat().st_size > _IMAGE_LIMIT:
-        raise FileError(path, f"has more than {_IMAGE_LIMIT} bytes")
-    try:
-        with Image.open(path) as image:
-            count = int(getattr(image, "n_frames", 1))
-            if count > 1:
-                raise FileError(path, f"holds {count} images, not one", field="depth")
-            return np.asarray(image)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as err:
-        raise FileError(path, f"depth: cannot be read: {described(err)}") from err
-
-
 def _as_depth(depth: AnyArray) -> AnyArray:
-    """The image without sides of length one, whole numbers as uint16 where they fit, and half floats as float32."""
+    """Return the image without sides of length one, whole numbers as uint16 where they fit, and half floats as float32."""
     if depth.ndim == 3 and 1 in (depth.shape[0], depth.shape[2]):
         depth = depth.squeeze(2 if depth.shape[2] == 1 else 0)
     if (
@@ -115,7 +98,7 @@ def _as_depth(depth: AnyArray) -> AnyArray:
 
 
 def _row_major(matrix: AnyArray) -> AnyArray:
-    """Intrinsics by rows; those of Open3D are by columns."""
+    """Return the intrinsics by rows; those of Open3D are by columns."""
     if matrix.size == 9:
         matrix = matrix.reshape(3, 3)
         if not matrix[:2, 2].any() and matrix[2, :2].any():
@@ -124,7 +107,7 @@ def _row_major(matrix: AnyArray) -> AnyArray:
 
 
 def _distortion(facts: Mapping[str, Any]) -> AnyArray | None:
-    """The coefficients of OpenCV's models, if there are any; a `CloudError` for a model that cannot be undone."""
+    """Return the coefficients of OpenCV's models, if there are any; a `CloudError` for a model that cannot be undone."""
     coefficients = next(
         (np.ravel(facts[name]).astype(np.float64) for name in _NAMES_OF_D if facts.get(name) is not None), None
     )
@@ -135,13 +118,13 @@ def _distortion(facts: Mapping[str, Any]) -> AnyArray | None:
 
 
 def _scale(facts: Mapping[str, Any]) -> float | None:
-    """Metres per unit by a file, which states it (RealSense) or its inverse (Open3D, GraspNet); None if it does not."""
+    """Return metres per unit by a file, which states it (RealSense) or its inverse (Open3D, GraspNet); None if it does not."""
     scale = next((float(np.ravel(facts[name])[0]) for name in _NAMES_OF_SCALE if name in facts), None)
     return 1.0 / scale if scale is not None and scale > 1.0 else scale
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """What a file states of a camera, by name; a `FileError` if it cannot be read or holds no intrinsics."""
+    """Return what a file states of a camera, by name; a `FileError` if it cannot be read or holds no intrinsics."""
     path, suffix = require_existing(path), path.suffix.lower()
     if suffix not in INFO_SUFFIXES:
         raise FileError(path, f"suffix: {none_of(suffix, INFO_SUFFIXES)}")

@@ -41,11 +41,23 @@ def decode_depth(message: Any) -> AnyArray:
     Raises:
         CloudError: If it is no depth image, or damaged. The message names the field and the rule.
     """
-    return _raw(message) if hasattr(message, "encoding") else _compressed(message)
+    return image_pixels(message, _pixel(message.encoding)) if hasattr(message, "encoding") else _compressed(message)
 
 
-def _raw(message: Any) -> AnyArray:
-    kind = np.dtype(_pixel(message.encoding)).newbyteorder(">" if message.is_bigendian else "<")
+def image_pixels(message: Any, pixel: str) -> AnyArray:
+    """View the pixels of a `sensor_msgs/Image` with one number each.
+
+    Args:
+        message: The image.
+        pixel: Type of a pixel in NumPy's letters, such as `u2`.
+
+    Returns:
+        (H, W) in the byte order of the message, which must stay unchanged as long as they are used.
+
+    Raises:
+        CloudError: If sizes and bytes do not fit together.
+    """
+    kind = np.dtype(pixel).newbyteorder(">" if message.is_bigendian else "<")
     height, width, step = message.height, message.width, message.step
     _check_size(height, width)
     if step < width * kind.itemsize:
@@ -79,7 +91,7 @@ def _compressed(message: Any) -> AnyArray:
 
 
 def _from_png(data: UInt8) -> AnyArray:
-    """A greyscale PNG of 16 bits; its size is checked before anything is decoded."""
+    """Return a greyscale PNG of 16 bits; its size is checked before anything is decoded."""
     head = data[:26].tobytes()
     if len(head) < 26 or not head.startswith(_PNG):
         raise CloudError("data: is no PNG")
@@ -127,12 +139,12 @@ def _bytes(data: Any) -> UInt8:
 
 
 def is_rectified(topic: str) -> bool:
-    """Whether images on a topic are rectified by the rule of ROS, `image_rect…`: their info describes the raw ones too."""
+    """Return whether images on a topic are rectified by the rule of ROS, `image_rect…`: their info describes the raw ones too."""
     return topic.removesuffix("/compressedDepth").rpartition("/")[2].startswith("image_rect")
 
 
 def info_topic(topic: str) -> str:
-    """The topic of the camera infos of the images on a topic: `camera_info` beside it."""
+    """Return the topic of the camera infos of the images on a topic: `camera_info` beside it."""
     return topic.removesuffix("/compressedDepth").rpartition("/")[0] + "/camera_info"
 
 
@@ -301,14 +313,14 @@ def _alternates(known: _Known, now_s: float) -> bool:
 
 
 def _place(info: Any) -> tuple[str, int, int]:
-    """Frame, rows and columns of the images of an info."""
+    """Return frame, rows and columns of the images of an info."""
     roi = info.roi
     height, width = roi.height or info.height, roi.width or info.width
     return info.header.frame_id, height // max(1, info.binning_y), width // max(1, info.binning_x)
 
 
 def _key(info: Any) -> bytes:
-    """What two infos of the same camera have in common."""
+    """Return what two infos of the same camera have in common."""
     roi = info.roi
     numbers = [*(np.asarray(_either(info, name), np.float64).tobytes() for name in "kpd")]
     size = (info.height, info.width, info.binning_x, info.binning_y, roi.x_offset, roi.y_offset, roi.height, roi.width)

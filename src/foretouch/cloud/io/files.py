@@ -18,7 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, DepthCamera, read_image
+from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, DepthCamera
+from foretouch.cloud.io.mask_files import read_image
 from foretouch.cloud.io.point_files import SIZE_LIMIT, check_unpacked, read_pcd, read_ply, write_pcd, write_ply
 from foretouch.errors import CloudError, FileError, described, shown
 from foretouch.files import read_bytes, system_errors
@@ -94,7 +95,7 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
 
 
 def read_arrays(path: Path, required: Collection[str], optional: Collection[str] | None = None) -> dict[str, AnyArray]:
-    """Some arrays of an `.npz` archive by name, or all; a `FileError` if it is damaged or a required one is missing."""
+    """Return some arrays of an `.npz` archive by name, or all; a `FileError` if it is damaged or a required one is missing."""
     content = read_bytes(path, SIZE_LIMIT)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -112,9 +113,9 @@ def read_arrays(path: Path, required: Collection[str], optional: Collection[str]
 
 
 def _read_numbers(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
-    """The cloud in an image or a file of NumPy, whose points are x, y, z or the depth of pixels."""
+    """Return the cloud in an image or a file of NumPy, whose points are x, y, z or the depth of pixels."""
     if suffix in IMAGE_SUFFIXES:
-        return camera.cloud(path, read_image(path))
+        return camera.cloud(path, read_image(path, "depth"))
     if suffix == ".npy":
         array = _array(path, read_bytes(path, SIZE_LIMIT))
         depth = array.ndim in (2, 3) and array.shape[1] > _POINT_WIDTH and array.shape[-1] != 3  # else a list of points
@@ -129,7 +130,7 @@ def _read_numbers(path: Path, suffix: str, camera: DepthCamera) -> Cloud:
 
 
 def archived_cloud(path: Path, arrays: Mapping[str, AnyArray]) -> Cloud:
-    """The cloud in the arrays xyz, rgb, frame_id and stamp_ns of an archive; a `FileError` if one is not such an array."""
+    """Return the cloud in the arrays xyz, rgb, frame_id and stamp_ns of an archive; a `FileError` if one is not such an array."""
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U" or frame_id.dtype.itemsize > 4 * _FRAME_LIMIT:
         raise FileError(path, f"is not one text of at most {_FRAME_LIMIT} characters", field="frame_id")

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read the labels of a mask: from a label image, an array of NumPy, or a `sensor_msgs/Image`."""
+"""Read images with a number a pixel, and the labels of a mask: from an image, an array of NumPy, or a `sensor_msgs/Image`."""
 
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.errors import CloudError, FileError, none_of
+from foretouch.cloud.io.depth_messages import image_pixels
+from foretouch.errors import CloudError, FileError, described, none_of
 from foretouch.files import require_existing, system_errors
 from foretouch.types import AnyArray
 
 MASK_SUFFIXES: Final = (".png", ".npy", ".npz", ".tif", ".tiff", ".bmp")
-_ENCODINGS: Final = {"mono8": np.uint8, "8UC1": np.uint8, "mono16": np.uint16, "16UC1": np.uint16}
+_ENCODINGS: Final = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
 _NAMES: Final = ("mask", "label", "labels", "segmap")  # of the array in an .npz file
-_MODES: Final = ("1", "L", "P", "I", "I;16", "I;16B", "I;16L", "I;16N")  # of Pillow: one number a pixel
+_LIMIT: Final = 500_000_000  # bytes of an image
 
 
 def read_mask(path: str | Path) -> AnyArray:
@@ -34,7 +35,10 @@ def read_mask(path: str | Path) -> AnyArray:
     if suffix not in MASK_SUFFIXES:
         raise FileError(path, f"suffix: {none_of(suffix, MASK_SUFFIXES)}")
     if suffix not in (".npy", ".npz"):
-        return _image(path)
+        pixels = read_image(path, "mask")
+        if pixels.ndim != 2:
+            raise FileError(path, "mask: an image with colours; write one label a pixel (8 or 16 bit grey)")
+        return pixels
     try:
         with system_errors(path, "cannot be read"):
             loaded = np.load(path, allow_pickle=False)
@@ -48,6 +52,33 @@ def read_mask(path: str | Path) -> AnyArray:
             return array
     except (ValueError, EOFError, OSError) as err:
         raise FileError(path, f"mask: cannot be read: {' '.join(str(err).split())}") from err
+
+
+def read_image(path: Path, field: str) -> AnyArray:
+    """Read the pixels of an image as they are stored.
+
+    Args:
+        path: The image.
+        field: What it is of, for the error message, such as `depth`.
+
+    Returns:
+        (H, W), or with colours (H, W, C).
+
+    Raises:
+        FileError: If it cannot be read, or holds several images.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    if path.stat().st_size > _LIMIT:
+        raise FileError(path, f"has more than {_LIMIT} bytes")
+    try:
+        with Image.open(path) as image:
+            count = int(getattr(image, "n_frames", 1))
+            if count > 1:
+                raise FileError(path, f"holds {count} images, not one", field=field)
+            return np.asarray(image)
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as err:
+        raise FileError(path, f"{field}: cannot be read: {described(err)}") from err
 
 
 def decode_mask(message: Any) -> AnyArray:
@@ -64,26 +95,8 @@ def decode_mask(message: Any) -> AnyArray:
     """
     if message.encoding not in _ENCODINGS:
         raise CloudError(f"mask: encoding: {none_of(message.encoding, _ENCODINGS)}")
-    dtype = np.dtype(_ENCODINGS[message.encoding]).newbyteorder(">" if message.is_bigendian else "<")
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    data = np.frombuffer(memoryview(message.data), np.uint8)
-    if step < width * dtype.itemsize or data.size != height * step:
-        raise CloudError(
-            f"mask: {data.size} bytes with step {step} are not {height} rows of {width} pixels of {dtype.itemsize} bytes"
-        )
-    rows = np.ascontiguousarray(data.reshape(height, step)[:, : width * dtype.itemsize]).view(dtype)
-    return rows.astype(dtype.newbyteorder("="))
-
-
-def _image(path: Path) -> AnyArray:
-    from PIL import Image, UnidentifiedImageError
-
     try:
-        with Image.open(path) as image:
-            if image.mode not in _MODES:
-                raise FileError(
-                    path, f"mask: an image of mode {image.mode} has colours; write one label a pixel (8 or 16 bit grey)"
-                )
-            return np.asarray(image)
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as err:
-        raise FileError(path, f"mask: cannot be read: {' '.join(str(err).split())}") from err
+        pixels = image_pixels(message, _ENCODINGS[message.encoding])
+    except CloudError as err:
+        raise CloudError(f"mask: {err}") from err
+    return pixels.astype(pixels.dtype.newbyteorder("="))

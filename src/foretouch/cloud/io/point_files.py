@@ -86,7 +86,7 @@ def write_pcd(path: Path, cloud: Cloud) -> None:
 
 
 def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
-    """The words of each line by its first, and where the data begin."""
+    """Return the words of each line by its first, and where the data begin."""
     entries: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in entries:
@@ -104,7 +104,7 @@ def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
 
 
 def _pcd_dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
-    """Of one point, unaligned, little-endian; padding gets names that no field can have."""
+    """Make the type of a point, unaligned, little-endian; padding gets names that no field can have."""
     fields = entries["FIELDS"]
     columns = [fields, entries["TYPE"], entries["SIZE"], entries.get("COUNT", ["1"] * len(fields))]
     for name, values in zip(("TYPE", "SIZE", "COUNT"), columns[1:], strict=True):
@@ -123,7 +123,7 @@ def _pcd_dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
 
 
 def _unpacked(path: Path, body: bytes, dtype: np.dtype[Any], points: int) -> _Records:
-    """The records of compressed data, which start with their sizes before and after compression."""
+    """Return the records of compressed data, which start with their sizes before and after compression."""
     if points == 0:
         return np.zeros(0, dtype)
     packed, unpacked = struct.unpack_from("<II", body.ljust(8, b"\0"))
@@ -149,7 +149,7 @@ def _unpacked(path: Path, body: bytes, dtype: np.dtype[Any], points: int) -> _Re
 
 
 def _colours(records: _Records) -> UInt8 | None:
-    """(N, 3) from four packed bytes: blue lowest, then green and red."""
+    """Return (N, 3) from four packed bytes: blue lowest, then green and red."""
     name = next((name for name in ("rgb", "rgba") if name in (records.dtype.names or ())), None)
     if name is None:
         return None
@@ -231,7 +231,7 @@ class _Element:
 
 
 def _ply_header(path: Path, text: str) -> tuple[str, dict[str, _Element], dict[str, int]]:
-    """The format, the elements by name in order, and the shape of the image."""
+    """Return the format, the elements by name in order, and the shape of the image."""
     encoding = ""
     elements: dict[str, _Element] = {}
     shape: dict[str, int] = {}
@@ -257,7 +257,7 @@ def _ply_header(path: Path, text: str) -> tuple[str, dict[str, _Element], dict[s
 
 
 def _ply_numbers(path: Path, body: bytes, needed: Sequence[_Element]) -> bytes:
-    """The numbers of a text as float64: lines have no meaning in PLY."""
+    """Return the numbers of a text as float64: lines have no meaning in PLY."""
     expected = sum(
         element.count * len(element.properties) for element in needed
     )  # of which lists may be empty, of one number
@@ -281,7 +281,7 @@ class _PlyData:
         self._path, self._body, self._order, self._start = path, body, order, 0
 
     def read(self, element: _Element) -> tuple[_Records, list[int]]:
-        """The (count,) records of single numbers, and the first entry of the first list of each, -1 of an empty one."""
+        """Return the (count,) records of single numbers, and the first entry of the first list of each, -1 of an empty one."""
         single = np.dtype([(part.name, self._dtype(part.kind)) for part in element.properties if not part.counted])
         if not any(part.counted for part in element.properties):
             size = element.count if single.itemsize else 0
@@ -315,7 +315,7 @@ class _PlyData:
 
 
 def _on_grid(path: Path, cloud: Cloud, index: list[int], shape: tuple[int, int, int]) -> Cloud:
-    """The image whose pixels are vertices by their number, -1 of a pixel without depth, as in Stanford's range scans."""
+    """Return the image whose pixels are vertices by their number, -1 of a pixel without depth, as in Stanford's range scans."""
     place = np.array(index, np.int64)
     if place.max(initial=-1) >= cloud.size:
         raise FileError(path, f"there is no vertex {place.max()}, only {cloud.size}", field="range_grid")
@@ -329,7 +329,7 @@ def _on_grid(path: Path, cloud: Cloud, index: list[int], shape: tuple[int, int, 
 
 
 def _whole_number(path: Path, text: str, field: str) -> int:
-    """A number of a header; a `FileError` if it is not a whole number below 2^31."""
+    """Return a number of a header; a `FileError` if it is not a whole number below 2^31."""
     if not text.isdecimal():
         raise FileError(path, f"{shown(text)!r} is not a whole number", field=field)
     digits = text.lstrip("0") or "0"
@@ -346,7 +346,7 @@ def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
 
 
 def _point_dtype(path: Path, parts: Sequence[tuple[Any, ...]], field: str) -> np.dtype[Any]:
-    """The type of a point from name, kind and perhaps shape of its parts; a `FileError` if there is none, or no x, y, z."""
+    """Return the type of a point from name, kind and perhaps shape of its parts; a `FileError` if there is none, or no x, y, z."""
     try:
         dtype = np.dtype(list(parts))
     except (ValueError, TypeError) as err:
@@ -360,7 +360,7 @@ def _point_dtype(path: Path, parts: Sequence[tuple[Any, ...]], field: str) -> np
 
 
 def _records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str, *, text: bool) -> _Records:
-    """The first records of some bytes, or those of a text with a line each; a `FileError` if there are fewer."""
+    """Return the first records of some bytes, or those of a text with a line each; a `FileError` if there are fewer."""
     width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
     expected = points * (2 * width if text else dtype.itemsize)
     if len(body) + text < expected or (text and points and not body.strip()):
@@ -383,7 +383,7 @@ def _records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: 
 
 
 def _to_cloud(records: _Records, rgb: UInt8 | None, height: int, width: int) -> Cloud:
-    """The fields x, y, z and colours (N, 3), as an image if it has several rows."""
+    """Return the fields x, y, z and colours (N, 3), as an image if it has several rows."""
     shape = (height, width, 3) if height > 1 and width else (len(records), 3)
     with np.errstate(over="ignore"):
         xyz = np.stack([records[name].astype(np.float32) for name in "xyz"], axis=-1)

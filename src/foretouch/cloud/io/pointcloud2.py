@@ -27,7 +27,7 @@ _View = Callable[
 
 
 def decode(message: Any) -> tuple[Float32, UInt8 | None]:
-    """Coordinates and colours of a message.
+    """Return the coordinates and colours of a message.
 
     Args:
         message: Its `data` are `bytes`, `array.array`, `memoryview` or uint8 array. The result may be a view of them, so
@@ -67,7 +67,7 @@ def decode(message: Any) -> tuple[Float32, UInt8 | None]:
 
 
 def _checked_fields(message: Any) -> dict[str, Any]:
-    """The fields of a point by name; checks sizes, datatypes, and that fields lie within the point without overlap."""
+    """Return the fields of a point by name; checks sizes, datatypes, and that fields lie within the point without overlap."""
     for name in ("height", "width", "point_step", "row_step"):
         if getattr(message, name) < 0:
             raise CloudError(f"{name}: {getattr(message, name)} is negative")
@@ -124,7 +124,7 @@ def _rgb(view: _View, fields: Mapping[str, Any], big: bool) -> UInt8 | None:
 
 
 def encode(cloud: Cloud, **columns: AnyArray) -> SimpleNamespace:
-    """The fields of a message for a cloud, but for its header.
+    """Return the fields of a message for a cloud, but for its header.
 
     Args:
         cloud: Organised or not; a point takes 12 bytes (x, y, z), with colour 16 (and `rgb`,

@@ -42,23 +42,21 @@ def find_background(
         The index in `REASONS` of each label of each window, and the (n, 3) outline of the table [m], empty if it is not seen.
     """
     labels, count = np.zeros(coarse.shape[:2], np.int32), 1
-    for one in windows:
-        part = one.labels[::stride, ::stride]
-        at = np.s_[one.rows // stride :, one.columns // stride :]
+    for window in windows:
+        part = window.labels[::stride, ::stride]
+        at = np.s_[window.rows // stride :, window.columns // stride :]
         view = labels[at][: part.shape[0], : part.shape[1]]
         np.copyto(view, part + np.int32(count - 1), where=part > 0)
-        count += one.n_labels
-    reasons, outline, found = (
-        np.zeros(count, np.int64),
-        np.empty((4 * len(coarse) + 2, 2), np.float32),
-        np.empty(1, np.int64),
-    )
+        count += window.n_labels
+    reasons = np.zeros(count, np.int64)
+    outline = np.empty((4 * len(coarse) + 2, 2), np.float32)
+    n_corners = np.empty(1, np.int64)
     plane = threshold.plane
     settings = [*plane.coefficients, _LEVEL_M, threshold.noise_per_m, _BELOW_M, _BORDER, _FOOT_M, _FLAT_M]
-    _find(coarse, *labels.shape, labels, count, pitch, np.array(settings), reasons, outline, found)
-    if found[0] < 0:
+    _find(coarse, *labels.shape, labels, count, pitch, np.array(settings), reasons, outline, n_corners)
+    if n_corners[0] < 0:
         raise MemoryError("find_background")
-    rays = np.append(outline[: found[0]].astype(np.float64), np.ones((found[0], 1)), axis=1)
-    starts = np.cumsum([1, *(one.n_labels for one in windows)])
-    parts = [np.append(0, reasons[start : start + one.n_labels]) for start, one in zip(starts, windows, strict=False)]
+    rays = np.append(outline[: n_corners[0]].astype(np.float64), np.ones((n_corners[0], 1)), axis=1)
+    ends = np.cumsum([window.n_labels for window in windows], dtype=np.int64)
+    parts = [np.append(0, some) for some in np.split(reasons[1:], ends[:-1])]
     return parts, rays * (-plane.offset / (rays @ plane.normal))[:, None]

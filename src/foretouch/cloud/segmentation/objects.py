@@ -76,8 +76,8 @@ def extract_objects(
     rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)  # once, not for each window: it may be a copy
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
-    found: list[tuple[float, int, int, Segment]] = []  # distance, window and label, by which they are sorted
-    behind, rejected = found.copy(), []
+    standing: list[tuple[float, int, int, Segment]] = []  # distance, window and label, by which they are sorted
+    behind, rejected = standing.copy(), []
     for number, window in enumerate(windows):
         for label, segment, top_m in _segments(flat, window, image.shape[1], threshold.plane):
             reason = REASONS[reasons[number][label]] if reasons else ""
@@ -85,20 +85,20 @@ def extract_objects(
             if reason == ENTERS or (reason and sized):
                 behind.append((segment.distance_m, number, label, replace(segment, background=reason)))
             elif sized:
-                found.append((segment.distance_m, number, label, segment))
+                standing.append((segment.distance_m, number, label, segment))
             else:
                 rejected.append(segment.n_points)
-    found.sort(key=lambda one: one[:3])
-    behind.sort(key=lambda one: one[:3])
+    standing.sort(key=lambda entry: entry[:3])
+    behind.sort(key=lambda entry: entry[:3])
     ids = [np.zeros(window.n_labels + 1, np.int32) for window in windows]
-    for k, (_, number, label, _) in enumerate(found, 1):
+    for k, (_, number, label, _) in enumerate(standing, 1):
         ids[number][label] = k
-    labelled = sum(_write_ids(image, *one) for one in zip(windows, ids, strict=True))
-    objects = tuple(replace(segment, id=k) for k, (*_, segment) in enumerate(found, 1))
+    labelled = sum(_write_ids(image, *entry) for entry in zip(windows, ids, strict=True))
+    objects = tuple(replace(segment, id=k) for k, (*_, segment) in enumerate(standing, 1))
     background = tuple(segment for *_, segment in behind)
     used = sum(segment.n_points for segment in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
-    counts |= {"n_background": len(background)} | Counter(f"n_{one.background}" for one in background)
+    counts |= {"n_background": len(background)} | Counter(f"n_{entry.background}" for entry in background)
     return objects, background, counts
 
 
@@ -109,8 +109,8 @@ def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterat
     columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
     place = (*window.labels.shape, window.rows, window.columns)
     solid, table = window.solid.view(np.uint8), plane.coefficients.astype(np.float32)
-    found = (ends, pixels, points, columns, bounds, tops)
-    _collect_members(window.labels, solid, *place, flat.xyz, width, table, window.n_labels, *found)
+    members = (ends, pixels, points, columns, bounds, tops)
+    _collect_members(window.labels, solid, *place, flat.xyz, width, table, window.n_labels, *members)
     start = 0
     for cluster, end in enumerate(ends.tolist()):
         if end > start:
@@ -196,7 +196,7 @@ def select_targets(
     if config.mode == "point":
         point = np.asarray(config.point)
         apart = [obj.cloud.xyz.astype(np.float64) - point for obj in objects]
-        distances = [float(np.sqrt((one * one).sum(axis=1).min())) for one in apart]
+        distances = [float(np.sqrt((steps * steps).sum(axis=1).min())) for steps in apart]
         at = f"the point ({', '.join(f'{p:g}' for p in config.point)})"
         where, nearest = at, min(distances)
         if nearest > config.tolerance_m:
@@ -230,7 +230,7 @@ def select_free(
     """
     free: list[Segment] = []
     blocked: list[tuple[float, Segment, str]] = []
-    for obj in sorted(objects, key=lambda one: one.distance_m)[: config.max_objects]:
+    for obj in sorted(objects, key=lambda entry: entry.distance_m)[: config.max_objects]:
         if free and obj.distance_m - free[0].distance_m >= config.margin_m:
             break
         lost, why = loss(obj)
@@ -240,7 +240,7 @@ def select_free(
             blocked.append((lost, obj, f"object {obj.id} {why}"))
     notes = [note for *_, note in blocked]
     if not free:
-        least = min(blocked, key=lambda one: one[0])[1]
+        least = min(blocked, key=lambda entry: entry[0])[1]
         return [least], f"no object is free: {'; '.join(notes)}; object {least.id} is hindered least"
     chosen, tie = select_targets(free, config.updated({"mode": "nearest"}), previous)
     return chosen, "; ".join([tie] * bool(tie) + notes)

@@ -95,19 +95,19 @@ def split_clusters(
     counts = dict.fromkeys(SPLIT_COUNTS, 0)
     if config.angle_deg >= 180.0 or not windows or pitch <= 0.0:
         return list(windows), counts
-    one = _in_one_window(windows) if len(windows) > 1 else windows[0]
-    view, (h, w) = xyz[one.rows :, one.columns :], one.labels.shape
-    first = xyz.reshape(-1, 3)[one.rows * xyz.shape[1] + one.columns :]
+    window = _in_one_window(windows) if len(windows) > 1 else windows[0]
+    view, (h, w) = xyz[window.rows :, window.columns :], window.labels.shape
+    first = xyz.reshape(-1, 3)[window.rows * xyz.shape[1] + window.columns :]
     coarse = np.s_[::_STRIDE, ::_STRIDE]
-    depths = view[:h, :w, 2][coarse][one.solid[coarse]]
+    depths = view[:h, :w, 2][coarse][window.solid[coarse]]
     if not len(depths):
         return list(windows), counts
     depth = float(np.median(depths))
     side = pitch * depth  # of a pixel [m]
-    arm, found = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
+    arm, numbers = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
-    _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, one.labels, found)
-    if found[:2].max() < _FEW:
+    _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, window.labels, numbers)
+    if numbers[:2].max() < _FEW:
         return list(windows), counts
     least = _UNKNOWN_CELL_PER_M if threshold.noise_per_m < _NO_NOISE else _CELL_PER_M
     cell_m = max(config.cell_m, max(least, _CELL_NOISE * threshold.noise_per_m) * depth**2)
@@ -120,16 +120,16 @@ def split_clusters(
         *threshold.plane.coefficients,
         pitch * cell,
     ]
-    labels, trees = one.labels.copy(), _trees()
+    labels, trees = window.labels.copy(), _trees()
     tree_depth = (trees.shape[1] // 3 + 1).bit_length() - 1
-    image = first, xyz.shape[1], h, w, cell, np.array(settings), one.solid.view(np.uint8), labels
-    _split(*image, found, trees, len(trees), tree_depth, _NO_ROWS, 0)
-    if found[0] < 0:
+    image = first, xyz.shape[1], h, w, cell, np.array(settings), window.solid.view(np.uint8), labels
+    _split(*image, numbers, trees, len(trees), tree_depth, _NO_ROWS, 0)
+    if numbers[0] < 0:
         raise MemoryError("split_clusters")
-    parts, *joined, _ = found.tolist()
-    clusters = int(np.count_nonzero(np.bincount(one.labels.ravel())[1:]))
+    parts, *joined, _ = numbers.tolist()
+    clusters = int(np.count_nonzero(np.bincount(window.labels.ravel())[1:]))
     counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
-    return [Clusters(labels, one.solid & (labels > 0), parts, one.rows, one.columns)], counts
+    return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns)], counts
 
 
 def split_list(
@@ -152,10 +152,10 @@ def split_list(
     image = np.where(shown[..., None] >= 0, points[shown], np.float32(np.nan))
     labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
     wide = config.updated({"cell_m": max(config.cell_m, _LIST_CELL_M)})
-    found, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, wide)
+    split, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, wide)
     if not counts["parts"]:
         return list(windows), counts
-    parts, front = found[0].labels[tuple(at.T)], shown[tuple(at.T)]
+    parts, front = split[0].labels[tuple(at.T)], shown[tuple(at.T)]
     hidden = (np.abs(points[:, 2] - points[front, 2]) > _STEP_M) | (clusters != clusters[front]) | (parts == 0)
     if hidden.any():
         from scipy.spatial import cKDTree
@@ -163,7 +163,7 @@ def split_list(
         parts[hidden] = parts[~hidden][cKDTree(points[~hidden]).query(points[hidden])[1]]
     every = np.zeros((1, len(xyz)), np.int32)
     every[0, rows] = parts
-    return [Clusters(every, every > 0, found[0].n_labels)], counts
+    return [Clusters(every, every > 0, split[0].n_labels)], counts
 
 
 def _filled_pixels(place: Float32) -> tuple[float, Int64]:
@@ -179,16 +179,16 @@ def _filled_pixels(place: Float32) -> tuple[float, Int64]:
 
 def _in_one_window(windows: Sequence[Clusters]) -> Clusters:
     """Windows of an image as one, whose labels are all different."""
-    top, left = min(one.rows for one in windows), min(one.columns for one in windows)
-    bottom = max(one.rows + one.labels.shape[0] for one in windows)
-    right = max(one.columns + one.labels.shape[1] for one in windows)
+    top, left = min(window.rows for window in windows), min(window.columns for window in windows)
+    bottom = max(window.rows + window.labels.shape[0] for window in windows)
+    right = max(window.columns + window.labels.shape[1] for window in windows)
     labels, count = np.zeros((bottom - top, right - left), np.int32), 0
     solid = np.zeros(labels.shape, np.bool_)
-    for one in windows:
-        h, w = one.labels.shape
-        part = np.s_[one.rows - top : one.rows - top + h, one.columns - left : one.columns - left + w]
-        found = one.labels > 0
-        np.copyto(labels[part], one.labels + np.int32(count), where=found)
-        np.copyto(solid[part], one.solid, where=found)
-        count += one.n_labels
+    for window in windows:
+        h, w = window.labels.shape
+        part = np.s_[window.rows - top : window.rows - top + h, window.columns - left : window.columns - left + w]
+        labelled = window.labels > 0
+        np.copyto(labels[part], window.labels + np.int32(count), where=labelled)
+        np.copyto(solid[part], window.solid, where=labelled)
+        count += window.n_labels
     return Clusters(labels, solid, count, top, left)

@@ -114,7 +114,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     ms: dict[str, float] = {}
     with timed(ms, "total"):
         cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
-        status, reason, plane, objects, background, outline, labels = _segment_list(cloud, config, counts, ms)
+        status, reason, plane, objects, background, outline, labels = _of_imagelist(cloud, config, counts, ms)
         if status != "ok" and cloud.camera is None and (frame := not_optical(cloud.xyz)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
@@ -126,7 +126,7 @@ _Objects = tuple[Segment, ...]
 _Result = tuple[SegmentationStatus, str, Plane | None, _Objects, _Objects, Float64, Int32]
 
 
-def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
+def _of_imagelist(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
     """As `_segment`; a list of the points of an image, in any order, is processed as that image."""
     if cloud.organised or cloud.size > _LARGEST_LIST:
         return _segment(cloud, config, counts, ms)
@@ -140,15 +140,17 @@ def _segment_list(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
     labels = np.zeros(cloud.size, np.int32)
     labelled = np.flatnonzero(image_labels)
     labels[image.place[labelled]] = image_labels.reshape(-1)[labelled]
-    listed, others = (tuple(_listed(one, cloud, image.place) for one in some) for some in (objects, background))
+    listed, others = (
+        tuple(_listed(of_image, cloud, image.place) for of_image in some) for some in (objects, background)
+    )
     return status, reason, plane, listed, others, outline, labels
 
 
-def _listed(one: Segment, cloud: Cloud, place: Int32) -> Segment:
+def _listed(of_image: Segment, cloud: Cloud, place: Int32) -> Segment:
     """An object of an image as one of the list of its points, by the row of each pixel in that list."""
-    pixels = np.sort(place[one.pixels]).astype(np.int64)
+    pixels = np.sort(place[of_image.pixels]).astype(np.int64)
     rgb = None if cloud.rgb is None else cloud.rgb[pixels]
-    return replace(one, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
+    return replace(of_image, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
 
 
 def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
@@ -197,8 +199,8 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         if rays is not None:
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):
-        objects, background, found = extract_objects(cloud, windows, threshold, limits, labels, reasons)
-        counts |= found
+        objects, background, numbers = extract_objects(cloud, windows, threshold, limits, labels, reasons)
+        counts |= numbers
     reason = "" if objects else _why_no_object(counts["n_rejected"], counts["n_background"], limits)
     return "ok" if objects else "no_object", reason, plane, objects, background, outline, labels
 

@@ -93,7 +93,7 @@ class SampleAssembler:
     # State.
 
     def sensor_states(self, now_s: float) -> dict[str, str]:
-        """State by finger, and of the camera: `alive`, `no data`, or the fault."""
+        """Return the state by finger, and of the camera: `alive`, `no data`, or the fault."""
         return {**self._health.states, "camera": ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA}
 
     @property
@@ -102,7 +102,7 @@ class SampleAssembler:
         return self._episodes.held_ns
 
     def expects_grasp(self, now_s: float) -> bool:
-        """Whether a grasp is being executed, as far as the fingers show, or is not complete yet."""
+        """Return whether a grasp is being executed, as far as the fingers show, or is not complete yet."""
         return len(self._episodes.touching) > 1 or self.matcher.expects_grasp(now_s)
 
     # Input.
@@ -164,7 +164,7 @@ class SampleAssembler:
     # Output.
 
     def poll(self, now_s: float, *, ending: bool = False) -> list[AssembledSample | RejectedGrasp]:
-        """The samples and rejected grasps that are complete by now; at the end, all."""
+        """Return the samples and rejected grasps that are complete by now; at the end, all."""
         if now_s - self._last_tactile_s > _TACTILE_TIMEOUT_S:
             self._health.silence()
         results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled]
@@ -187,7 +187,7 @@ class SampleAssembler:
         return results
 
     def _remove(self, clouds: list[BufferedCloud]) -> None:
-        """Clouds that left the buffer may become samples without a touch."""
+        """Turn clouds that left the buffer into samples without a touch."""
         every_s = self.config.unlabelled_s
         for cloud in clouds:
             plan, last = self.matcher.forget_plan(cloud.stamp_ns), self._last_unlabelled_ns
@@ -235,11 +235,11 @@ class SampleAssembler:
         )
 
     def _object_at(self, stamp_ns: int) -> str:
-        """Label of the object on the table at a time, such as when the hand began to close; by default the first."""
+        """Return the label of the object on the table at a time, such as when the hand began to close; by default the first."""
         return next((label for since, label in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
 
     def _temperatures(self, cut: TouchCut) -> dict[str, float]:
-        """Temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
+        """Return the temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
         temperatures: dict[str, float] = {}
         for prefix, row in (("", cut.others), ("tare_", cut.tare_others)):
             named = zip(self._reader.others, row, strict=True)
@@ -262,7 +262,7 @@ class SampleAssembler:
 
 
 def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...], str]:
-    """The grasp, the others planned on the same object, and which of these cannot be decoded and why."""
+    """Return the grasp, the others planned on the same object, and which of these cannot be decoded and why."""
     grasps, faults = [], {}
     for message in plan.grasps:
         try:
@@ -301,13 +301,13 @@ def _object_cloud(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Cloud:
 
 
 def _gap(cloud: Cloud, grasp: Grasp) -> float:
-    """Distance of the nearest point of an object from the middle of the contacts [m]."""
+    """Return the distance of the nearest point of an object from the middle of the contacts [m]."""
     apart = cloud.xyz.astype(np.float64) - grasp.midpoint
     return float(np.sqrt((apart * apart).sum(axis=1).min()))
 
 
 def _outcome(match: MatchedGrasp) -> Outcome:
-    """The outcome by the operator's label, else by the robot's report."""
+    """Return the outcome by the operator's label, else by the robot's report."""
     if match.label is not None and match.label.outcome != "unknown":
         return match.label.outcome
     success = match.executed.success

@@ -84,7 +84,7 @@ class TouchBuffer:
         return (reading,)
 
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
-        """The readings stamped in [low, high)."""
+        """Return the readings stamped in [low, high)."""
         rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
         return TouchWindow(
             np.array([r.stamp_ns for r in rows], np.int64),
@@ -144,7 +144,7 @@ class SerializedCloud:
     )
 
     def is_same(self, other: "SerializedCloud") -> bool:
-        """Whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
+        """Return whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
         if self.data == other.data:
             return True
         try:
@@ -182,7 +182,7 @@ class CloudBuffer:
         return len(self._clouds)
 
     def get(self, stamp_ns: int) -> BufferedCloud | None:
-        """The cloud of this stamp, None where there is none or it has been removed."""
+        """Return the cloud of this stamp, None where there is none or it has been removed."""
         return self._clouds.get(stamp_ns)
 
     def add(self, stamp_ns: int, message: SerializedCloud, now_s: float) -> list[BufferedCloud]:

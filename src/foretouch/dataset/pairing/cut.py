@@ -66,7 +66,7 @@ class Interval:
     release: int  # when the hand began to open
 
     def overlaps(self, other: "Interval") -> bool:
-        """Whether another one overlaps from start to release."""
+        """Return whether another one overlaps from start to release."""
         return self.start < other.release and other.start < self.release
 
 
@@ -143,7 +143,7 @@ def cut_touch(
 
 
 def _clock_offset_ns(window: TouchWindow, config: PairingConfig) -> int:
-    """Smallest difference of reception time and stamp [ns]: steady if clocks differ, varying if a computer is busy."""
+    """Return the smallest difference of reception time and stamp [ns]: steady if clocks differ, varying if a computer is busy."""
     behind = window.received_ns - window.stamps_ns
     least, most = int(behind.min()), int(behind.max())
     if abs(least) <= _ns(config.clock_s):
@@ -156,7 +156,7 @@ def _clock_offset_ns(window: TouchWindow, config: PairingConfig) -> int:
 
 
 def _longest_gap_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
-    """Longest time in [low, high] without a reading [ns]."""
+    """Return the longest time in [low, high] without a reading [ns]."""
     return int(np.diff(np.concatenate([[low_ns], window.stamps_ns, [high_ns]])).max())
 
 
@@ -191,12 +191,12 @@ def _flags(window: TouchWindow, onsets: tuple[int | None, ...], channels: Channe
 
 
 def may_freeze(values: Float32, tared: Bool) -> Bool:
-    """(...) whether (..., M) values of a finger that repeat are a fault; forces at rest may be zero for any time."""
+    """Return (...) whether (..., M) values of a finger that repeat are a fault; forces at rest may be zero for any time."""
     return np.asarray((tared | (values != 0.0)).any(axis=-1), np.bool_)
 
 
 def _longest_run_ns(same: Bool, stamps_ns: Int64) -> int:
-    """Longest time over which neighbouring readings are the same [ns]."""
+    """Return the longest time over which neighbouring readings are the same [ns]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     return max((int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)), default=0)
 

@@ -171,11 +171,11 @@ class GraspTouchMatcher:
     # Output.
 
     def expects_grasp(self, now_s: float) -> bool:
-        """Whether a grasp is not complete yet, or a contact has just ended that the robot may still report."""
+        """Return whether a grasp is not complete yet, or a contact has just ended that the robot may still report."""
         return bool(self.pending) or any(now_s - since_s <= self.config.wait_s for _, since_s in self._unclaimed)
 
     def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp | RejectedGrasp]:
-        """The grasps that are complete by now; at the end, all."""
+        """Return the grasps that are complete by now; at the end, all."""
         self._claim_late_episodes(now_s, ending=ending)
         ready = [pair for pair in self.pending if ending or self._is_ready(*pair, now_s)]
         self.pending = [pair for pair in self.pending if pair not in ready]

@@ -81,11 +81,11 @@ class SensorHealth:
             self.states[finger] = next(iter(touch_faults(touch, finger)), state)
 
     def silence(self) -> None:
-        """No reading has come for a while."""
+        """Set the state of both fingers after no reading has come for a while."""
         self.states = dict.fromkeys(self._channels.fingers, NO_DATA)
 
     def _state(self, finger: str, counts: Float32) -> str:
-        """Whether all values of a finger, or a single one with noise, are the same for too long."""
+        """Return whether all values of a finger, or a single one with noise, are the same for too long."""
         same = np.full(len(counts), False) if finger not in self._last else self._last[finger] == counts
         frozen = same.all() and may_freeze(counts, self._channels.tared[self._channels.finger_columns[finger]])
         self._same[finger] = self._same[finger] + 1 if frozen else 0

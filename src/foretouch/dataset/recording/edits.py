@@ -71,11 +71,11 @@ class EditLog:
                 self._changes[recorded] = _changed(self.changes(recorded), edit)
 
     def in_force(self) -> dict[int, Edit]:
-        """The edits that were not undone, by number."""
+        """Return the edits that were not undone, by number."""
         return {n: edit for n, edit in enumerate(self.edits, 1) if edit.action != "undo" and n not in self._undone}
 
     def changes(self, recorded: str) -> Changes:
-        """What the edits make of a sample, by its id as it was recorded."""
+        """Return what the edits make of a sample, by its id as it was recorded."""
         return self._changes.get(recorded, Changes())
 
     def apply(self, record: SampleRecord) -> SampleRecord:
@@ -91,7 +91,7 @@ class EditLog:
         return replace(record, outcome=outcome or record.outcome, note=note) if outcome or notes else record
 
     def descriptions(self) -> list[str]:
-        """Each edit in words, with its number."""
+        """Return each edit in words, with its number."""
         lines = []
         for number, edit in enumerate(self.edits, 1):
             samples = f"({len(edit.ids)} samples)" if edit.ids else ""
@@ -146,7 +146,7 @@ def append_edit(path: Path, edit: Edit) -> int:
 
 
 def _read(path: Path) -> tuple[list[Edit], str, int]:
-    """The edits of a dataset, the digest of all, and the offset of the next one [bytes]."""
+    """Return the edits of a dataset, the digest of all, and the offset of the next one [bytes]."""
     file, manifest = path / EDITS, stated(path, folder.EDITS)
     data = read_bytes(file, TEXT_LIMIT) if os.path.lexists(file) else b""
     edits: list[Edit] = []
@@ -171,7 +171,7 @@ def _read(path: Path) -> tuple[list[Edit], str, int]:
 
 
 def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
-    """The edit in a line after so many known ones, and the digest up to it."""
+    """Return the edit in a line after so many known ones, and the digest up to it."""
     content = require_schema("", parse_json(line), dict)
     require_version(content.get("schema_version"), _VERSION, 1)
     digest = _digest(before, {name: value for name, value in content.items() if name != "sha256"})

@@ -38,7 +38,7 @@ _PART: Final = f"{_MANIFEST}.part"
 
 
 def is_dataset(path: str | Path) -> bool:
-    """Whether the folder has the manifest of a recorded dataset, which may be damaged or of another version."""
+    """Return whether the folder has the manifest of a recorded dataset, which may be damaged or of another version."""
     try:
         with open_regular(Path(path) / _MANIFEST) as file:
             return f'"{_FORMAT}"'.encode() in file.read(65536)
@@ -47,7 +47,7 @@ def is_dataset(path: str | Path) -> bool:
 
 
 def recorded_files(path: Path, *, complete: bool = True) -> list[Path]:
-    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
+    """Return the MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
 
     A dataset of version 1 is refused, and one of which a session is absent, unless it need not be `complete`: then the files of a
     bag are given, too.
@@ -70,25 +70,25 @@ def recorded_files(path: Path, *, complete: bool = True) -> list[Path]:
 
 
 def session_files(path: Path) -> list[Path]:
-    """The MCAP files of a dataset, oldest first."""
+    """Return the MCAP files of a dataset, oldest first."""
     return sorted(path.glob("session-*.mcap"))
 
 
 def new_session_path(path: Path) -> Path:
-    """The file of the next session; numbers are never used twice."""
+    """Return the file of the next session; numbers are never used twice."""
     names = (p.name for p in path.glob("session-*"))
     taken = [int(match[1]) for name in names if (match := re.match(r"session-(\d{4})\.mcap", name))]
     return path / f"session-{max(taken, default=0) + 1:04d}.mcap"
 
 
 def _read_identity(path: Path) -> tuple[Identity, str]:
-    """Hand and camera of a dataset, and the version of foretouch that made it (raises as `read_manifest`)."""
+    """Read hand and camera of a dataset, and the version of foretouch that made it (raises as `read_manifest`)."""
     content = require_schema(path / _MANIFEST, _manifest(path), {"hand": {"*": str}, "camera": {"*": str}})
     return Identity(hand=content["hand"], camera=content["camera"]), str(content.get("foretouch"))
 
 
 def stated(path: Path, name: str) -> dict[str, Any]:
-    """What the manifest states of `SESSIONS` or `EDITS`; nothing in one that was written before 0.4 (raises as `read_manifest`)."""
+    """Return what the manifest states of `SESSIONS` or `EDITS`; nothing in one that was written before 0.4 (raises as `read_manifest`)."""
     content = require_schema(path / _MANIFEST, _manifest(path), {f"{name}?": {"*": str} if name == SESSIONS else dict})
     return dict(content.get(name, {}))
 
@@ -119,7 +119,7 @@ def lock(path: Path) -> Iterator[None]:
 
 
 def recorded_sensor(path: Path) -> Sensor:
-    """The sensor of a dataset (raises as `read_manifest`, and a `ConfigError` for a faulty description)."""
+    """Return the sensor of a dataset (raises as `read_manifest`, and a `ConfigError` for a faulty description)."""
     return sensor_in(_manifest(path), path / _MANIFEST)
 
 

@@ -62,7 +62,7 @@ class McapFile:
         return int(self._writer.register_channel(channel.topic, channel.message_encoding, number, channel.metadata))
 
     def message(self, topic: str, data: bytes, log_time_ns: int, sent_ns: int, sequence: int) -> Message:
-        """A message of a declared topic, to be written; a `DatasetError` if the topic or a time [ns] is invalid."""
+        """Return a message of a declared topic, to be written; a `DatasetError` if the topic or a time [ns] is invalid."""
         if topic not in self._channels:
             raise DatasetError(f"{self.path}: {topic} was not declared by add_topic")
         for name, time_ns in (("log_time_ns", log_time_ns), ("publish_time_ns", sent_ns)):

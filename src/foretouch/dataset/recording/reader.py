@@ -46,7 +46,7 @@ class RecordedDataset:
         return len(self._samples)
 
     def __getitem__(self, index: int) -> StoredSample:
-        """One sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
+        """Read one sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
         stored = self.as_recorded(index)
         return stored._replace(record=self.edits.apply(stored.record))
 
@@ -55,7 +55,7 @@ class RecordedDataset:
             yield self[k]
 
     def as_recorded(self, index: int) -> StoredSample:
-        """One sample before any edit (raises as indexing)."""
+        """Read one sample before any edit (raises as indexing)."""
         file, message = self._samples[index]
         try:
             return decode_sample(file.content(message), self.stated_sensor)
@@ -63,21 +63,21 @@ class RecordedDataset:
             raise FileError(file.path, str(err), field=f"sample at byte {message.offset}") from err
 
     def message_counts(self) -> dict[str, dict[str, Any]]:
-        """The message counts by topic, summed over the last ones of each recording."""
+        """Return the message counts by topic, summed over the last ones of each recording."""
         total = MessageCounts()
         for file in self._files:
             total.add(file.counts or MessageCounts())
         return total.to_record()
 
     def name(self, index: int) -> str:
-        """File and offset of a sample, for messages; in a compressed chunk also that in its content."""
+        """Return file and offset of a sample, for messages; in a compressed chunk also that in its content."""
         file, message = self._samples[index]
         inside = f"+{message.start}" if message.chunk else ""
         return f"{file.path}[{message.offset}{inside}]"
 
 
 def recognise(path: Path) -> bool:
-    """Whether a path is a recorded dataset, or an MCAP file that foretouch recorded."""
+    """Return whether a path is a recorded dataset, or an MCAP file that foretouch recorded."""
     if path.is_dir():
         return is_dataset(path)
     if path.suffix != ".mcap" or not path.is_file():
@@ -88,7 +88,7 @@ def recognise(path: Path) -> bool:
 
 
 def open_set(path: Path, unfinished: bool) -> SampleSet:
-    """The samples of a recorded dataset (raises as `RecordedDataset`)."""
+    """Return the samples of a recorded dataset (raises as `RecordedDataset`)."""
     dataset = RecordedDataset(path)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
@@ -109,7 +109,7 @@ def open_set(path: Path, unfinished: bool) -> SampleSet:
 
 
 def samples_in(file: RecordingFile) -> list[RecordedMessage]:
-    """The messages with samples in a file, in order, up to its end or to where it is cut off.
+    """Return the messages with samples in a file, in order, up to its end or to where it is cut off.
 
     Raises a `FileError` at the first invalid record, unless the file merely ends within it, and if a finished file holds
     another number of samples than it counts.
@@ -130,7 +130,7 @@ def samples_in(file: RecordingFile) -> list[RecordedMessage]:
 
 
 def readable(file: RecordingFile, message: RecordedMessage) -> StoredSample | None:
-    """The sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
+    """Return the sample in a message, None if it is none or incomplete; a `VersionError` if it is of another version."""
     try:
         return decode_sample(file.content(message))
     except VersionError:
@@ -140,7 +140,7 @@ def readable(file: RecordingFile, message: RecordedMessage) -> StoredSample | No
 
 
 def recorded_ids(path: Path) -> set[str]:
-    """The ids in a dataset, including those after damage that `repair` would save; a `FileError` for damage of a finished file."""
+    """Return the ids in a dataset, including those after damage that `repair` would save; a `FileError` for damage of a finished file."""
     ids = set()
     for session in session_files(path):
         file = RecordingFile(session)
@@ -154,7 +154,7 @@ def recorded_ids(path: Path) -> set[str]:
 
 
 def known_sessions(path: Path) -> dict[str, str]:
-    """The ids of the sessions in a dataset by file: those that the manifest states, and of others what is in the file."""
+    """Return the ids of the sessions in a dataset by file: those that the manifest states, and of others what is in the file."""
     known: dict[str, str] = stated(path, SESSIONS)
     for session in session_files(path):
         if session.name not in known:
@@ -163,7 +163,7 @@ def known_sessions(path: Path) -> dict[str, str]:
 
 
 def session_id(path: Path) -> str:
-    """The id in a session; "" if it has none, as before 0.4."""
+    """Return the id in a session; "" if it has none, as before 0.4."""
     file = RecordingFile(path)
     next(file.messages(only=SAMPLE_TYPES), None)
     return file.metadata.get(ABOUT, {}).get("id", "")

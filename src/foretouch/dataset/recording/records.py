@@ -75,7 +75,7 @@ class MessageCounts:
     topics: dict[str, TopicCounts] = field(default_factory=dict)
 
     def topic(self, name: str) -> TopicCounts:
-        """The counts of one topic, created if needed."""
+        """Return the counts of one topic, created if needed."""
         return self.topics.setdefault(name, TopicCounts())
 
     def add(self, other: "MessageCounts") -> None:
@@ -88,14 +88,14 @@ class MessageCounts:
             counts.lost += theirs.lost
 
     def to_record(self) -> dict[str, dict[str, Any]]:
-        """By topic, in plain types."""
+        """Return the counts by topic, in plain types."""
         return {
             name: {**vars(counts), "dropped": dict(sorted(counts.dropped.items()))}
             for name, counts in sorted(self.topics.items())
         }
 
     def to_mapping(self) -> dict[str, str]:
-        """As MCAP metadata: one JSON text a topic."""
+        """Write the counts as MCAP metadata: one JSON text a topic."""
         return {name: json.dumps(counts) for name, counts in self.to_record().items()}
 
     @classmethod

@@ -208,7 +208,7 @@ def _copy_extras(file: RecordingFile, out: McapFile, report: RepairReport) -> No
 
 
 def _corrected(counts: MessageCounts, written: Counter[str]) -> MessageCounts:
-    """The last message counts of a file, corrected for what is written in the new one."""
+    """Return the last message counts of a file, corrected for what is written in the new one."""
     result = MessageCounts()
     for topic in sorted(counts.topics.keys() | written.keys()):
         old = counts.topics.get(topic, TopicCounts())

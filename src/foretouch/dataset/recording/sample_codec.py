@@ -7,8 +7,8 @@ version 1, whose touch is that of the BioTac SP and states no sensor; `dataset i
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 
 Definitions of message types are found without ROS, since a recording stores them beside the messages. Search order:
-ROS 2 Kilted as included in `rosbags`, the texts in the folder `definitions` (copies of those in `foretouch_msgs`), then
-every installed message package on `AMENT_PREFIX_PATH` and in the Python environment.
+ROS 2 Kilted as included in `rosbags`, then every installed message package on `AMENT_PREFIX_PATH` and in the Python
+environment. A stored sample has the fields in the folder `definitions`, whatever is added to the messages of `foretouch_msgs`.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ class StoredSample(NamedTuple):
 
 
 def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | None = None) -> bytes:
-    """A record as the CDR of a `SAMPLE_TYPE` with encapsulation header (see `sample_fields`)."""
+    """Return a record as the CDR of a `SAMPLE_TYPE` with encapsulation header (see `sample_fields`)."""
     message = sample_fields(record, identity, sensor or BIOTAC_SP)
     body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
 
 
 def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> SimpleNamespace:
-    """A record, whose id is set, as the fields of a `SAMPLE_TYPE`.
+    """Return a record, whose id is set, as the fields of a `SAMPLE_TYPE`.
 
     Args:
         record: The sample.
@@ -143,7 +143,7 @@ def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> S
 
 
 def serialize_cloud(cloud: Cloud) -> bytes:
-    """A cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
+    """Return a cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
     return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
@@ -184,14 +184,14 @@ def decode_sample(data: bytes | memoryview, sensor: Sensor | None = None) -> Sto
 
 
 def _version_in(data: bytes | memoryview) -> int:
-    """The schema version of a serialised sample; a `struct.error` if the bytes end before."""
+    """Return the schema version of a serialised sample; a `struct.error` if the bytes end before."""
     (frame,) = struct.unpack_from("<I", data, 12)  # length of the frame, after the stamp
     offset = 12 + frame
     return int(struct.unpack_from("<H", data, 4 + offset + offset % 2)[0])
 
 
 def stored_sample(message: Any) -> StoredSample:
-    """The inverse of `sample_fields`; raises any error for values that break a rule."""
+    """Make the sample of a decoded message, of which `sample_fields` are the fields; raises any error for values that break a rule."""
     sensor = parse_sensor(message.sensor)
     sample = Sample(
         id=message.id,
@@ -219,7 +219,7 @@ def stored_sample(message: Any) -> StoredSample:
 
 
 def parse_properties(text: str) -> dict[str, str]:
-    """The inverse of `properties_text`; a `DatasetError` if the text is none."""
+    """Read the properties of a hand or a camera from JSON; a `DatasetError` if the text is none."""
     facts = parse_json(text)
     if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
         raise DatasetError("hand, camera: is not a list of named texts")
@@ -228,36 +228,36 @@ def parse_properties(text: str) -> dict[str, str]:
 
 @functools.cache
 def sample_types() -> Definitions:
-    """The definitions of samples, of all types in them, and of those that were looked up since."""
-    definitions = Definitions()
+    """Return the definitions of samples, of all types in them, and of those that were looked up since."""
+    definitions = Definitions(stored=True)
     definitions.text(SAMPLE_TYPE)
     return definitions
 
 
 def properties_text(facts: Mapping[str, str]) -> str:
-    """The properties of a hand or a camera as JSON; equal ones give equal text."""
+    """Return the properties of a hand or a camera as JSON; equal ones give equal text."""
     return json.dumps(dict(sorted(facts.items())), ensure_ascii=False)
 
 
 def _grasp_of(message: Any, score: float) -> Grasp:
-    """The grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
+    """Return the grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
     return replace(decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3)), score=score)
 
 
 @functools.lru_cache(maxsize=16)
 def sensor_text(sensor: Sensor) -> str:
-    """The description of a sensor as JSON."""
+    """Return the description of a sensor as JSON."""
     return json.dumps(sensor.to_mapping(), ensure_ascii=False, sort_keys=True)
 
 
 @functools.lru_cache(maxsize=16)
 def parse_sensor(text: str) -> Sensor:
-    """The inverse of `sensor_text`; a `DatasetError` or a `ConfigError` if the text is none."""
+    """Read the description of a sensor from JSON; a `DatasetError` or a `ConfigError` if the text is none."""
     return sensor_of(parse_json(text), "sensor")
 
 
 def _series_of(message: Any, sensor: Sensor) -> TouchSeries | None:
-    """The series in a sample as views of the message; None if it is empty."""
+    """Return the series in a sample as views of the message; None if it is empty."""
     length = len(message.series_stamps)
     if length == 0:
         return None
@@ -271,11 +271,16 @@ def _series_of(message: Any, sensor: Sensor) -> TouchSeries | None:
 
 
 class Definitions:
-    """Message types, looked up on request; `store` holds those found so far, and serialises their messages."""
+    """Message types, looked up on request; `store` holds those found so far, and serialises their messages.
 
-    def __init__(self) -> None:
+    Args:
+        stored: Whether `foretouch_msgs` are those of stored samples, whose fields never change, instead of those that are installed.
+    """
+
+    def __init__(self, *, stored: bool = False) -> None:
         from rosbags.typesys import Stores, get_typestore
 
+        self._stored = stored
         self.store: Typestore = get_typestore(Stores.ROS2_KILTED)
 
     def register(self, type_name: str, text: str) -> None:
@@ -291,7 +296,7 @@ class Definitions:
             raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
 
     def text(self, type_name: str) -> str:
-        """The definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
+        """Return the definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
         self._require(type_name)
         return self.store.generate_msgdef(type_name, ros_version=2)[0]
 
@@ -299,14 +304,20 @@ class Definitions:
         if type_name not in self.store.fielddefs:
             if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
                 raise DatasetError(f"{type_name!r} is not a message type, such as std_msgs/msg/String")
-            self.register(type_name, _find(type_name))
+            self.register(type_name, _find(type_name, self._stored))
         for needed in types_in(self.store.fielddefs[type_name][1]):
             self._require(needed)
 
 
-def _find(type_name: str) -> str:
+@functools.cache
+def topic_types() -> Definitions:
+    """Return the definitions of messages on topics that were looked up so far."""
+    return Definitions()
+
+
+def _find(type_name: str, stored: bool) -> str:
     package, _, name = type_name.split("/")
-    if package == "foretouch_msgs" and (_OWN / f"{name}.msg").is_file():
+    if stored and package == "foretouch_msgs":
         return (_OWN / f"{name}.msg").read_text(encoding="utf-8")
     for prefix in [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]:
         file = Path(prefix) / "share" / package / "msg" / f"{name}.msg"

@@ -38,7 +38,7 @@ class FileReport:
         return not self.faults
 
     def fault_lines(self) -> list[str]:
-        """The faults, one line each, with file and offset."""
+        """Return the faults, one line each, with file and offset."""
         return [str(fault.error(self.path)) for fault in self.faults]
 
 

@@ -98,9 +98,9 @@ class ReplayConfig(NodeConfig):
         unit="px",
         read_only=True,
     )
-    camera_info: str = setting("", "File with the camera of depth files; empty for that of the files", read_only=True)
+    camera_info: str = setting("", "File with the camera of depth files; empty: the files' own", read_only=True)
     depth_scale: float = setting(
-        0.0, "Metres per unit of depth files; 0 for that of the files", bounds=(0.0, 1.0), read_only=True
+        0.0, "Metres per unit of depth files; 0: the files' own", bounds=(0.0, 1.0), read_only=True
     )
     table: tuple[float, ...] = setting(
         tuple(map(float, ASSUMED_TABLE.coefficients)),

@@ -28,7 +28,7 @@ _FIELDS: Final = 1 + len(_SENSORS) * _PER_SENSOR
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder for the chosen fingers; a `ConfigError` for a name that the type does not have."""
+    """Return the decoder for the chosen fingers; a `ConfigError` for a name that the type does not have."""
     read, known, others = {
         "std_msgs/String": (_csv, _SENSORS, ("TAC", "TDC")),
         "tactile_msgs/TactileState": (_tactile_state, config.fingers, ()),
@@ -42,7 +42,7 @@ def make_reader(config: TactileConfig) -> TactileReader:
 
 
 def _read(fingers: Sequence[str], read: Any, message: Any) -> TactileReading:
-    """A reading from (25 + K,) numbers of each finger: PDC, electrodes and others."""
+    """Return a reading from (25 + K,) numbers of each finger: PDC, electrodes and others."""
     th, mf = read(message, fingers)
     end = 1 + ELECTRODES
     counts = np.concatenate([th[:1], mf[:1], th[1:end], mf[1:end]])
@@ -53,7 +53,7 @@ def _read(fingers: Sequence[str], read: Any, message: Any) -> TactileReading:
 
 
 def finger_counts(message: Any, finger: str) -> Float32:
-    """(1 + n,) float32 counts of one finger in `BiotacAll`: PDC, then the electrodes."""
+    """Return (1 + n,) float32 counts of one finger in `BiotacAll`: PDC, then the electrodes."""
     tactile = message.tactiles[FINGER_ORDER.index(finger)]
     return np.array([tactile.pdc, *tactile.electrodes], np.float32)
 

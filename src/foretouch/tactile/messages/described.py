@@ -22,7 +22,7 @@ _FLOAT32 = float(np.finfo(np.float32).max)
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """The decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
+    """Return the decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
     sensor = config.described
     _require_noise(sensor)
     names = [scalar.name for scalar in sensor.config.scalars if not scalar.predicted]

@@ -61,7 +61,7 @@ class LabelRatioSettings(Settings):
         CHOSEN, "Training of both models: that chosen on held-out labelled samples, or P2's", choices=(CHOSEN, "P2")
     )
     readings: tuple[str, ...] = setting(
-        (), "Trials of the SR-GAN that are compared with the PointNet beside that of the recipe"
+        (), "Trials of the SR-GAN that are compared with the PointNet, in addition to the recipe's"
     )
     draws: int = setting(10_000, "Number of bootstrap samples for the intervals", bounds=(100, 1_000_000))
     model: ModelConfig = ModelConfig(channels="xyz+normals")

@@ -84,12 +84,12 @@ class CampaignConfig(Settings):
     """
 
     days: tuple[float, ...] = setting(
-        (0.0,), "Start of each session, after that of the first", unit="days", bounds=(0.0, 365.0)
+        (0.0,), "Start of each session, counted from the first", unit="days", bounds=(0.0, 365.0)
     )
     objects: int = setting(6, "Number of objects in a session", bounds=(1, 1000))
     grasps: int = setting(10, "Number of grasps of an object in succession", bounds=(1, 1000))
     repeat_every: int | None = setting(
-        None, "Every so many grasps of an object, the one before is executed again", bounds=(2, 1000)
+        None, "Number of grasps of an object after which the one before is executed again", bounds=(2, 1000)
     )
     tares: str = setting(
         "grasp",

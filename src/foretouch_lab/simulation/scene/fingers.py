@@ -89,7 +89,7 @@ class FingersConfig(Settings):
     scan: Switch | None = None
     dead: DeadConfig | None = None
     hand: int = setting(
-        0, "Number of the simulated hand: each has fingertips of its own; the model simulated knows 0", minimum=0
+        0, "Number of the simulated hand: each has different fingertips; the model simulated knows 0", minimum=0
     )
 
     def __post_init__(self) -> None:

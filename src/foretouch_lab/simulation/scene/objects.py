@@ -44,7 +44,7 @@ class ObjectConfig(Settings):
     """
 
     name: str = setting("object", "Object name of the samples")
-    shape: str = setting("can", "Shape of the object; mesh: that of a file", choices=(*SHAPES, MESH))
+    shape: str = setting("can", "Shape of the object; mesh: from a file", choices=(*SHAPES, MESH))
     file: str = setting("", "Closed mesh (OBJ, PLY, STL, GLB) for the shape mesh, upright along z [m]")
     file_sha256: str = setting("", "SHA-256 of the file; another file is refused where it is given")
     variants: int = setting(

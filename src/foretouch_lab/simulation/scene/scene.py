@@ -133,7 +133,7 @@ class SceneConfig(Settings):
                     f"give {instead} in its place"
                 )
         if self.campaign is not None and self.fingers.taxels is not None:
-            raise ConfigError("campaign: its drift is that of the BioTac SP, but fingers.sensor is another")
+            raise ConfigError("campaign: its drift is for the BioTac SP, but fingers.sensor is another")
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:

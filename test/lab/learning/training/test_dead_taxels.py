@@ -56,6 +56,7 @@ def test_the_card_names_it_and_its_predictions_are_not_valid(broken: Dataset, ca
     assert "out_of_range" not in one.flags  # by the mean of the neighbours, not by 800
 
 
+@pytest.mark.slow
 def test_it_is_left_out_of_scores_and_others_score_as_without_it(broken: Dataset, card: Path) -> None:
     scores = evaluate_model(card, broken, "random", training_scores=True)
     assert scores["not_scored"] == {"TH": [5]}

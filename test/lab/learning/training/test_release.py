@@ -60,6 +60,7 @@ def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config:
     assert "unfamiliar" not in prediction.flags
 
 
+@pytest.mark.slow
 def test_a_contact_model_is_released_with_its_calibration(folder: Path, config: Path, tmp_path: Path) -> None:
     config.write_text("name: toy\nmethod: contact\ncontact: {trees: 5}\n")
     assert train(config, folder, "release=true", "-o", tmp_path / "out") == 0
@@ -72,6 +73,7 @@ def test_a_contact_model_is_released_with_its_calibration(folder: Path, config: 
     assert (prediction.value.values < prediction.upper.values).all()
 
 
+@pytest.mark.slow
 def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path, tmp_path, capsys) -> None:
     before = sorted(tmp_path.iterdir())
     assert train(config, folder, "--compare", "random,object", "--json") == 0
