@@ -81,6 +81,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "a,b,c,d",
         "help": "table ax+by+cz+d=0 [m]; the cloud then contains only the object (default: found in the cloud)",
     },
+    "--hand": {
+        "metavar": "NAME|YAML",
+        "help": "hand or gripper that must find a way to the object (default: two_tips; `hand list` names the others)",
+    },
     "--scene": {"action": "store_true", "help": "find table and objects in unorganised clouds too"},
     "--target": {
         "type": one_of("nearest", "largest", "free", "all"),
@@ -159,7 +163,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 CAMERA: Final = ("--intrinsics", "--camera-info", "--depth-scale")
 READ: Final = ("inputs", "--topic", "--config", "--set", *CAMERA, "--mask", "--picture")
-PLANNED: Final = ("--plane", "--scene", "--target")
+PLANNED: Final = ("--plane", "--scene", "--target", "--hand")
 CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
 
@@ -186,7 +190,11 @@ def pipeline_config(
     config = PipelineConfig().updated(defaults or {})
     if arguments.config:
         config = config.updated(load_yaml(arguments.config), arguments.config)
-    given = {"target.mode": getattr(arguments, "target", None), "model": getattr(arguments, "model", None) or None}
+    given = {
+        "target.mode": getattr(arguments, "target", None),
+        "hand.name": getattr(arguments, "hand", None),
+        "model": getattr(arguments, "model", None) or None,
+    }
     options = {name: value for name, value in (given | (changes or {})).items() if value is not None}
     return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
 
