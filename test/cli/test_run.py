@@ -119,6 +119,19 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     assert model("camera") is None
 
 
+def test_grasps_on_a_scene_are_planned_for_the_hand_that_it_names(tmp_path) -> None:
+    (tmp_path / "scene.yaml").write_text("hand: franka_hand\n")
+    (tmp_path / "own.yaml").write_text("foretouch: {perception: {ros__parameters: {hand.name: two_tips}}}")
+    parser = argparse.ArgumentParser()
+    run_command.add_arguments(parser)
+
+    def perception(*words: str) -> dict[str, Any]:
+        return run_command._nodes(parser.parse_args(["--source", str(tmp_path / "scene.yaml"), *words]))["perception"]
+
+    assert {"hand.name": "franka_hand", "hand.thumb_at": "g1"}.items() <= perception().items()
+    assert "hand.name" not in perception("--params", str(tmp_path / "own.yaml"))  # the file's counts
+
+
 @pytest.mark.slow
 def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_status(environment) -> None:
     with started(environment, "--source", "camera") as process:

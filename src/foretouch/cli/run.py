@@ -191,6 +191,8 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes["perception"]["model"] = SIMULATED_HAND_MODEL
     for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
         nodes.setdefault(name, {}).update(parameters)
+    if any("hand.name" in parameters for parameters in given):
+        perception.pop("hand.name", None)
     return nodes
 
 
@@ -240,6 +242,8 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         "hand": shown,
         "camera": {"source": "scene", "camera.fps": fps, **_PATIENCE, **shown},
     }
+    if scene.hand:  # whose thumb is at g1 in simulation
+        nodes.setdefault("perception", {}).update({"hand.name": scene.hand, "hand.thumb_at": "g1"})
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
         nodes.setdefault("perception", {}).update(
             {
