@@ -18,6 +18,7 @@ from every_case import every_case
 from scene_builders import write_scenes
 
 from foretouch.cli import run as run_command
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import ModelError
 from foretouch.models.registry import find_card
@@ -103,7 +104,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
-    parser = argparse.ArgumentParser()
+    parser = CommandParser(prog="foretouch run")
     run_command.add_arguments(parser)
 
     def model(*words: str) -> str | None:
