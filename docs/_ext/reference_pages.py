@@ -123,9 +123,9 @@ def messages() -> str:
     parts = []
     for kind, (title, names) in titles.items():
         parts.append(f"## {title}")
-        for one in interfaces(kind):
-            parts += [f"### {one.name}", one.comment]
-            for name, fields in zip(names, one.parts, strict=True):
+        for interface in interfaces(kind):
+            parts += [f"### {interface.name}", interface.comment]
+            for name, fields in zip(names, interface.parts, strict=True):
                 parts += [f"**{name}**" if name else "", _fields(fields) if fields else "No fields."]
     return sections(parts)
 
@@ -254,10 +254,10 @@ def recipes() -> str:
     from foretouch_lab.learning.training.run_config import GROUPS, RunConfig
 
     infos = all_infos(RunConfig)
-    parts = ["### Every method", settings_table(one for one in infos if one.name.partition(".")[0] not in GROUPS)]
+    parts = ["### Every method", settings_table(info for info in infos if info.name.partition(".")[0] not in GROUPS)]
     for group, methods in GROUPS.items():
         words = " and ".join(f"`method: {name}`" for name in methods)
-        parts += [f"### {words}", settings_table(one for one in infos if one.name.startswith(f"{group}."))]
+        parts += [f"### {words}", settings_table(info for info in infos if info.name.startswith(f"{group}."))]
     return sections(parts)
 
 
@@ -266,10 +266,10 @@ def experiments() -> str:
     from foretouch_lab.experiments import list_experiments
 
     parts = []
-    for one in list_experiments():
-        presets = ", ".join(f"`{preset}`" for preset in one.presets)
-        parts += [f"### `{one.name}`", one.question, f"Presets: {presets}." if presets else ""]
-        parts.append(settings_table(all_infos(one.settings)))
+    for experiment in list_experiments():
+        presets = ", ".join(f"`{preset}`" for preset in experiment.presets)
+        parts += [f"### `{experiment.name}`", experiment.question, f"Presets: {presets}." if presets else ""]
+        parts.append(settings_table(all_infos(experiment.settings)))
     return sections(parts)
 
 
@@ -346,7 +346,15 @@ def topics() -> str:
 
 
 def _purpose(name: str, type_name: str) -> str:
-    own = next((one for kind in ("msg", "srv", "action") for one in interfaces(kind) if one.name == type_name), None)
+    own = next(
+        (
+            interface
+            for kind in ("msg", "srv", "action")
+            for interface in interfaces(kind)
+            if interface.name == type_name
+        ),
+        None,
+    )
     return _PURPOSES.get(name, own.comment if own is not None else "")
 
 
@@ -414,7 +422,11 @@ def command_names() -> list[str]:
     """All commands, and the actions of those that have some."""
     from foretouch.cli.main import COMMANDS
 
-    return [name for one in COMMANDS for name in (one, *(f"{one} {action}" for action in parser_of(one).commands))]
+    return [
+        name
+        for command in COMMANDS
+        for name in (command, *(f"{command} {action}" for action in parser_of(command).commands))
+    ]
 
 
 def commands() -> str:

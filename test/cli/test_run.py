@@ -90,8 +90,8 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -
         out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     answers = [json.loads(line) for line in out.splitlines()[:5]]
-    stamps = [one["stamp_ns"] for one in answers]
-    assert not any("late" in prediction["flags"] for one in answers for prediction in one["predictions"])
+    stamps = [answer["stamp_ns"] for answer in answers]
+    assert not any("late" in prediction["flags"] for answer in answers for prediction in answer["predictions"])
     heard = [line.split()[0].split(".") for line in listener.stdout.splitlines() if line[0] != " "]
     assert list(dict.fromkeys(int(sec) * 10**9 + int(ns) for sec, ns in heard)) == stamps
 

@@ -32,7 +32,7 @@ def test_hands_of_the_package() -> None:
         assert len(at.posture) == len(hand.config.joints)
         assert hand.limits_depth == (name != "two_tips")
         edges = np.linalg.norm(at.corners[:, [4, 2, 1]] - at.corners[:, :1], axis=2)
-        stated = [[box.size for box in (*hand.config.boxes, *one.boxes)] for one in hand.config.postures]
+        stated = [[box.size for box in (*hand.config.boxes, *posture.boxes)] for posture in hand.config.postures]
         sizes = np.reshape(stated, (len(stated), -1)).T
         expected = [np.interp(0.05, hand.widths, row) for row in sizes]
         np.testing.assert_allclose(edges, np.reshape(expected, (-1, 3)), atol=0.006)

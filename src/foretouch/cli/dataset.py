@@ -133,28 +133,28 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    found = describe(arguments.path)
+    facts = describe(arguments.path)
     if arguments.json:
-        return print_result("", {"path": arguments.path, **found, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
-    counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**found)
-    period = f"{_utc(found['first_ns'])} to {_utc(found['last_ns'])}"
-    least, median, most = found["points"]
-    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found["pairing_ms"], strict=False)
+        return print_result("", {"path": arguments.path, **facts, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
+    counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**facts)
+    period = f"{_utc(facts['first_ns'])} to {_utc(facts['last_ns'])}"
+    least, median, most = facts["points"]
+    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], facts["pairing_ms"], strict=False)
     rows = {
-        "kind": found["kind"],
+        "kind": facts["kind"],
         "samples": counts,
-        **{name: found[name] for name in ("objects", "outcomes", "flags")},
-        "time": period if found["last_ns"] else "simulated, without a clock",
-        "points a cloud": f"{least} to {most} (median {median})" if found["samples"] else "",
-        "sensor": found["sensor"],
-        "dead taxels": found["dead"],
-        **{name: f"{low:g} to {high:g} {found['units'][name]}" for name, (low, high) in found["ranges"].items()},
-        "hand": found["hand"],
-        "camera": found["camera"],
-        "not finished": ", ".join(found["unfinished"]),
+        **{name: facts[name] for name in ("objects", "outcomes", "flags")},
+        "time": period if facts["last_ns"] else "simulated, without a clock",
+        "points a cloud": f"{least} to {most} (median {median})" if facts["samples"] else "",
+        "sensor": facts["sensor"],
+        "dead taxels": facts["dead"],
+        **{name: f"{low:g} to {high:g} {facts['units'][name]}" for name, (low, high) in facts["ranges"].items()},
+        "hand": facts["hand"],
+        "camera": facts["camera"],
+        "not finished": ", ".join(facts["unfinished"]),
         "pairing error": ", ".join(f"{low:g}-{high:g} ms: {count}" for low, high, count in bins if count),
-        **found["accounts"],
-        "edits": found["edits"],
+        **facts["accounts"],
+        "edits": facts["edits"],
     }
     return print_result(arguments.path, rows, as_json=False)
 
@@ -197,8 +197,8 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
                 "samples": len(report.ids),
                 "messages": report.messages.total(),
                 "bytes": report.size,
-                "dropped": {topic: one["dropped"] for topic, one in counts.items() if one["dropped"]},
-                "lost": {topic: one["lost"] for topic, one in counts.items() if one["lost"]},
+                "dropped": {topic: count["dropped"] for topic, count in counts.items() if count["dropped"]},
+                "lost": {topic: count["lost"] for topic, count in counts.items() if count["lost"]},
                 "faults": report.fault_lines(),
             }
     except ForetouchError as err:
@@ -216,12 +216,16 @@ def _show(arguments: argparse.Namespace) -> int:
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     sensor = sensor_of_samples(samples)
-    if any(has_points(one.sample) for one in selected):
-        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], sensor)
+    if any(has_points(selection.sample) for selection in selected):
+        save_contact_sheet(arguments.out, [only_finite(selection.sample) for selection in selected], sensor)
     else:
         title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
         save_series_sheet(arguments.out, selected, title, sensor)
-    record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
+    record = {
+        "out": str(arguments.out),
+        "samples": [selection.sample.id for selection in selected],
+        "dead_taxels": sensor.dead,
+    }
     return print_result("drawn", record, as_json=arguments.json)
 
 

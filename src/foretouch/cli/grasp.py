@@ -48,16 +48,16 @@ def _plan(
     arguments: argparse.Namespace, pipeline: Pipeline, rng: np.random.Generator | None, item: SourceItem
 ) -> Iterator[inputs.Record]:
     targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
-    for number, one in enumerate(targets):
-        plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
+    for number, target in enumerate(targets):
+        plan = pipeline.plan(target, slide_m=arguments.slide_m, rng=rng)
         if number == 0:
             inputs.draw_result(arguments, scene, plan.grasps)
         yield {
-            "object": one.id,
+            "object": target.id,
             **({"selected": selected} if selected else {}),
             "status": plan.status,
             "reason": plan.reason,
-            "plane": one.plane.coefficients,
+            "plane": target.plane.coefficients,
             "grasps": [grasp_record(grasp) for grasp in plan.grasps],
             "initial_points": plan.initial_points,
             "axis": plan.axis,

@@ -29,12 +29,12 @@ ADDRESS_HELP: Final = "run on Ray: auto, ray://host:port, or local for a node on
 def numbers(text: str, count: int = 4) -> list[float]:
     """Numbers with commas between them for argparse, such as `a,b,c,d`."""
     try:
-        found = [float(word) for word in text.split(",")]
+        values = [float(word) for word in text.split(",")]
     except ValueError:
-        found = []
-    if len(found) != count:
+        values = []
+    if len(values) != count:
         raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers with commas between them")
-    return found
+    return values
 
 
 def positive_number(text: str, minimum: int = 1) -> int:

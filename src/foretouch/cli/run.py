@@ -153,7 +153,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from foretouch.models.registry import SIMULATED_HAND_MODEL, find_card
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
-    given = [one for _, one in nodes_of_file(arguments.params)] if arguments.params else []
+    given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
     perception: dict[str, Any] = {}
     nodes: dict[str, dict[str, Any]] = {"perception": perception}
     arguments.remapped = []  # what perception receives
@@ -208,7 +208,7 @@ def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]
     from foretouch.models.registry import find_card
 
     given = dict(nodes_of_file(arguments.params)) if arguments.params else {}
-    set_in_file = next((one["model"] for one in given.values() if "model" in one), "default")
+    set_in_file = next((parameters["model"] for parameters in given.values() if "model" in parameters), "default")
     model = str(nodes["perception"].get("model", set_in_file))
     try:
         return sensor_in(read_card(find_card(model)), model)
@@ -290,12 +290,12 @@ def replay_fault(replay: ReplayNode | None) -> str:
 
 def report_conflicts(graph: Graph) -> list[str]:
     """Print the signs of a second graph in the namespace, and return them."""
-    found = graph.conflicts()
-    if found:
+    conflicts = graph.conflicts()
+    if conflicts:
         warn(
-            f"a second graph or source runs in the namespace: {'; '.join(found)}; end one, or set another --namespace or ROS_DOMAIN_ID"
+            f"a second graph or source runs in the namespace: {'; '.join(conflicts)}; end one, or set another --namespace or ROS_DOMAIN_ID"
         )
-    return found
+    return conflicts
 
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
@@ -371,21 +371,21 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
 
 
-def _draw(found: Sequence[Drawable], path: str, sensor: Sensor) -> None:
+def _draw(drawables: Sequence[Drawable], path: str, sensor: Sensor) -> None:
     from foretouch.report.touch_figure import save_touch_picture
 
-    if not found:
+    if not drawables:
         warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
-    save_touch_picture(path, [_drawn(one, sensor) for one in found], sensor)
+    save_touch_picture(path, [_drawn(drawable, sensor) for drawable in drawables], sensor)
     warn(f"wrote {path}")
 
 
-def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
+def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
-    scene, target, message, readings = found
+    scene, target, message, readings = drawable
     prediction = prediction_from_msg(message, sensor)
     title = f"object {target.id}"
     if prediction.ok:

@@ -132,8 +132,10 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
         shown["table"] = target.plane
     else:
         scene = view.pipeline.segment(cloud)
-        objects = {one.id: one.cloud for one in scene.targets[:1]}
-        objects |= {str(one.id): one.cloud for one in scene.segmentation.objects if str(one.id) not in objects}
+        objects = {shown_object.id: shown_object.cloud for shown_object in scene.targets[:1]}
+        objects |= {
+            str(object_.id): object_.cloud for object_ in scene.segmentation.objects if str(object_.id) not in objects
+        }
         shown |= {"table": scene.segmentation.plane, "objects": objects}
         if not scene.targets:
             return ViewStep(**shown, reason=f"{scene.status}: {scene.reason}")

@@ -82,8 +82,8 @@ class Graph:
                 served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
                 self._errors = served[0].internal_errors
                 self._executor = SingleThreadedExecutor()
-                for one in served:
-                    self._executor.add_node(one)
+                for served_node in served:
+                    self._executor.add_node(served_node)
             for node in self.nodes.values():
                 with uninterrupted():
                     node.autostart()

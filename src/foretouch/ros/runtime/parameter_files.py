@@ -55,14 +55,14 @@ def nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
     def walk(name: str, value: Any) -> Iterator[tuple[str, dict[str, Any]]]:
         groups = value if isinstance(value, Mapping) else {}
         given = groups.get("ros__parameters")
-        inner = [(f"{name}/{str(key).strip('/')}", one) for key, one in groups.items() if key != "ros__parameters"]
+        inner = [(f"{name}/{str(key).strip('/')}", group) for key, group in groups.items() if key != "ros__parameters"]
         if (given is None and not inner) or not isinstance(given, Mapping | None):
             rule = "holds no ros__parameters; a parameter file is NODE: {ros__parameters: {NAME: VALUE}}"
             raise ConfigError(f"{path}: {name.lstrip('/')}: {rule}")
         if given is not None:
             yield name, flattened(given)
-        for key, one in inner:
-            yield from walk(key, one)
+        for key, entry in inner:
+            yield from walk(key, entry)
 
     for name, value in load_yaml(path).items():
         yield from walk(f"/{str(name).strip('/')}", value)
