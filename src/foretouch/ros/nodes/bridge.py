@@ -94,8 +94,8 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             ending.start()  # a client that does not read must not hold up the end of the graph
             ending.join(_END_S)
         with self._lock:
-            for one in self._asked.values():
-                one.destroy()
+            for subscription in self._asked.values():
+                subscription.destroy()
             self._asked.clear()
         self.url = ""
 
@@ -110,7 +110,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             "url": self.url,
             "topics": " ".join(sorted(asked)),
             "clouds_thinned": str(self._thinned),
-            "lost_on_the_way": str(sum(one.losses.count for one in asked.values())),
+            "lost_on_the_way": str(sum(subscription.losses.count for subscription in asked.values())),
         }
 
     def _follow_clients(self) -> None:
@@ -127,14 +127,15 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
     def _forward(self, message: SerializedMessage) -> None:
         arrived = self.statistics.receive()
-        if (one := self._served.get(message.topic)) is None or self._server is None:
+        if message.topic not in self._served or self._server is None:
             self.statistics.drop("stopped")
             return
+        topic, channel = self._served[message.topic]
         content = bytes(message.data)
-        if one[0].message is PointCloud2 and len(content) > self.config.cloud_kb * 1000:
+        if topic.message is PointCloud2 and len(content) > self.config.cloud_kb * 1000:
             content = thinned(content, self.config.cloud_kb * 1000)
             self._thinned += 1
-        one[1].log(content, log_time=message.received_ns)
+        channel.log(content, log_time=message.received_ns)
         self.statistics.use(arrived, 0.0)
 
 

@@ -135,30 +135,33 @@ class MonitorNode(GuardedCallbacks, Node):
             answers = [] if executed else list(self._drawable)
         if executed:
             return [executed[key] for key in sorted(executed)]
-        found: dict[bool, Drawable] = {}
+        newest: dict[bool, Drawable] = {}
         for answer in reversed(answers):
-            one = answer.predictions[0]
-            if _is_unfamiliar(one) not in found and (drawn := self._drawn(one)) is not None:
-                found[_is_unfamiliar(one)] = drawn
-        return [found[key] for key in sorted(found)]
+            prediction = answer.predictions[0]
+            unfamiliar = _is_unfamiliar(prediction)
+            if unfamiliar not in newest and (drawn := self._drawn(prediction)) is not None:
+                newest[unfamiliar] = drawn
+        return [newest[key] for key in sorted(newest)]
 
     def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
         """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
             scene_message, object_message = (
-                next((one for one in reversed(clouds) if stamp_ns(one.header.stamp) == stamp), None)
+                next((cloud for cloud in reversed(clouds) if stamp_ns(cloud.header.stamp) == stamp), None)
                 for clouds in (self._scenes, self._objects)
             )
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
-            found = objects_from_msg(object_message, ASSUMED_TABLE)
+            objects = objects_from_msg(object_message, ASSUMED_TABLE)
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
-        wanted = (one for one in found if one.id == prediction.grasp.object_id)
-        return next(((scene, one, prediction, readings) for one in wanted), None)
+        for target in objects:
+            if target.id == prediction.grasp.object_id:
+                return scene, target, prediction, readings
+        return None
 
     def _receive_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
@@ -175,7 +178,7 @@ class MonitorNode(GuardedCallbacks, Node):
                     self._assembler.matcher.add_plan(
                         stamp_ns(message.header.stamp),
                         message.header.frame_id,
-                        [one.grasp for one in message.predictions],
+                        [prediction.grasp for prediction in message.predictions],
                     )
             if self._on_touch is not None:
                 self._on_touch(message)
@@ -204,22 +207,22 @@ class MonitorNode(GuardedCallbacks, Node):
             except (TactileError, DatasetError):
                 return  # the node that uses the message counts it
             results = self._assembler.poll(now_s) if self._assembler.matcher.pending else []
-            predictions = [one for answer in self._drawable for one in answer.predictions] if results else []
+            predictions = [touch for answer in self._drawable for touch in answer.predictions] if results else []
         for result in results:
             if isinstance(result, AssembledSample) and result.cut is not None:
-                for one in predictions:
-                    if one.grasp.id == result.record.sample.grasp.id:
-                        drawn = self._drawn(one, result.cut)
+                for touch in predictions:
+                    if touch.grasp.id == result.record.sample.grasp.id:
+                        drawn = self._drawn(touch, result.cut)
                         with self._lock:
-                            self._view.executed = one, result.cut
+                            self._view.executed = touch, result.cut
                             if drawn is not None:
-                                self._executed[_is_unfamiliar(one), bool(one.touches)] = drawn
+                                self._executed[_is_unfamiliar(touch), bool(touch.touches)] = drawn
 
     def _receive_diagnostics(self, message: DiagnosticArray) -> None:
         with self._lock:
             for status in message.status:
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                self._view.nodes[status.name] = level, status.message, {one.key: one.value for one in status.values}
+                self._view.nodes[status.name] = level, status.message, {pair.key: pair.value for pair in status.values}
 
     def _keep(self, clouds: deque[PointCloud2], message: PointCloud2) -> None:
         with self._lock:

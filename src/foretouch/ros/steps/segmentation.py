@@ -76,7 +76,7 @@ class SegmentationStep(Step):
             raise RefusalError(Status.BAD_REQUEST, str(err)) from err
         scene = self._selection.choose(scene)
         ids = [target.id for target in scene.targets]
-        centroids = [one.centroid for one in scene.segmentation.objects if [str(one.id)] == ids]
+        centroids = [segment.centroid for segment in scene.segmentation.objects if [str(segment.id)] == ids]
         self._previous = centroids[0] if centroids else None
         return scene
 
@@ -95,8 +95,8 @@ class SegmentationStep(Step):
             return
         chosen = {target.id for target in scene.targets}
         height, width = shape[:2] if len(shape) == 3 else (1, shape[0])
-        objects = [object_to_msg(one, target=str(one.id) in chosen) for one in scene.segmentation.objects]
-        background = [one.background for one in scene.segmentation.background]
+        objects = [object_to_msg(segment, target=str(segment.id) in chosen) for segment in scene.segmentation.objects]
+        background = [segment.background for segment in scene.segmentation.background]
         message = ObjectArray(height=height, width=width, objects=objects, background=background, **state)
         self._objects.publish(message)
         if drawn:  # an error must not refuse the cloud, which is answered

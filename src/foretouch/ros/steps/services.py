@@ -133,7 +133,7 @@ class TouchServices(Step):
         if len(grasps) > config.max_grasps:
             raise RefusalError(Status.BAD_REQUEST, f"grasps: {len(grasps)} is above max_grasps, {config.max_grasps}")
         ids = sorted(grasp.id for grasp in request.grasps if grasp.id)
-        if twice := [one for one, other in pairwise(ids) if one == other]:
+        if twice := [first for first, second in pairwise(ids) if first == second]:
             raise RefusalError(Status.BAD_REQUEST, f"grasps: id {quoted(twice[0])} occurs twice")
         header, targets, on_table = requested_targets(request.cloud, request.table, latest, config.limits)
         if not grasps:

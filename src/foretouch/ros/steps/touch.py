@@ -122,30 +122,31 @@ class TouchStep(Step):
 
     def warnings(self) -> tuple[str, ...]:
         """Why the model does not adapt to readings, and whether it is made for another hand than they come from."""
-        model, found = self.predictor.model, list[str]()
+        model = self.predictor.model
+        texts: list[str] = []
         if model is not None and model.calibration is None:
             reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
-            found.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+            texts.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
         if self._other_hand:
-            found.append(self._other_hand)
+            texts.append(self._other_hand)
         if model is not None and model.simulated:
             topic = self._node.resolve_topic_name(self._node.config.tactile_topic)
             ends = self._node.get_publishers_info_by_topic(topic)
             if senders := ", ".join(sorted({end.node_name for end in ends} - {"hand"})):
                 rule = f"made for the simulated hand only, but {topic} comes from {senders}"
-                found.append(f"model {model.name} is {rule}")
-        return tuple(found)
+                texts.append(f"model {model.name} is {rule}")
+        return tuple(texts)
 
     def notes(self) -> dict[str, str]:
         """The model's name and hash, the state of online adaptation, and the requests."""
-        found: dict[str, str] = {}
+        values: dict[str, str] = {}
         if (model := self.predictor.model) is not None:
-            found |= {"model": model.name, "model_sha256": model.sha256}
+            values |= {"model": model.name, "model_sha256": model.sha256}
             if self.adapter is None:
-                found["regime"] = self._other_hand or "none: the model's card holds no calibration"
+                values["regime"] = self._other_hand or "none: the model's card holds no calibration"
         for part in (self.adapter, self._keeper):
-            found |= part.notes() if part is not None else {}
-        return found
+            values |= part.notes() if part is not None else {}
+        return values
 
     # Details.
 
