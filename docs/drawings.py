@@ -29,7 +29,8 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from PIL import Image
 
 from foretouch.grasp.hand import FINGER, THUMB, Hand, load_hand
-from foretouch.pipeline import Pipeline, PipelineResult, Scene
+from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult, Scene
+from foretouch.report.scene_figure import draw_scene
 from foretouch.report.touch_figure import draw_taxels, taxel_colours
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
@@ -329,12 +330,32 @@ def draw_demo() -> None:
     print(f"{path}: seed {seed}, mean error {errors[seed]:.1f} counts (all: {min(errors):.1f} to {max(errors):.1f})")  # noqa: T201
 
 
+def draw_hands() -> None:
+    """Draw the first grasp of each hand on the same object, for docs/hands.md."""
+    seen = np.load(FOLDER.parent / "examples" / "data" / "table_depth.npz")
+    target = Pipeline().segment(Cloud.from_depth(seen["depth"], seen["K"])).objects[0]
+    pictures = []
+    for name in ("shadow_thumb_middle", "franka_hand", "robotiq_2f85"):
+        grasps = Pipeline(PipelineConfig().updated({"hand.name": name})).plan(target).grasps
+        figure = draw_scene(target, grasps)
+        figure.suptitle(name.replace("_", " "))
+        held = io.BytesIO()
+        figure.savefig(held, format="png", dpi=80, facecolor="white")
+        pictures.append(Image.open(held).convert("RGB"))
+    sheet = Image.new("RGB", (pictures[0].width, sum(one.height for one in pictures)), "white")
+    for row, one in enumerate(pictures):
+        sheet.paste(one, (0, row * one.height))
+    sheet.quantize(64).save(FOLDER / "hands.png", optimize=True)
+
+
 def main(picture: str = "") -> None:
     """Draw one, or all of docs/concepts.md."""
     if picture == "touch_recorded":
         return draw_recorded()
     if picture == "demo":
         return draw_demo()
+    if picture == "hands":
+        return draw_hands()
     cloud, result = scene()
     draw_steps(cloud, result)
     draw_frames(cloud, result)

@@ -160,7 +160,7 @@ def test_the_reference_lists_every_field_parameter_and_option_with_what_is_said_
     assert {*COMMANDS, "dataset build"} <= set(names)
     for name in names:
         section = commands.partition(f"# `{name}`\n")[2].partition("\n## ")[0].partition("\n### ")[0]
-        for option in reference.options_of(reference.parser_of(name)):
+        for option in reference.parser_of(name).declared:
             for word in option.option_strings or [str(option.metavar or option.dest)]:
                 assert word.replace("|", "\\|") in section, (name, word)
     scenes, recipes = reference.scenes(), reference.recipes()

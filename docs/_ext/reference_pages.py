@@ -8,7 +8,6 @@ writes the parts of the pages below docs that stand between `<!-- generated NAME
 
 import argparse
 import dataclasses
-import importlib
 import inspect
 import os
 import re
@@ -19,6 +18,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from foretouch.cli.main import command_parser
+from foretouch.cli.parser import CommandParser
 from foretouch.config import SettingInfo, Settings, setting_infos
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -277,10 +278,8 @@ def node_configs() -> dict[str, type[Settings]]:
     from foretouch.ros.graph import NODES
 
     configs = {}
-    for name, place in NODES.items():
-        module, _, class_name = place.partition(":")
-        node = getattr(importlib.import_module(module), class_name)
-        (configs[name],) = typing.get_args(node.__orig_bases__[0])
+    for name, load in NODES.items():
+        (configs[name],) = typing.get_args(load().__orig_bases__[0])
     return configs
 
 
@@ -403,32 +402,19 @@ def graph() -> dict[str, Ends]:
 # The command line.
 
 
-def parser_of(command: str) -> argparse.ArgumentParser:
-    """The parser of one command, or of an action such as `dataset build`."""
-    from foretouch.cli import main
-
-    parser = main._parser(command.partition(" ")[0])
+def parser_of(command: str) -> CommandParser:
+    """Return the parser of one command, or of an action such as `dataset build`."""
+    parser = command_parser(command.partition(" ")[0])
     for word in command.split():
-        parser = _subparsers(parser)[word]
+        parser = parser.commands[word]
     return parser
-
-
-def _subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    return dict(found[0].choices) if found else {}
 
 
 def command_names() -> list[str]:
     """All commands, and the actions of those that have some."""
     from foretouch.cli.main import COMMANDS
 
-    return [name for one in COMMANDS for name in (one, *(f"{one} {action}" for action in _subparsers(parser_of(one))))]
-
-
-def options_of(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    """Arguments and options, without `--help` and the choice of an action."""
-    hidden = argparse._HelpAction | argparse._SubParsersAction
-    return [action for action in parser._actions if not isinstance(action, hidden)]
+    return [name for one in COMMANDS for name in (one, *(f"{one} {action}" for action in parser_of(one).commands))]
 
 
 def commands() -> str:
@@ -442,7 +428,7 @@ def commands() -> str:
         parts += [f"{'###' if ' ' in name else '##'} `{name}`", parser.description or "", f"```text\n{usage}\n```"]
         if name in COMMANDS:
             parts.append(_status(command_module(name).run))
-        parts.append(table(["argument", "meaning"], [_option_row(parser, one) for one in options_of(parser)]))
+        parts.append(table(["argument", "meaning"], [_option_row(action) for action in parser.declared]))
     return sections(parts)
 
 
@@ -452,11 +438,12 @@ def _status(function: Callable[..., Any]) -> str:
     return cell(text.partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
 
 
-def _option_row(parser: argparse.ArgumentParser, action: argparse.Action) -> tuple[str, str]:
-    formatter = parser._get_formatter()
-    shown = formatter._format_action_invocation(action)
-    help_text = formatter._expand_help(action) if action.help else ""
-    return f"`{shown}`".replace("|", "\\|"), cell(help_text)
+def _option_row(action: argparse.Action) -> tuple[str, str]:
+    """Return how an argument or option is written, and its help."""
+    metavar = action.metavar or action.dest.upper()
+    value = "" if action.nargs == 0 else " ".join(metavar) if isinstance(metavar, tuple) else metavar
+    shown = f"{', '.join(action.option_strings)} {value}".strip()
+    return f"`{shown}`".replace("|", "\\|"), cell((action.help or "") % vars(action))
 
 
 def results() -> str:

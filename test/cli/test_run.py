@@ -18,6 +18,7 @@ from every_case import every_case
 from scene_builders import write_scenes
 
 from foretouch.cli import run as run_command
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import ModelError
 from foretouch.models.registry import find_card
@@ -103,7 +104,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
-    parser = argparse.ArgumentParser()
+    parser = CommandParser(prog="foretouch run")
     run_command.add_arguments(parser)
 
     def model(*words: str) -> str | None:
@@ -117,6 +118,19 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     with pytest.raises(ModelError, match=r"simulated_too: .* did you mean simulated"):
         model(scene, "--model", "simulated_too")
     assert model("camera") is None
+
+
+def test_grasps_on_a_scene_are_planned_for_the_hand_that_it_names(tmp_path) -> None:
+    (tmp_path / "scene.yaml").write_text("hand: franka_hand\n")
+    (tmp_path / "own.yaml").write_text("foretouch: {perception: {ros__parameters: {hand.name: two_tips}}}")
+    parser = argparse.ArgumentParser()
+    run_command.add_arguments(parser)
+
+    def perception(*words: str) -> dict[str, Any]:
+        return run_command._nodes(parser.parse_args(["--source", str(tmp_path / "scene.yaml"), *words]))["perception"]
+
+    assert {"hand.name": "franka_hand", "hand.thumb_at": "g1"}.items() <= perception().items()
+    assert "hand.name" not in perception("--params", str(tmp_path / "own.yaml"))  # the file's counts
 
 
 @pytest.mark.slow

@@ -178,6 +178,32 @@ def test_no_way_in_is_counted_and_named() -> None:
     assert Hand(short).depths.max() == 0.002
 
 
+def test_between_two_others_no_part_of_the_hand_is_in_them() -> None:
+    """Walls on two sides: the boxes of the opened hand, also 5 and 10 cm back on the way in, hold none of their points."""
+    camera = Camera(50.0)
+    cloud, table = camera.see(LOW), camera.table()
+    across, up = np.linspace(-0.12, 0.12, 49), np.linspace(0.005, 0.08, 16)
+    walls = [np.stack(np.meshgrid(across, [y], up), axis=-1).reshape(-1, 3) for y in (-0.075, 0.075)]
+    points = camera.to_camera(np.concatenate(walls))
+    around = Obstacles(points.astype(np.float32), np.repeat([7, 8], len(points) // 2).astype(np.int32))
+
+    def check(name: str) -> None:
+        hand = load_hand(name)
+        plan = plan_grasps(cloud, table, CONFIG, hand=HandConfig(name=name), obstacles=around)
+        assert plan.status == "ok", plan.reason
+        (grasp,) = plan.grasps
+        assert grasp.way is not None
+        pose = grasp.way.pose_of_hand @ np.linalg.inv(hand.at(grasp.width_m).tool)
+        for back_m in (0.0, 0.05, 0.1):
+            local = (points - pose[:3, 3] + back_m * pose[:3, 2]) @ pose[:3, :3]
+            for corners in hand.opened(grasp.width_m):
+                edges = corners[[4, 2, 1]] - corners[0]
+                places = (local - corners[0]) @ edges.T / (edges * edges).sum(axis=1)
+                assert not ((places > 0.0) & (places < 1.0)).all(axis=1).any()
+
+    every_case([(name,) for name in HANDS], check)
+
+
 def _described(changes: dict[str, object]) -> str:
     """A description of the Franka Hand with changes, as text."""
     stated = load_yaml(hand_files()["franka_hand"])

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lines along which two fingers close, and what an object hides, against the references."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -56,6 +57,7 @@ def around(camera: Camera) -> Obstacles:
 def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     """Equal but where a point at the border of two bins falls into the other by rounding; with noise few do."""
     blocked = n_hidden = 0
+    hands = itertools.cycle(({}, {"hand": HandConfig(tip_radius_m=0.0125, clearance_m=0.0)}, {"slide_m": 0.004}))
 
     def check(solid: Solid, camera: Camera) -> None:
         nonlocal blocked, n_hidden
@@ -64,9 +66,7 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
         with monkeypatch.context() as patch:
             patch.setattr(completed, "_closing_lines", closing)
             patch.setattr(completed, "_complete_object", whole)
-            planned(solid, camera, rng)
-            planned(solid, camera, rng, obstacles=around(camera), slide_m=0.004)
-            planned(solid, camera, rng, hand=HandConfig(tip_radius_m=0.0125, clearance_m=0.0))
+            planned(solid, camera, rng, obstacles=around(camera), **next(hands))
         for (points, shares, found), (others, parts, expected) in whole.answers:
             n, size = len(points) // 2, round(found[0])
             np.testing.assert_allclose(found[1:], expected[1:], atol=1e-5)

@@ -21,6 +21,7 @@ from typing import Literal
 from packaging.requirements import Requirement
 
 from foretouch.cli.output import announce, print_json, print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.errors import CameraError, ForetouchError, MissingDependencyError
 from foretouch.processes import ONE_THREAD
 from foretouch.ros.runtime.environment import FAST_DDS, large_clouds
@@ -48,7 +49,7 @@ class _Finding:
     fix: str = ""  # the command that fixes it, else ""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the options."""
     parser.add_argument("--all", action="store_true", help="also show the checks that passed")
     parser.add_argument("--self-test", action="store_true", help="also run the shipped models and ROS on this machine")

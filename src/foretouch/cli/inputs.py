@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.cli.output import print_json, warn
+from foretouch.cli.parser import CommandParser, one_of
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera
 from foretouch.cloud.io.mask_files import read_mask
 from foretouch.config import load_yaml, parse_overrides
@@ -82,7 +83,8 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--scene": {"action": "store_true", "help": "find table and objects in unorganised clouds too"},
     "--target": {
-        "choices": ["nearest", "largest", "free", "all"],
+        "type": one_of("nearest", "largest", "free", "all"),
+        "metavar": "{nearest,largest,free,all}",
         "help": "objects of a cloud to use; free is the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
     },
     "--intrinsics": {
@@ -162,10 +164,16 @@ CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
 
 
-def add_options(parser: argparse._ActionsContainer, *names: str) -> None:
-    """Add arguments that several commands share, such as `--topic`."""
+def add_options(parser: CommandParser, *names: str, group: Any = None) -> None:
+    """Add arguments that several commands share.
+
+    Args:
+        parser: Parser of a command.
+        names: Their names, such as `--topic`.
+        group: Group that they belong to, or None for their headings.
+    """
     for name in names:
-        parser.add_argument(name, **_OPTIONS[name])
+        parser.add_argument(name, group=group, **_OPTIONS[name])
 
 
 def pipeline_config(

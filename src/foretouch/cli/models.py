@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.cli.output import print_json, print_table, print_text
+from foretouch.cli.parser import CommandParser
 from foretouch.errors import ModelError
 from foretouch.files import file_sha256
 from foretouch.models.registry import available_models, find_card, load_model
@@ -14,7 +15,7 @@ from foretouch.models.registry import available_models, find_card, load_model
 _SPLITS = ("random", "time", "object")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Names or paths; by default all models of the package."""
     parser.add_argument(
         "models",

@@ -18,9 +18,10 @@ from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
 from foretouch.cli.answers import contacts_text, modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
@@ -30,7 +31,7 @@ from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
     inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument(
@@ -100,7 +101,8 @@ def _answer(
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
-    replay_model = laboratory("learning.prequential", "--prequential").replay_model
+    with needs_laboratory("--prequential"):
+        from foretouch_lab.learning.prequential import replay_model
     for name in ("tare", "touched", "grasp", "mask", "picture", "pixel", "point"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")

@@ -21,6 +21,7 @@ from rich.text import Text
 from foretouch.cli.inputs import add_options, positive_number, positive_value
 from foretouch.cli.live import executed_table, titled
 from foretouch.cli.output import announce, print_json, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import make_table, terminal, watch
 from foretouch.config import flattened, parse_overrides
@@ -109,7 +110,7 @@ def _topics(topics: Sequence[TopicAccount]) -> Table:
     return make_table(("topic", "Hz", "received", "written", "queue", "lost", "dropped"), rows, live=True)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add the options."""
     parser.add_argument("-o", "--output", required=True, metavar="DIR", help="dataset; an existing one is extended")
     parser.add_argument(

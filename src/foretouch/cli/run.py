@@ -17,10 +17,11 @@ from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import JsonLines, announce, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
@@ -42,7 +43,7 @@ _TOPIC_S = 5.0  # until somebody must publish a topic
 _PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--source",
@@ -80,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
+def add_replay_arguments(parser: CommandParser, default_rate: str) -> None:
     """Declare what is played, and for whom a replay waits before its first cloud."""
     add_options(parser, "--topic", *CAMERA, "--namespace")
     parser.add_argument(
@@ -191,6 +192,8 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes["perception"]["model"] = SIMULATED_HAND_MODEL
     for name, parameters in (_scene_nodes(arguments) if scene else {"camera": {}}).items():
         nodes.setdefault(name, {}).update(parameters)
+    if any("hand.name" in parameters for parameters in given):
+        perception.pop("hand.name", None)
     return nodes
 
 
@@ -225,12 +228,13 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
     from foretouch.camera.config import ScheduleConfig
 
-    simulation = laboratory("simulation.scene", f"--source {arguments.source}")
+    with needs_laboratory(f"--source {arguments.source}"):
+        from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
 
     show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    scene = simulation.scheduled_scene(show)  # so that an error in it is reported before anything starts
+    scene = scheduled_scene(show)  # so that an error in it is reported before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     # Few, so that a small computer has time for the rest of the graph.
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
@@ -240,11 +244,13 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         "hand": shown,
         "camera": {"source": "scene", "camera.fps": fps, **_PATIENCE, **shown},
     }
+    if scene.hand:  # whose thumb is at g1 in simulation
+        nodes.setdefault("perception", {}).update({"hand.name": scene.hand, "hand.thumb_at": "g1"})
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
         nodes.setdefault("perception", {}).update(
             {
                 "target.mode": "point",
-                "target.point": simulation.centre_of_objects(scene).tolist(),
+                "target.point": centre_of_objects(scene).tolist(),
                 "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
             }
         )

@@ -10,6 +10,7 @@ import numpy as np
 
 from foretouch.cli.inputs import READ, add_options, check_single, draw_result, pipeline_config, process_inputs, scene_of
 from foretouch.cli.output import print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.cloud.geometry.limits import check_object
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, LimitError
@@ -18,7 +19,7 @@ from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """The common inputs and --labels-out."""
     add_options(parser, *READ)
     parser.add_argument(

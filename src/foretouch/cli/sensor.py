@@ -7,10 +7,11 @@ from typing import Any
 
 from foretouch.cli.descriptions import Descriptions
 from foretouch.cli.output import print_json, print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.tactile.description import load_sensor, sensor_files
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add an action for each thing to do with a description."""
     about = "dataset to compare the description with: ranges, noise, drift, rate, and taxels that failed"
     _SENSORS.add_arguments(parser).add_argument("--against", type=Path, metavar="DS", help=about)

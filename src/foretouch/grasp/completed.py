@@ -62,11 +62,11 @@ _BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
 _OBSTACLE_POINTS = 400  # at most, of each object
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
-_TILT_M = 0.0004  # of clearance that a degree of tilting is worth
-_LEAST_M = -0.002  # of clearance, below which a hand does not come
-_MORE_M = 0.004  # of clearance, above which more is of no use
-_SCARCE = 3.0  # worth of what is missing of it, over that of what tilting costs
-_OTHER_THUMB_M = 0.002  # of clearance, for which the thumb takes g1 instead of g2
+_LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
+_SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
+_OTHER_THUMB_DEG = 5.0  # of tilting, for which the thumb takes g1 instead of g2
+_OTHER_SIDE_DEG = 1.0  # of tilting, for which the palm comes from the other side
+_NEAR_DEG = 4.0  # of tilting, in which the weight of an angle beside the best falls by a factor of e
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
 COMPLETED_POINTS = 2500  # of an object that are used; more change few grasps
 SCORE_OF_NONE = 10.0  # score of a line without any cost
@@ -287,7 +287,15 @@ class CompletedObject:
         return own, others
 
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
-        """How the hand comes to a grasp with contacts (3,) [m] of the camera's frame, None where it cannot; and whether only other objects prevent it."""
+        """Find how the hand comes to a grasp.
+
+        Args:
+            g1: (3,) float64, a contact [m], camera frame.
+            g2: (3,) float64, the other one.
+
+        Returns:
+            The way, None where the hand cannot come; and whether only other objects prevent it.
+        """
         hand = self._hand.hand
         middle = self._basis @ ((g1 + g2) / 2.0 - self._foot)
         across = self._basis @ (g2 - g1)
@@ -295,30 +303,33 @@ class CompletedObject:
         frame = np.array([[across[0], across[1], 0.0], [-across[1], across[0], 0.0], [0.0, 0.0, width]]) / width
         clearances, behind = np.full((2, len(TILTS)), UNLIMITED_M), np.zeros(len(TILTS))
         if hand.limits_depth:
-            own, others = ((one - middle) @ frame.T for one in self._around)
+            own, others = ((points - middle) @ frame.T for points in self._around)
             clearances, behind = hand.clearance(width, own, others, float(middle[2]))
             clearances = clearances[::-1]
         allowed = clearances >= _LEAST_M
         if self._hand.thumb_at != "either":
             allowed[int(self._hand.thumb_at == "g1")] = False
         if not allowed.any():
-            blocked = hand.limits_depth and len(others) > 0
-            return None, blocked and bool(
-                (hand.clearance(width, own, others[:0], float(middle[2]))[0] >= _LEAST_M).any()
-            )
-        cost = _TILT_M * np.abs(np.degrees(TILTS)) + _SCARCE * np.maximum(_MORE_M - clearances, 0.0)
-        cost[0] += _OTHER_THUMB_M
-        thumb, tilt = np.unravel_index(np.argmin(np.where(allowed, cost, np.inf)), cost.shape)
-        angle = TILTS[tilt]
+            if not hand.limits_depth or not len(others):
+                return None, False
+            alone = hand.clearance(width, own, others[:0], float(middle[2]))[0]
+            return None, bool((alone >= _LEAST_M).any())
+        lack = np.maximum((_MORE_M - clearances) / (_MORE_M - _LEAST_M), 0.0) ** 2
+        cost = np.abs(np.degrees(TILTS)) + _SCARCE_DEG * lack + _OTHER_SIDE_DEG * (TILTS < 0.0)
+        cost[0] += _OTHER_THUMB_DEG
+        cost = np.where(allowed, cost, np.inf)
+        thumb, best = np.unravel_index(np.argmin(cost), cost.shape)
+        # Between the best angle and those next to it, so that noise does not decide.
+        near = np.abs(TILTS - TILTS[best]) < 1.5 * TILTS[1]
+        weight = near * np.exp(-np.minimum((cost[thumb] - cost[thumb, best]) / _NEAR_DEG, 700.0))
+        angle, depth_m = np.array([TILTS, behind]) @ weight / weight.sum()
         at, pose = hand.at(width), np.eye(4)
         z = -(np.sin(angle) * frame[1] + np.cos(angle) * frame[2]) @ self._basis
         x = frame[0] @ self._basis * (1.0 if thumb else -1.0)
         pose[:3, :3], pose[:3, 3] = np.stack([x, cross(z, x), z], axis=1), (g1 + g2) / 2.0
         joints = tuple(joint.name for joint in hand.config.joints)
         name: Literal["g1", "g2"] = "g2" if thumb else "g1"
-        return WayIn(
-            z, name, float(behind[tilt]), clearances, pose @ at.tool, at.posture, joints, self._hand.name
-        ), False
+        return WayIn(z, name, float(depth_m), clearances, pose @ at.tool, at.posture, joints, self._hand.name), False
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
         """Direction and place of the line that is closest to a grasp."""
@@ -382,9 +393,17 @@ def _slopes(ends: Float64) -> Float64:
 def best_grasps(
     completed: CompletedObject, lines: ClosingLines, count: int
 ) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
-    """Contacts, way in and cost of at most `count` lines to which the hand can come, best first; each differs from all better ones by a contact.
+    """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
     Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`.
+
+    Args:
+        completed: The object.
+        lines: Its lines.
+        count: Largest number of grasps.
+
+    Returns:
+        Contacts, way in and cost of each.
     """
     order = np.argsort(lines.cost, axis=None, kind="stable")[: lines.counts["n_free"]]
     chosen: list[tuple[tuple[Float64, Float64], WayIn, float]] = []

@@ -16,7 +16,8 @@ import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, nearest, shown
-from foretouch.types import Float64, Int64
+from foretouch.grasp.pose import cross
+from foretouch.types import Float32, Float64, Floating, Int32
 
 FINGER, THUMB, PALM = "finger", "thumb", "palm"
 UNLIMITED_M: Final = 10.0
@@ -27,11 +28,15 @@ TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.
 SPARE_M: Final = 0.003
 """Distance that the palm keeps from the object where it can, since sizes and places are estimated."""
 
+_TURNED = np.stack([[-np.sin(TILTS), -np.cos(TILTS)], [-np.cos(TILTS), np.sin(TILTS)]]).astype(np.float32)
+# (2, 2, A): along z and y of the frame of the grasp, from what is beside and up of a line, at each of `TILTS`
+
 _FREE_STEP_M: Final = 0.005
 _WIDER_M: Final = 0.002  # on either side of a line, where the object is not seen to end
-_CELL_M: Final = 0.005
+_CELL_M: Final = 0.0025
 _WIDTH_STEP_M: Final = 0.0025
-_CELLS: Final = 100  # of the grid over a hand, in either direction
+_PALM_CELLS, _FINGER_CELLS = 3, 2  # around a part of the hand that it takes, too, since widths are estimated
+_CELLS: Final = 200  # of the grid over a hand, in either direction
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _SIDES: Final = {FINGER: -0.5, PALM: 0.0, THUMB: 0.5}  # of the width, where the origin of such a box is
 
@@ -190,6 +195,33 @@ class Hand:
         beside = np.outer(np.sin(TILTS), corners[:, 1])
         return np.stack([(sign * beside - below).min(axis=1, initial=UNLIMITED_M) for sign in (1.0, -1.0)])
 
+    def fingertip(self, part: str, width_m: float) -> Float64:
+        """Orient a fingertip at a grasp as the last box of its finger.
+
+        Args:
+            part: `FINGER` or `THUMB`.
+            width_m: Of the grasp.
+
+        Returns:
+            (3, 3) float64, proper rotation, columns in the frame of the grasp: x along the longest edge to the tip; z away from
+            the pad, which is the face that looks most to the other contact.
+        """
+        last = len(self.parts) - 1 - self.parts[::-1].index(part)
+        corners = self.at(width_m).corners[last]
+        edges = corners[[4, 2, 1]] - corners[0]
+        lengths = np.linalg.norm(edges, axis=1)
+        axes = edges / lengths[:, None]
+        x = axes[np.argmax(lengths)]
+        if x @ (np.array([self._sides[last] * width_m, 0.0, 0.0]) - corners.mean(axis=0)) < 0.0:
+            x = -x
+        faces = np.delete(axes, np.argmax(lengths), axis=0)
+        z = faces[np.argmax(np.abs(faces[:, 0]))]
+        if z[0] * self._sides[last] < 0.0:
+            z = -z
+        z = z - (z @ x) * x  # boxes that are interpolated are a little skewed
+        z /= np.linalg.norm(z)
+        return np.column_stack([x, cross(z, x), z])
+
     def opened(self, width_m: float, share: float = 1.0) -> Float64:
         """(B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
         wide = min(
@@ -201,19 +233,22 @@ class Hand:
         return np.asarray(there.corners @ back[:3, :3].T + back[:3, 3], np.float64)
 
     @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
-    def _fronts(self, number: int) -> Float64:
-        """(2, 102, 102) float64 [m], how far the hand reaches along z over x and y: opened, and anywhere between open and closed; the border is empty.
+    def _fronts(self, number: int) -> Float32:
+        """Map how far the hand reaches along z over x and y: opened, and anywhere between open and closed; the border is empty.
 
-        At a width of `number` times `_WIDTH_STEP_M`. Each place stands for its neighbours, too.
+        Args:
+            number: The width in steps of `_WIDTH_STEP_M`.
+
+        Returns:
+            (2, 202, 202) float32 [m]; each place stands for those around it, too, by `_PALM_CELLS` or `_FINGER_CELLS`.
         """
-        found = np.full((2, _CELLS + 2, _CELLS + 2), -np.inf)
+        palm, fingers = np.full((2, 2, _CELLS + 2, _CELLS + 2), -np.inf)
         for share in (1.0, 0.5, 0.0):
-            for corners in self.opened(number * _WIDTH_STEP_M, share):
-                _raise_to(found[1], corners)
+            for corners, part in zip(self.opened(number * _WIDTH_STEP_M, share), self.parts, strict=True):
+                _raise_to((palm if part == PALM else fingers)[1], corners)
             if share == 1.0:
-                found[0] = found[1]
-        near = [np.roll(found, (i, j), (1, 2)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        found = np.asarray(np.max(near, axis=0), np.float64)
+                palm[0], fingers[0] = palm[1], fingers[1]
+        found = np.maximum(_spread(palm, _PALM_CELLS), _spread(fingers, _FINGER_CELLS)).astype(np.float32)
         found[:, [0, -1]] = found[:, :, [0, -1]] = -np.inf
         return found
 
@@ -231,25 +266,26 @@ class Hand:
         Returns:
             (2, A) float64 with the thumb at the line's end, and at its beginning; and (A,) float64, how far the object reaches towards the palm [m].
         """
-        xyz, split = np.concatenate([own, others]), len(own)
+        points, split = np.concatenate([own, others]).astype(np.float32), len(own)
         number = round(width_m / _WIDTH_STEP_M)
-        fronts = self._fronts(number)
-        depth, middle = (float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, one)) for one in self.depths)
-        c, s = np.cos(TILTS)[:, None], np.sin(TILTS)[:, None]
-        z, y = -(c * xyz[:, 2] + s * xyz[:, 1]), s * xyz[:, 2] - c * xyz[:, 1]  # (A, N)
-        across_m = self.config.across_m / 2.0
-        between = (np.abs(own[:, 0]) <= width_m / 2.0 + _WIDER_M) & (np.abs(y[:, :split]) <= across_m)
+        depth, middle = (float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, free)) for free in self.depths)
+        x = points[:, 0]
+        z, y = np.einsum("dka,kn->dan", _TURNED, points[:, 1:].T)  # (A, N) each, as the palm turns about the line
+        across = np.abs(x[:split]) <= width_m / 2.0 + _WIDER_M
+        between = across & (np.abs(y[:, :split]) <= self.config.across_m / 2.0)
         behind = -np.where(between, z[:, :split], 0.0).min(axis=1, initial=0.0)
-        free_m = np.where(np.abs(own[:, 0]) <= width_m / 4.0, middle, depth)
+        free_m = np.where(np.abs(x[:split]) <= width_m / 4.0, middle, depth)
         between_m = np.where(between, z[:, :split] + free_m, UNLIMITED_M).min(axis=1, initial=UNLIMITED_M)
+        cells = (_CELLS + 2) * _cell(x) + _cell(y)
         found, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
-        for row, thumb in enumerate((1.0, -1.0)):
-            cells = (_CELLS + 2) * _cell(thumb * xyz[:, 0]) + _cell(thumb * y)
-            for part, front in ((slice(split), fronts[0]), (slice(split, None), fronts[1])):
-                free = (z[:, part] - front.take(cells[:, part])).min(axis=1, initial=UNLIMITED_M)
-                found[row] = free if part.start is None else np.minimum(found[row], free)
+        opened, closing = self._fronts(number)
+        met = np.empty_like(z)
+        for row in (0, 1):
+            met[:, :split], met[:, split:] = opened.take(cells[:, :split]), closing.take(cells[:, split:])
+            free = (z - met).min(axis=1, initial=UNLIMITED_M)
+            cells = opened.size - 1 - cells  # half a turn about z: the thumb is at the line's beginning
             above = height_m + lowest[row]  # the table is where it was seen: there is no tolerance
-            found[row] = np.where(above < 0.0, -UNLIMITED_M, np.minimum(found[row], np.minimum(between_m, above)))
+            found[row] = np.where(above < 0.0, -UNLIMITED_M, np.minimum(np.minimum(free, between_m), above))
         return found, behind
 
     def at(self, width_m: float) -> HandAt:
@@ -277,9 +313,16 @@ def _ahead(corners: Float64) -> float:
     return float(first) if first <= last else UNLIMITED_M
 
 
-def _cell(values: Float64) -> Int64:
+def _cell(values: Floating) -> Int32:
     """Index of a place in `Hand._fronts`, whose border is empty."""
-    return np.clip(np.floor(values / _CELL_M + (_CELLS / 2 + 1)), 0, _CELLS + 1).astype(np.int64)
+    return np.asarray(np.clip(values * (1.0 / _CELL_M) + (_CELLS / 2 + 1), 0.5, _CELLS + 1.5), np.int32)
+
+
+def _spread(fronts: Float64, cells: int) -> Float64:
+    """The largest of each cell of maps (2, H, W) and those around it."""
+    for axis in (1, 2):
+        fronts = np.max([np.roll(fronts, shift, axis) for shift in range(-cells, cells + 1)], axis=0)
+    return fronts
 
 
 def _raise_to(front: Float64, corners: Float64) -> None:

@@ -43,6 +43,10 @@ class SampleState:
     plan: GraspPlan  # result of GeoGrasp
     grasp: Grasp  # the grasp that is executed, in the camera frame
     fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world
+    pad_angles: (
+        Float64  # (2, 2), pitch and roll of the place of each pad that the hand's posture turns to the object [rad]
+    )
+    turn: Float64  # (3, 3), by which the hand is turned against where it was sent, in the world
     target: float  # what both fingers are commanded to reach, [N] or [m] by the scene's `control`
     axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
     tangential_n: Float64  # (2, 3) [N], force of the object's weight on both fingers in the world, across their line

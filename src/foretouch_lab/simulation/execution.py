@@ -147,9 +147,7 @@ class SimulatedHand:
                 counts, start, None, None, None, chosen.midpoint, chosen.rotation, reason=err.reason, message=str(err)
             )
         (thumb, middle), camera = state.fingers, self._executing.world.view
-        # A finger's tangent x is the hand's X or its opposite, whichever points down; its approach is the hand's Z or -Z.
-        x, z = camera.R_world_camera.T @ thumb.rotation[:, 0], -(camera.R_world_camera.T @ thumb.normal)
-        x = -x if x @ chosen.rotation[:, 0] < 0.0 else x
+        turn = camera.R_world_camera.T @ state.turn @ camera.R_world_camera
         steady = np.flatnonzero(state.load == 1.0)
         return GraspTrajectory(
             counts=self._counts(state),
@@ -158,7 +156,7 @@ class SimulatedHand:
             contact=int(steady[0]),
             release=int(steady[-1]) + 1,
             midpoint=camera.to_camera((thumb.origin + middle.origin) / 2.0),
-            rotation=np.column_stack([x, np.cross(z, x), z]),
+            rotation=turn @ chosen.rotation,
         )
 
     def press(self, finger: int) -> Counts:

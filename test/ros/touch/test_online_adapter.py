@@ -5,6 +5,7 @@ import io
 import subprocess
 import sys
 import time
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -36,7 +37,7 @@ from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
 from foretouch.tactile.messages.readers import make_reader
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, stamp_ns
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, stamp_ns
 
 pytestmark = pytest.mark.ros
 
@@ -222,6 +223,32 @@ def test_predictions_are_those_of_the_core_and_forgetting_undoes_it(card):
     hand.set(use_tare=False)
     assert (hand.reference(), hand.adapter.forget_history() > 3) == ("history", True)
     assert_equal(hand.ask(), expected(hand, None))
+
+
+def test_a_touch_is_compared_on_the_table_of_its_cloud_however_many_came_since():
+    """A camera at 30 Hz sends hundreds of clouds between a plan and the touch."""
+    hand = DirectHand(load_model("default"))
+    up = np.array([0.0, -np.sin(np.radians(40.0)), -np.cos(np.radians(40.0))])
+    table = Plane(up, -float(up @ [0.0, 0.0, 0.84]))
+    options = {"limits": hand.config.limits, "reach": hand.config, "table": table}
+    first, stamp = hand.look("good"), hand.now
+    hand.adapter.add_grasps(first[0].header, lambda: first[0], first[1])
+    hand.adapter.predict(hand.cloud, hand.planned, **options)
+    touched = hand.cloud, hand.planned[0]
+    for number in range(70):
+        hand.now += MS
+        later, grasps = hand.look(f"later {number}")
+        hand.adapter.add_grasps(later.header, partial(lambda message: message, later), grasps)
+        hand.adapter.predict(hand.cloud, [], **options)
+    hand.see = lambda name: None  # the grasp is executed on the first cloud
+    cut = hand.cut(hand.grasp("good", 0))
+    history = History(hand.model)
+    history.touched(Object("7", touched[0], table), touched[1], cut.touch, stamp_ns=hand.now)
+    found = hand.adapter.predict(hand.cloud, hand.planned, **options)
+    assert hand.counts() == {"taken_in": 1}
+    assert touched[0].stamp_ns == stamp
+    read = history.snapshot(hand.now, same_object=True)
+    assert_equal(found, hand.model.predict(hand.cloud, hand.planned, history=read, table=table))
 
 
 def test_a_dead_sensor_is_refused_counted_and_named(card):

@@ -40,7 +40,7 @@ from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, st
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
-_TABLES = 64  # of the latest clouds, for grasps that are executed on them
+_TABLES = 64  # of the latest clouds, which come before the clouds themselves are kept
 
 
 class OnlineAdapter:
@@ -148,13 +148,21 @@ class OnlineAdapter:
         history = self._history_for(cloud, tare, config) if config.use_touches else None
         alone = tare if history is None else None
         predictions = model.predict(cloud, grasps, tare=alone, history=history, limits=limits, reach=reach, table=table)
-        self._tables[cloud.stamp_ns] = table
-        while len(self._tables) > _TABLES:
-            del self._tables[next(iter(self._tables))]
+        self._keep_table(cloud.stamp_ns, table)
         if predictions:
             first = predictions[0]
             self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
         return predictions
+
+    def _keep_table(self, stamp: int, table: Plane | None) -> None:
+        """Keep the table of a cloud for as long as the cloud itself, since a grasp may be executed on it until then."""
+        with self._input_lock:
+            self._tables[stamp] = table
+            while len(self._tables) > _TABLES:
+                oldest = next(iter(self._tables))
+                if self._assembler.clouds.get(oldest) is not None:
+                    return
+                del self._tables[oldest]
 
     def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> Snapshot | None:
         """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""

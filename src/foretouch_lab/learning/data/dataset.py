@@ -243,10 +243,11 @@ def _simulated(store: Store) -> dict[str, Any]:
     if "scene_sha256" not in about:
         return {}
     scene = about.get("scene_file", "a scene")
+    hand = about.get("scene", {}).get("hand", "")
+    touched = f"the posture of {hand} turns its pads" if hand else "its pads face each other"
+    known = f"it knows no real fingertip or camera, and no other objects than {scene} has."
     return {
         "source": f"foretouch simulate {scene} -n {len(store)}",
         "scene_sha256": about["scene_sha256"],
-        "limits": [
-            f"For the simulated hand only: it knows no real fingertip or camera, and no other objects than {scene} has."
-        ],
+        "limits": [f"For the simulated hand only, at whose contacts {touched}: {known}"],
     }

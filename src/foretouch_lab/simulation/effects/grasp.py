@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
-from foretouch.grasp import hand_rotation, plan_grasps
+from foretouch.grasp import DEFAULT_HAND, HandConfig, hand_rotation, plan_grasps
+from foretouch.grasp.hand import FINGER, THUMB, Hand, load_hand
 from foretouch.types import Float64, Grasp
 from foretouch_lab.simulation.contact.grip import solve_grip, weigh
 from foretouch_lab.simulation.contact.pad import (
@@ -42,7 +43,10 @@ _GRAVITY_M_S2 = 9.81
 def _plan(job: Job, state: SampleState) -> None:
     grasps, view = job.scene.grasps, job.world.view
     rng, shape = job.rng() if grasps.slide else None, (view.height, view.width)
-    plan = plan_grasps(state.cloud, job.world.plane, grasps.geograsp, rng=rng, pixels=state.pixels, image_shape=shape)
+    hand = HandConfig(name=job.scene.hand, thumb_at="g1") if job.scene.hand else DEFAULT_HAND
+    plan = plan_grasps(
+        state.cloud, job.world.plane, grasps.geograsp, rng=rng, pixels=state.pixels, image_shape=shape, hand=hand
+    )
     if plan.status == "no_grasp":
         raise SimulationError(f"{job.item.name}: {plan.reason}", "no_grasp")
     grasp = plan.grasps[0]
@@ -60,7 +64,15 @@ def _fingers(job: Job, state: SampleState) -> None:
         )
     lower = job.scene.grasps.insertion_m * _UP
     g1, g2 = world.view.to_world(grasp.g1) - lower, world.view.to_world(grasp.g2) - lower
-    state.fingers = _finger_frames(g1, g2, world.view.R_world_camera @ grasp.rotation, _UP)
+    rotation = world.view.R_world_camera
+    state.fingers, state.pad_angles, state.turn = (
+        _finger_frames(g1, g2, rotation @ grasp.rotation, _UP),
+        np.zeros((2, 2)),
+        np.eye(3),
+    )
+    if job.scene.hand:
+        approach = -_UP if grasp.way is None else rotation @ grasp.way.approach
+        state.fingers, state.pad_angles = _described_frames(load_hand(job.scene.hand), g1, g2, approach)
 
 
 def _finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tuple[ContactFrame, ContactFrame]:
@@ -77,6 +89,36 @@ def _finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tupl
     return frames[0], frames[1]
 
 
+def _described_frames(
+    hand: Hand, g1: Float64, g2: Float64, approach: Float64
+) -> tuple[tuple[ContactFrame, ContactFrame], Float64]:
+    """Place the fingertips of a described hand, thumb at g1 and middle finger at g2.
+
+    Args:
+        hand: The hand.
+        g1: (3,) float64 [m].
+        g2: (3,) float64 [m].
+        approach: (3,) float64, from the palm to the middle of the contacts; what it has along their line does not count.
+
+    Returns:
+        The frame of each, its x the part of the finger's direction across the line of the contacts; and (2, 2) float64, pitch and
+        roll of the place of its pad that meets the other contact's line [rad], see `pad_direction`. All in one frame.
+    """
+    width_m = float(np.linalg.norm(g1 - g2))
+    x = (g1 - g2) / width_m
+    z = approach - (approach @ x) * x
+    z /= np.linalg.norm(z)
+    axes = np.column_stack([x, np.cross(z, x), z])
+    frames, angles = [], []
+    for part, origin, closing in ((THUMB, g1, -x), (FINGER, g2, x)):
+        tip = axes @ hand.fingertip(part, width_m)
+        ahead, aside, behind = (closing @ tip).tolist()
+        across = (tip[:, 0] - ahead * closing) / math.sqrt(1.0 - ahead * ahead)
+        frames.append(ContactFrame(origin, np.column_stack([across, np.cross(closing, across), closing])))
+        angles.append((math.asin(ahead), math.atan2(aside, -behind)))
+    return (frames[0], frames[1]), np.array(angles)
+
+
 def _execution_error(job: Job, state: SampleState) -> None:
     """Both fingers are on one hand, so they are shifted and turned about their middle as one, and press alike."""
     error: ExecutionErrorConfig = job.settings
@@ -85,6 +127,7 @@ def _execution_error(job: Job, state: SampleState) -> None:
     shift = thumb.rotation @ (rng.normal(0.0, error.position_m, 3) * (1.0, 1.0, 0.0))
     turn = _small_rotation(np.radians(rng.normal(0.0, error.angle_deg, 3)))
     centre = (thumb.origin + middle.origin) / 2.0
+    state.turn = turn
     state.fingers = tuple(  # type: ignore[assignment]  # two in, two out
         ContactFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
         for finger in (thumb, middle)
@@ -110,11 +153,13 @@ def _targets(job: Job, state: SampleState) -> None:
 
 
 def _posture(job: Job, state: SampleState) -> None:
-    """The orientation of each fingertip: the chosen place of its pad looks along the approach."""
+    """Turn each fingertip so that the chosen place of its pad looks along the approach; the hand's posture adds to it."""
     fingers, rng, array = job.scene.fingers, job.rng(), job.world.array
     postures = []
-    for finger, frame in zip((fingers.thumb_posture, fingers.middle_posture), state.fingers, strict=True):
-        pitch, roll = (np.radians(draw(rng, limits)) for limits in (finger.pitch_deg, finger.roll_deg))
+    chosen = (fingers.thumb_posture, fingers.middle_posture)
+    for finger, frame, posture in zip(chosen, state.fingers, state.pad_angles, strict=True):
+        drawn = [np.radians(draw(rng, limits)) for limits in (finger.pitch_deg, finger.roll_deg)]
+        pitch, roll = drawn + posture
         pad = array.aimed(pitch, roll) if array else contact_frame(fingers.pad, pad_direction(pitch, roll))
         postures.append((pad, frame.rotation @ pad.rotation.T))
     state.postures = postures[0], postures[1]

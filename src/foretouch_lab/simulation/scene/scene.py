@@ -18,6 +18,7 @@ import numpy as np
 from foretouch.camera.config import ScheduleConfig
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
+from foretouch.grasp.hand import load_hand
 from foretouch.tactile import FULL_SCALE
 from foretouch.tactile.channels import CORE_HALF_LENGTH_M, CORE_RADIUS_M
 from foretouch.tactile.description import Sensor
@@ -109,6 +110,9 @@ class SceneConfig(Settings):
     fingers: FingersConfig = FingersConfig()
     gravity: Switch | None = None
     campaign: CampaignConfig | None = None
+    hand: str = setting(
+        "", "Hand whose posture turns the fingertips: name or YAML file of a description; empty: they face each other"
+    )
     fidelity: str = setting(
         "auto", "Contact solver; auto: springs on rigid objects, elastic layers on soft ones", choices=("auto", *LEVELS)
     )
@@ -126,6 +130,11 @@ class SceneConfig(Settings):
             _require_in_view(self, item, f"objects[{k}] {item.name}")
             if self.gravity is not None and item.mass_kg is None:
                 raise ConfigError(f"objects[{k}] {item.name}.mass_kg: absent, but the scene has gravity")
+        if self.hand:
+            try:
+                load_hand(self.hand)
+            except ConfigError as err:
+                raise ConfigError(f"hand: {err}") from err
         for name, instead in (("drift", "campaign.warm_up"), ("sessions", "campaign.drift")):
             if self.campaign is not None and getattr(self.fingers, name) is not None:
                 raise ConfigError(
@@ -139,11 +148,12 @@ class SceneConfig(Settings):
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
         """As of all settings; besides, `families` are drawn here and stand after the objects that are listed.
 
-        The path of a mesh, or of a sensor, is relative to the file of the scene, if it is there, else to the working folder.
+        The path of a mesh, of a hand or of a sensor is relative to the file of the scene, if it is there, else to the working folder.
         """
         given = dict(mapping)
         if isinstance(given.get("objects"), list):
             given["objects"] = [_beside(source, item, "file") for item in given["objects"]]
+        given = _beside(source, given, "hand")
         if "fingers" in given:
             given["fingers"] = _beside(source, given["fingers"], "sensor")
         if "families" in given:
@@ -154,9 +164,11 @@ class SceneConfig(Settings):
     def sha256(self) -> str:
         """Hash of all settings and of the constants that go with them, so that another default is another scene.
 
-        Of the file of a mesh, or of a sensor, only the content counts.
+        Of the file of a mesh, a hand or a sensor, only the content counts.
         """
-        return scene_hash(self.to_mapping(), self.fingers.taxel_sensor())
+        settings = self.to_mapping()
+        settings["hand"] = load_hand(self.hand).config.to_mapping() if self.hand else 0
+        return scene_hash(settings, self.fingers.taxel_sensor())
 
 
 def load_scene(path: str | Path) -> SceneConfig:

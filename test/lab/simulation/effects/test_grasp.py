@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from sim_builders import CAN, SPONGE, run, scene, unit
 
-from foretouch.errors import ConvergenceError, SimulationError
+from foretouch.errors import ConfigError, ConvergenceError, SimulationError
+from foretouch.grasp.hand import FINGER, THUMB, load_hand
 from foretouch_lab.simulation.contact import grip
 from foretouch_lab.simulation.effects import grasp
 
@@ -37,6 +38,36 @@ def test_the_relief_has_its_height_and_a_posture_moves_the_contact_over_the_pad(
     postures = ({"thumb_posture": {"pitch_deg": [pitch, pitch]}} for pitch in (-20.0, 0.0, 20.0))
     places = [run(scene(BALL, fingers=fingers), "relief").pads[0].frame.origin[0] for fingers in postures]
     assert places == sorted(places)
+
+
+def test_fingertips_take_the_posture_of_the_hand_that_a_scene_names() -> None:
+    """The pads of the Shadow Hand's description are off the line as its kinematics say, and no others than by its two fingers' own tips."""
+    hand = load_hand("shadow_thumb_middle")
+    tin = CAN | {"size_m": [0.05, 0.05, 0.06]}
+    plain, posed = (run(scene(tin, **named), "contact") for named in ({}, {"hand": "shadow_thumb_middle"}))
+    for state, low, high in ((plain, -1e-6, 1e-6), (posed, 20.0, 45.0)):
+        for finger, (_, tip) in zip(state.fingers, state.postures, strict=True):
+            assert low <= np.degrees(np.arccos(np.clip(finger.normal @ -tip[:, 2], -1.0, 1.0))) <= high
+            np.testing.assert_allclose(tip.T @ tip, np.eye(3), atol=1e-12)
+    x = unit(posed.fingers[0].origin - posed.fingers[1].origin)  # to the thumb, which takes g1
+    z = scene(tin).camera.view().R_world_camera @ posed.grasp.way.approach
+    axes = np.column_stack([x, np.cross(z, x), z])
+    for part, (_, tip) in zip((THUMB, FINGER), posed.postures, strict=True):
+        np.testing.assert_allclose(tip, axes @ hand.fingertip(part, posed.grasp.width_m), atol=1e-9)
+    for side in (0, 1):  # the tip of the finger touches, not the middle of its pad
+        assert posed.pads[side].frame.origin[0] > plain.pads[side].frame.origin[0] + 1e-3
+
+
+def test_a_gripper_presses_with_pads_that_face_each_other_and_an_unknown_hand_is_refused() -> None:
+    plain, posed = (
+        run(scene(CAN | {"size_m": [0.05, 0.05, 0.06]}, **named), "posture") for named in ({}, {"hand": "franka_hand"})
+    )
+    for state in (plain, posed):
+        np.testing.assert_allclose(
+            [finger.normal @ tip[:, 2] for finger, (_, tip) in zip(state.fingers, state.postures, strict=True)], -1.0
+        )
+    with pytest.raises(ConfigError, match="hand: shadow_thumb: is neither a file nor one of"):
+        scene(CAN, hand="shadow_thumb")
 
 
 def test_the_execution_error_moves_both_fingers_as_one_hand() -> None:
