@@ -157,8 +157,12 @@ def test_the_thumb_takes_the_contact_that_is_asked_for() -> None:
     for name in ("g1", "g2"):
         hand = HandConfig(name="shadow_thumb_middle", thumb_at=name)
         plan = plan_grasps(cloud, table, CONFIG, hand=hand)
-        assert plan.grasps[0].way is not None
-        assert plan.grasps[0].way.thumb_at == name
+        grasp = plan.grasps[0]
+        assert grasp.way is not None
+        assert grasp.way.thumb_at == "g1"  # where touch models expect the sensor's first finger
+        assert (grasp.g1[0] < grasp.g2[0]) == (name == "g1")  # left in the image, or right
+        np.testing.assert_allclose(grasp.way.pose_of_hand @ np.linalg.inv(load_hand(hand.name).at(grasp.width_m).tool)
+                                   @ [grasp.width_m / 2.0, 0.0, 0.0, 1.0], [*grasp.g1, 1.0], atol=1e-9)  # fmt: skip
 
 
 def test_no_way_in_is_counted_and_named() -> None:

@@ -286,6 +286,11 @@ class CompletedObject:
             others = np.asarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         return own, others
 
+    @property
+    def has_thumb(self) -> bool:
+        """Whether the hand is described, so that a contact is the thumb's."""
+        return self._hand.hand.limits_depth
+
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
 
@@ -395,7 +400,8 @@ def best_grasps(
 ) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
     """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
-    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`.
+    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb of a described hand
+    is g1, where touch models expect it.
 
     Args:
         completed: The object.
@@ -421,8 +427,15 @@ def best_grasps(
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
         else:
+            if way.thumb_at == "g2" and completed.has_thumb:
+                ends, way = ends[::-1], way.with_contacts_swapped()
             chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen
+
+
+def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
+    """Order the contacts of a grasp as `HandConfig.thumb_at` names them: g1 is left in the image."""
+    return (grasp.g1, grasp.g2) if (grasp.g2 - grasp.g1) @ PREFERRED >= 0.0 else (grasp.g2, grasp.g1)
 
 
 def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:

@@ -27,6 +27,7 @@ from foretouch.grasp.completed import (
     SCORE_OF_NONE,
     CompletedObject,
     Obstacles,
+    as_in_image,
     best_grasps,
     blocking_objects,
     why_no_line,
@@ -233,7 +234,7 @@ def _plan_completed(
         if held is not None and plan.grasps:
             last, margin = held
             cost = float(lines.cost[completed.nearest_line(last[0])])
-            if completed.way_in(last[0].g1, last[0].g2)[0] is None:
+            if completed.way_in(*as_in_image(last[0]))[0] is None:
                 cost = np.inf
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
