@@ -18,7 +18,15 @@ from foretouch.dataset.source import open_source
 from foretouch_lab.simulation.scene import load_scene
 
 ROOT = Path(__file__).parents[1]
-OPTIONAL = {"pyrealsense2", "rclpy", "sensor_msgs", "foretouch_msgs", "std_msgs", "geometry_msgs"}  # extras
+OPTIONAL = {
+    "pyrealsense2",
+    "rclpy",
+    "sensor_msgs",
+    "foretouch_msgs",
+    "std_msgs",
+    "geometry_msgs",
+    "moveit_msgs",
+}  # extras
 SCRIPTS = sorted([*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("examples/*.py"), ROOT / "docs" / "drawings.py"])
 
 

@@ -86,7 +86,7 @@ def write_topics(
     tactile = tactile or (lambda at_ns, level: biotac_all(at_ns, level, faults.electrodes))
     start = 1_700_000_000 * NS
     with BagWriter(path) as writer:
-        first = {"foretouch_msgs/msg/Grasp": (STORED / "Grasp.msg").read_text()}  # its fields in 0.3
+        first = {"foretouch_msgs/msg/Grasp": (STORED / "StoredGrasp.msg").read_text()}  # its fields in 0.3
         for name, text in {**first, **(definitions or {})}.items():
             writer.definitions.register(name, text)
 

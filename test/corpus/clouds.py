@@ -210,7 +210,7 @@ def scene_cases() -> Iterator[SceneCase]:
         yield SceneCase(f"{n} points in a list", _cloud(bar()[:n] + _AWAY), *status)
     yield SceneCase("only a ball", _cloud(ball(5000) + _AWAY), "no_plane", "plane holds|narrow")
     line = np.outer(np.linspace(0.5, 1.0, 900), [0.1, 0.1, 1.0])
-    yield SceneCase("only a line", _cloud(line), "no_plane", "collinear|narrow")
+    yield SceneCase("only a line", _cloud(line), "no_plane", "mm wide, less than")
 
 
 def _changes() -> Iterator[tuple[str, Callable[[np.ndarray], np.ndarray], str, str]]:

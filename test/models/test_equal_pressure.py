@@ -37,11 +37,11 @@ def test_one_grasp_refused_grasps_and_models_without_intervals_get_no_flag():
     model, pipeline = load_model(), Pipeline(PipelineConfig())
     target = Object("1", read_cloud(CAN), ASSUMED_TABLE)
     grasps = grasps_around(target, pipeline, 3)
-    rows = pipeline.predict(target, grasps, model=model)
+    rows = model.predict(target, grasps)
     refused = Predictions.refused(rows.grasps[:1], rows.channels, "refused", "not finite")
     alone = Predictions.join([refused, rows[:1]])
     assert flag_equal_pressures(alone, model).flags.tolist() == [(), rows[0].flags]
     assert EQUAL_PRESSURE in flag_equal_pressures(Predictions.join([refused, rows]), model)[1].flags
     plain = TouchModel(model.estimator, model.card)
-    found = flag_equal_pressures(pipeline.predict(target, grasps, model=plain), plain)
+    found = flag_equal_pressures(plain.predict(target, grasps), plain)
     assert not any(EQUAL_PRESSURE in p.flags for p in found)

@@ -149,7 +149,7 @@ def test_taxels_that_break_a_rule_are_named_by_their_line(tmp_path) -> None:
         ("holds 0 taxels", f"{head}\n"),
         ("line 2: '0,0,0,0,0,1' is not 7 finite numbers", f"{head}\n0,0,0,0,0,1\n"),
         ("line 2: .* is not 7 finite numbers", f"{head}\n0,nan,0,0,0,0,1\n"),
-        ("line 2: nx, ny, nz: the normal is zero; where it is unknown, state that", f"{head}\n0,0,0,0,0,0,0\n"),
+        ("line 2: nx, ny, nz: the normal is zero; where it is unknown, state the nearest", f"{head}\n0,0,0,0,0,0,0\n"),
         ("line 2: nx, ny, nz: .* not of unit length", f"{head}\n0,0,0,0,1e300,0,1e300\n"),
         ("line 3: index: not each of 0 to 1 once", f"{head}\n0,0,0,0,0,0,1\n0,1,0,0,0,0,1\n"),
         ("line 2: index: not each", f"{head}\n0.5,0,0,0,0,0,1\n"),

@@ -114,12 +114,17 @@ def fields(path: Path) -> list[str]:
 
 
 def test_stored_samples_have_the_first_fields_of_the_messages_and_all_types_in_them() -> None:
-    for name in ("GraspSample", "Grasp"):
+    for name in ("GraspSample", "StoredGrasp"):
         ours = fields(REPOSITORY / "src/foretouch/dataset/recording/definitions" / f"{name}.msg")
         theirs = fields(REPOSITORY / "foretouch_msgs/msg" / f"{name}.msg")
         assert ours == theirs[: len(ours)]  # what is added to a message later is not stored
     text = sample_types().text(SAMPLE_TYPE)
-    types = "sensor_msgs/PointField", "foretouch_msgs/Grasp", "geometry_msgs/Quaternion", "builtin_interfaces/Time"
+    types = (
+        "sensor_msgs/PointField",
+        "foretouch_msgs/StoredGrasp",
+        "geometry_msgs/Quaternion",
+        "builtin_interfaces/Time",
+    )
     assert all(f"MSG: {name}" in text for name in types)
     with pytest.raises(DatasetError, match="nowhere_msgs/msg/Thing: no definition is known, and nowhere_msgs is not"):
         Definitions().text("nowhere_msgs/msg/Thing")
