@@ -74,8 +74,10 @@ def draw_steps(cloud: Cloud, result: PipelineResult) -> None:
     seen.set_title("1  cloud (colour: depth)")
     draw_points(found, everything, "lightgray", 6.0)
     assert result.scene is not None  # noqa: S101  a cloud with the table in view
-    for one, colour in zip(result.scene.segmentation.objects, ("tab:orange", "tab:purple", "tab:brown"), strict=False):
-        draw_points(found, thinned(one.cloud.xyz), colour, 1.5)
+    for object_, colour in zip(
+        result.scene.segmentation.objects, ("tab:orange", "tab:purple", "tab:brown"), strict=False
+    ):
+        draw_points(found, thinned(object_.cloud.xyz), colour, 1.5)
     found.set_title("2  table and objects")
     (target,) = result.targets
     prediction = target.predictions[0]
@@ -342,9 +344,9 @@ def draw_hands() -> None:
         held = io.BytesIO()
         figure.savefig(held, format="png", dpi=80, facecolor="white")
         pictures.append(Image.open(held).convert("RGB"))
-    sheet = Image.new("RGB", (pictures[0].width, sum(one.height for one in pictures)), "white")
-    for row, one in enumerate(pictures):
-        sheet.paste(one, (0, row * one.height))
+    sheet = Image.new("RGB", (pictures[0].width, sum(picture.height for picture in pictures)), "white")
+    for row, picture in enumerate(pictures):
+        sheet.paste(picture, (0, row * picture.height))
     sheet.quantize(64).save(FOLDER / "hands.png", optimize=True)
 
 

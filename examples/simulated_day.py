@@ -124,10 +124,12 @@ class Log:
 
     def add_answer(self, message: Any) -> None:
         """A message of `touch`: the prediction of the best grasp."""
-        for one in message.predictions[:1]:
-            value, low, high = (float(end[1, ELECTRODE - 1]) for end in reading(one)["E"])
+        for prediction in message.predictions[:1]:
+            value, low, high = (float(end[1, ELECTRODE - 1]) for end in reading(prediction)["E"])
             at_ns = stamp_ns(message.header.stamp)
-            self.add("prediction", at_ns, value, (high - low) / 2.0, touches=one.touches, readings=one.readings)
+            self.add(
+                "prediction", at_ns, value, (high - low) / 2.0, touches=prediction.touches, readings=prediction.readings
+            )
 
     def add_executed(self, executed: Any) -> None:
         """The last executed grasp, if it is another than before."""

@@ -68,7 +68,7 @@ def with_tares(samples: list[Sample], drift: float, seed: int = 0) -> list[Sampl
 def small_estimator() -> ContactEstimator:
     """A contact model fitted to five made-up objects of ten grasps each."""
     samples = make_samples(5, 10)
-    return fit_contact(describe_samples(samples), labels_of(samples), [one.object for one in samples], FEW_TREES)
+    return fit_contact(describe_samples(samples), labels_of(samples), [sample.object for sample in samples], FEW_TREES)
 
 
 def scaled(cloud: Cloud, factor: float) -> Cloud:

@@ -85,7 +85,7 @@ def rvl(depth: npt.NDArray[np.uint16]) -> bytes:
             before = value
         at += others
     nibbles += [0] * (-len(nibbles) % 8)
-    words = [int("".join(f"{one:x}" for one in nibbles[k : k + 8]), 16) for k in range(0, len(nibbles), 8)]
+    words = [int("".join(f"{nibble:x}" for nibble in nibbles[k : k + 8]), 16) for k in range(0, len(nibbles), 8)]
     return struct.pack("<2I", depth.shape[1], depth.shape[0]) + b"".join(struct.pack("<I", word) for word in words)
 
 

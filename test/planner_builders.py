@@ -29,7 +29,7 @@ class Planner:
         self.graph, self.target, self.grasps, self.feedback = graph, target, grasps, []
 
     def request(self, count=1):
-        messages, table = [grasp_to_msg(one) for one in self.grasps[:count]], [plane_to_msg(self.target.plane)]
+        messages, table = [grasp_to_msg(grasp) for grasp in self.grasps[:count]], [plane_to_msg(self.target.plane)]
         return PredictTouch.Request(cloud=objects_to_msg([self.target], "cam", 5), grasps=messages, table=table)
 
     def ask(self, request=None, field="touch"):

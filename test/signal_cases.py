@@ -70,7 +70,7 @@ def _faults(process: "subprocess.Popen[bytes]", error: str, segments: set[Path],
     yield from (f"{word}: {error[-300:]}" for word in FAULTS if word in error)
     left = list(members(process.pid))
     yield from (f"left: {line}" for line in left)
-    yield from (f"left: {one}" for one in segments if one.exists() and not _locked(one))
+    yield from (f"left: {segment}" for segment in segments if segment.exists() and not _locked(segment))
     with suppress(FileError):  # the signal came before there was a dataset
         for report in verify_dataset(dataset):
             if not (report.clean and report.finished):

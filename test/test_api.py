@@ -61,11 +61,11 @@ def test_from_depth_to_touch_in_five_lines_is_the_pipeline_bit_by_bit(depth):
 
 
 def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_is_named(scene):
-    for one in scene.objects:
-        v, u = np.divmod(one.pixels[len(one.pixels) // 2], scene.labels.shape[1])
-        assert scene.at(int(u), int(v)) is one
-        assert scene.near(one.cloud.xyz[0]) is one
-        np.testing.assert_allclose(one.centroid, one.cloud.xyz.astype(float).mean(axis=0))
+    for object_ in scene.objects:
+        v, u = np.divmod(object_.pixels[len(object_.pixels) // 2], scene.labels.shape[1])
+        assert scene.at(int(u), int(v)) is object_
+        assert scene.near(object_.cloud.xyz[0]) is object_
+        np.testing.assert_allclose(object_.centroid, object_.cloud.xyz.astype(float).mean(axis=0))
     hole = np.array(scene.cloud.xyz)
     hole[0, 0] = np.nan
     assert scene.table is not None
@@ -91,7 +91,7 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
 
 def test_a_mask_chooses_the_objects(scene):
     masked = ft.segment(scene.cloud, mask=np.where(scene.labels == 3, 200, 0))
-    assert [one.id for one in masked.objects] == ["200"]
+    assert [object_.id for object_ in masked.objects] == ["200"]
     assert ft.plan(masked.objects[0]).object_id.tolist() == ["200"]
     with pytest.raises(CloudError, match="mask: shape"):
         ft.segment(scene.cloud, mask=np.ones((3, 3), bool))

@@ -103,9 +103,9 @@ def known(sources: str, vision: str, *regimes: str) -> list[str]:
     """Skills of the electrodes by regime."""
     wanted = {"sources": sources, "vision": vision}
     return [
-        one
+        skill
         for regime in regimes
-        for one in skills("prequential/results.csv", ("E_TH", "E_MF"), regime=regime, **wanted)
+        for skill in skills("prequential/results.csv", ("E_TH", "E_MF"), regime=regime, **wanted)
     ]
 
 
@@ -123,7 +123,7 @@ def where(regime: str, modalities: Sequence[str] = ("E_TH", "E_MF"), experiment:
     """Skills without where on the object and with it."""
     names = ("level", "where")
     table = f"{experiment}/results.csv"
-    return [one for name in names for one in skills(table, modalities, variant=name, regime=regime)]
+    return [skill for name in names for skill in skills(table, modalities, variant=name, regime=regime)]
 
 
 def gains(*modalities: str, experiment: str = "where_on_object", **wanted: Any) -> list[str]:
@@ -242,7 +242,7 @@ def test_limits_of_a_card_are_those_of_its_scores() -> None:
             baselines = {key: by[split] for key, by in found["baselines"].items() if split in by}
             others = {key: np.mean([one["skill"] for one in by.values()]) for key, by in baselines.items()}
             best = max(others, key=lambda key: others[key])
-            mean = np.mean([one["skill"] for one in scores.values()])
+            mean = np.mean([score["skill"] for score in scores.values()])
             text = f"Split {split}: mean skill {mean:.2f}; that of the best baseline, {best}, is {others[best]:.2f}."
             assert text in found["limits"]
 

@@ -63,7 +63,7 @@ def test_piles_rest_touch_and_agree_with_their_depth(tmp_path: Path) -> None:
             if piles.at_rest(one) and holds(one)
         )
         count = len(pile.objects)
-        solids = [vertices(one) for one in pile.objects]
+        solids = [vertices(object_) for object_ in pile.objects]
         low = [points.min(axis=0)[2] for points in solids]
         assert min(low) > -1e-3  # on the table, not within it
         assert min(low) < 1e-3
@@ -77,10 +77,10 @@ def test_piles_rest_touch_and_agree_with_their_depth(tmp_path: Path) -> None:
         points, depth = view.to_world(seen.xyz.astype(np.float64)), np.isfinite(seen.xyz[..., 2])
         table = depth & (seen.labels == 0) & (np.abs(points[..., :2]) < 0.25).all(axis=-1)
         assert np.median(np.abs(points[table][:, 2])) < 2e-3
-        for label, one in enumerate(pile.objects, 1):
+        for label, object_ in enumerate(pile.objects, 1):
             shown = points[depth & (seen.labels == label)]
             if len(shown) > piles._FEWEST_PX:
-                assert np.median(np.abs(beyond(shown, one))) < 3e-3, (kind, one.model.name)
+                assert np.median(np.abs(beyond(shown, object_))) < 3e-3, (kind, object_.model.name)
 
 
 def vertices(one: piles.Placed) -> np.ndarray:

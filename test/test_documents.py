@@ -140,12 +140,12 @@ def test_the_reference_lists_every_field_parameter_and_option_with_what_is_said_
     messages = pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
     from foretouch.ros.graph import NODES
 
-    for one in reference.interfaces("msg"):
-        fields = getattr(messages, one.name).get_fields_and_field_types()
-        assert [f.name for f in one.parts[0] if not f.value] == list(fields)
-        section = reference.messages().partition(f"### {one.name}\n")[2].partition("\n### ")[0]
-        assert all(f"| `{f.name}` |" in section and reference.cell(f.comment) in section for f in one.parts[0]), (
-            one.name
+    for interface in reference.interfaces("msg"):
+        fields = getattr(messages, interface.name).get_fields_and_field_types()
+        assert [f.name for f in interface.parts[0] if not f.value] == list(fields)
+        section = reference.messages().partition(f"### {interface.name}\n")[2].partition("\n### ")[0]
+        assert all(f"| `{f.name}` |" in section and reference.cell(f.comment) in section for f in interface.parts[0]), (
+            interface.name
         )
     parameters, configs = reference.parameters(), reference.node_configs()
     assert configs.keys() == NODES.keys()
@@ -160,7 +160,7 @@ def test_the_reference_lists_every_field_parameter_and_option_with_what_is_said_
     assert {*COMMANDS, "dataset build"} <= set(names)
     for name in names:
         section = commands.partition(f"# `{name}`\n")[2].partition("\n## ")[0].partition("\n### ")[0]
-        for option in reference.options_of(reference.parser_of(name)):
+        for option in reference.parser_of(name).declared:
             for word in option.option_strings or [str(option.metavar or option.dest)]:
                 assert word.replace("|", "\\|") in section, (name, word)
     scenes, recipes = reference.scenes(), reference.recipes()

@@ -64,8 +64,8 @@ def test_a_hand_history_keeps_what_was_written(disk: Path) -> None:
     history, file = History(model), HistoryFile(disk / "right.safetensors", "right")
 
     def read(count: int) -> None:
-        for one in samples[:count]:
-            history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
+        for sample in samples[:count]:
+            history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
 
     read(1)
     file.write(history)

@@ -46,12 +46,15 @@ def pipeline() -> Pipeline:
 
 
 def _check_predictions(predictions: Predictions) -> None:
-    for one in predictions:
-        if one.status != "ok":
-            assert np.isnan(one.value.values).all()
-            assert one.reason
+    for prediction in predictions:
+        if prediction.status != "ok":
+            assert np.isnan(prediction.value.values).all()
+            assert prediction.reason
             continue
-        vectors = [touch.values for touch in (one.value, one.lower, one.upper)[: 3 if one.calibrated else 1]]
+        vectors = [
+            touch.values
+            for touch in (prediction.value, prediction.lower, prediction.upper)[: 3 if prediction.calibrated else 1]
+        ]
         assert np.isfinite(vectors).all()
 
 
@@ -86,7 +89,7 @@ def test_touch(model) -> None:
             reason = str(err)
         else:
             _check_predictions(predictions)
-            reason = "; ".join(one.reason for one in predictions if one.status != "ok")
+            reason = "; ".join(prediction.reason for prediction in predictions if prediction.status != "ok")
         assert re.search(case.predicted, reason) if case.predicted != "ok" else reason == "", reason
 
     every_case(OBJECTS, check)
@@ -106,7 +109,9 @@ def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
             return
         assert len(found.objects) == 1
         assert np.isfinite(found.plane.coefficients).all()
-        assert all(np.isfinite(one.cloud.xyz).all() and np.abs(one.bounds).max() < 2.0 for one in found.objects)
+        assert all(
+            np.isfinite(object_.cloud.xyz).all() and np.abs(object_.bounds).max() < 2.0 for object_ in found.objects
+        )
         assert result.status == "ok", result.reason
         for target in result.targets:
             assert target.predictions

@@ -57,7 +57,7 @@ def test_what_drifts_in_a_session_does_not_win_where_the_slip_came_first() -> No
     won, pairs = slip_first(np.array([0.5, 0.5, 0.9, 0.1, 0.9, 0.1]), held, sessions)
     assert (won.tolist(), pairs.tolist()) == ([1.5, 0.0], [2.0, 0.0])
     grasps = [record(k, 0.0, "success" if k % 8 < 4 or k > 28 else "failure") for k in range(40)]
-    data, held = Records(grasps, ""), np.array([one.outcome == "success" for one in grasps])
+    data, held = Records(grasps, ""), np.array([grasp.outcome == "success" for grasp in grasps])
     assert data.places.tolist() == [k // 4 for k in range(40)]  # four objects in turn, of one file
     chance = hold_chance("place in session", OtherSettings(), data, np.ones(40, bool), held)
     assert chance is not None

@@ -28,8 +28,8 @@ PACKAGES = {name: ROOT / "src" / name for name in ("foretouch", "foretouch_lab")
 OUTER = {"ros", "camera", "__main__", "kernels"}
 ROBOT = (  # what a robot runs: the nodes, and the modules of the commands `run`, `predict`, `record`, `replay` and `view`
     *(
-        f"foretouch.ros.nodes.{one.name}"
-        for one in pkgutil.iter_modules([str(PACKAGES["foretouch"] / "ros" / "nodes")])
+        f"foretouch.ros.nodes.{module.name}"
+        for module in pkgutil.iter_modules([str(PACKAGES["foretouch"] / "ros" / "nodes")])
     ),
     *(f"foretouch.cli.{name}" for name in ("main", "run", "predict", "record", "replay", "view")),
 )
@@ -48,8 +48,8 @@ def test_the_version_is_one() -> None:
 def test_every_core_module_imports_without_ros() -> None:
     names = []
     for package, folder in PACKAGES.items():
-        core = [one.name for one in pkgutil.iter_modules([str(folder)]) if one.name not in OUTER]
-        below = [f"{name}.{one.name}" for name in core for one in pkgutil.iter_modules([str(folder / name)])]
+        core = [module.name for module in pkgutil.iter_modules([str(folder)]) if module.name not in OUTER]
+        below = [f"{name}.{module.name}" for name in core for module in pkgutil.iter_modules([str(folder / name)])]
         names += [f"{package}.{name}" for name in core + below]
     done = run_python(
         f"import importlib, sys\nfor name in {names!r}: importlib.import_module(name)\n"
@@ -162,7 +162,7 @@ def imported(*folders: str) -> set[str]:
 def required(*extras: str | None) -> dict[str, Requirement]:
     """Requirements of the metadata by import name, of the package itself (None) or of extras."""
     lines = [Requirement(line) for line in metadata.requires("foretouch") or []]
-    wanted = [one for one in lines for extra in extras if (one.marker is None) == (extra is None)]
+    wanted = [line for line in lines for extra in extras if (line.marker is None) == (extra is None)]
     kept = [one for one in wanted if one.marker is None or any(one.marker.evaluate({"extra": e or ""}) for e in extras)]
     return {IMPORT_NAMES.get(one.name, one.name.replace("-", "_")): one for one in kept}
 

@@ -38,8 +38,8 @@ def test_no_later_grasp_changes_an_earlier_prediction() -> None:
 
 def test_rows_and_tables_are_those_of_the_cells() -> None:
     samples = [
-        replace(one, touch=biotac_touch(one.touch.values + 5.0 * np.sin(k + np.arange(50))))
-        for k, one in enumerate(make_samples(6, 6))
+        replace(sample, touch=biotac_touch(sample.touch.values + 5.0 * np.sin(k + np.arange(50))))
+        for k, sample in enumerate(make_samples(6, 6))
     ]
     data = Grasps(samples, "0" * 64)
     assert find_experiment("benchmarks.where_on_object") is EXPERIMENT

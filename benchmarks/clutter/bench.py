@@ -54,7 +54,7 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
     kinds, rows = ["all", *dict.fromkeys(scene.kind for scene in scenes)], []
     for kind in kinds if len(kinds) > 2 else kinds[:1]:
         for method, answers in found.items():
-            some = [one for scene, one in zip(scenes, answers, strict=True) if kind in {"all", scene.kind}]
+            some = [answer for scene, answer in zip(scenes, answers, strict=True) if kind in {"all", scene.kind}]
             means = summary(one for one, *_ in some)
             row = {"scenes": name, "kind": kind, "count": len(some), "method": method}
             row |= {column: round(means[column], 3) for column in _COLUMNS}

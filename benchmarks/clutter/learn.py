@@ -60,7 +60,7 @@ def in_piles(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     for k in range(8):
         one = shapes.DRAWN[rng.integers(len(shapes.DRAWN))]
         makers[f"{one.__name__}_{k}"] = one
-    models = {name: replace(one(rng), name=name) for name, one in makers.items()}
+    models = {name: replace(maker(rng), name=name) for name, maker in makers.items()}
     seen = {name: _mesh(model, f"11_{number}", folder) for name, model in models.items()}
     if number % 3 < 2:
         pile = make(models, seen, 11, number + 1000)
@@ -187,7 +187,7 @@ def _row(rng: Rng, kind: str) -> list[Placed]:
             far = float(np.sqrt(far * far - aside * aside))
         places.append(places[-1] + (far + rng.uniform(0.0, 0.001), aside))
     middle = np.mean(places, axis=0)
-    feet = [np.array([*(place - middle), one.size[2] / 2.0]) for one, place in zip(models, places, strict=True)]
+    feet = [np.array([*(place - middle), model.size[2] / 2.0]) for model, place in zip(models, places, strict=True)]
     return [Placed(model, turn @ foot, turn) for model, foot in zip(models, feet, strict=True)]
 
 
@@ -198,14 +198,16 @@ def behind(number: int, folder: Path) -> Iterator[tuple[str, Scene]]:
     post = replace(post, size=np.sort(post.size)) if post.shape == "box" else post
     makers = (shapes.box, shapes.packet, shapes.can, shapes.tube)[: 4 if number % 2 else 2]
     models = [_one(rng, makers, f"o{k}") for k in range(1 + number % 2)]
-    models = [_lying(rng, one) if len(models) == 1 or rng.random() < 0.5 else one for one in models]
+    models = [_lying(rng, model) if len(models) == 1 or rng.random() < 0.5 else model for model in models]
     angle, x = rng.uniform(-0.4, 0.4), 0.0
-    wide, placed = sum(one.size[0] for one in models), []
-    for one in models:
-        place = np.array([x - wide / 2.0 + one.size[0] / 2.0, rng.uniform(0.0, 0.05) * bool(placed), one.size[2] / 2.0])
-        placed.append(Placed(one, about_z(angle) @ place, about_z(angle)))
-        x += one.size[0] + rng.uniform(0.003, 0.03)
-    near = max(float(np.linalg.norm(one.size[:2])) for one in models) / 2.0 + rng.uniform(0.02, 0.1)
+    wide, placed = sum(model.size[0] for model in models), []
+    for model in models:
+        place = np.array(
+            [x - wide / 2.0 + model.size[0] / 2.0, rng.uniform(0.0, 0.05) * bool(placed), model.size[2] / 2.0]
+        )
+        placed.append(Placed(model, about_z(angle) @ place, about_z(angle)))
+        x += model.size[0] + rng.uniform(0.003, 0.03)
+    near = max(float(np.linalg.norm(model.size[:2])) for model in models) / 2.0 + rng.uniform(0.02, 0.1)
     aside = rng.uniform(-0.25, 0.25) * wide
     placed.append(Placed(post, np.array([aside, -near, post.size[2] / 2.0]), about_z(rng.uniform(-0.5, 0.5))))
     view = float(rng.uniform(35.0, 62.0)), float(rng.uniform(0.7, 1.15))

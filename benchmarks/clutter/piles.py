@@ -51,7 +51,7 @@ class Scene:
 
 def _drawn(models: Models, rng: Rng, *, flat: bool = False) -> Model:
     """One of all models, or of those that others can stand on, in a random size."""
-    chosen = [one for one in models.values() if one.flat or not flat]
+    chosen = [model for model in models.values() if model.flat or not flat]
     return chosen[rng.integers(len(chosen))].scaled(rng.uniform(0.85, 1.15))
 
 
@@ -63,7 +63,7 @@ def _standing(model: Model, place: Float64, rng: Rng, lift: float = 0.001) -> Pl
 
 def _round(rng: Rng, models: list[Model]) -> list[Float64]:
     """Places around the middle, so far out that the objects, turned in any way, are apart."""
-    radii = [float(np.linalg.norm(one.size[:2])) / 2.0 for one in models]
+    radii = [float(np.linalg.norm(model.size[:2])) / 2.0 for model in models]
     far = max(radii) if len(models) == 2 else max(radii) / np.sin(np.pi / len(models))
     angle = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.arange(len(models)) / len(models)
     return [(far + _GAP_M) * np.array([np.cos(one), np.sin(one), 0.0]) for one in angle]
@@ -126,7 +126,7 @@ def _is_touching(pile: Pile) -> bool:
 
 def _is_leaning(pile: Pile) -> bool:
     """All touch, and one is neither upright nor flat."""
-    tilts = [np.degrees(np.arccos(min(1.0, np.abs(one.rotation[2]).max()))) for one in pile.objects]
+    tilts = [np.degrees(np.arccos(min(1.0, np.abs(object_.rotation[2]).max()))) for object_ in pile.objects]
     return _is_touching(pile) and max(tilts) > 8.0
 
 
@@ -194,7 +194,7 @@ def alone(model: Model, seed: int, number: int, *, upright: bool) -> tuple[Pile,
 
 def at_rest(pile: Pile) -> bool:
     """Whether nothing moves, fell away or is within something else."""
-    places = np.array([one.position for one in pile.objects])
+    places = np.array([object_.position for object_ in pile.objects])
     near = np.linalg.norm(places[:, :2], axis=1).max() < _REACH_M
     return bool(pile.still and near and pile.deepest_m < _DEEPEST_M)
 
@@ -219,7 +219,10 @@ def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: 
     """
     tilt, distance = view
     settings = scene("rigid", objects=[{"name": "pile"}], camera__tilt_deg=tilt, camera__distance_m=distance)
-    bodies = [Body(shapes[one.model.name], 0, one.model.size, one.position, one.rotation) for one in pile.objects]
+    bodies = [
+        Body(shapes[object_.model.name], 0, object_.model.size, object_.position, object_.rotation)
+        for object_ in pile.objects
+    ]
 
     def place(_job: Any, state: Any) -> None:
         state.bodies = bodies
@@ -230,7 +233,7 @@ def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: 
     depth = np.where(np.isfinite(state.depth), state.depth, np.nan)
     xyz = (engine.world.rays * depth[..., None]) @ engine.world.view.R_world_camera
     labels = np.maximum(state.labels - (FIRST_OBJECT - 1), 0).astype(np.int32)
-    return Scene(xyz.astype(np.float32), labels, kind, tuple(one.model.name for one in pile.objects))
+    return Scene(xyz.astype(np.float32), labels, kind, tuple(object_.model.name for object_ in pile.objects))
 
 
 def save(seen: Scene, path: Path) -> None:

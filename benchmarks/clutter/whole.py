@@ -62,10 +62,10 @@ def draw(scene: LabelledCloud, result: Scene, path: Path) -> None:
     axes.imshow(np.where(labels > 0, labels * 7 % 20, np.nan), cmap="tab20", vmin=0, vmax=19, alpha=0.6)
     for label in range(1, int(scene.labels.max()) + 1):
         axes.contour(scene.labels == label, [0.5], colors="white", linewidths=0.8)
-    for one in result.segmentation.objects:
-        row, column = np.median(np.unravel_index(one.pixels, labels.shape), axis=1)
-        star = "*" if str(one.id) in {target.id for target in result.targets} else ""
-        axes.text(column, row, f"{one.id}{star}", color="white", ha="center", va="center")
+    for object_ in result.segmentation.objects:
+        row, column = np.median(np.unravel_index(object_.pixels, labels.shape), axis=1)
+        star = "*" if str(object_.id) in {target.id for target in result.targets} else ""
+        axes.text(column, row, f"{object_.id}{star}", color="white", ha="center", va="center")
     axes.set_title(f"{scene.name}: {result.status} {result.reason}"[:100], fontsize=8)
     axes.set_axis_off()
     figure.savefig(path, dpi=110)

@@ -323,8 +323,8 @@ class ShadowBody(Body):
 <actuator>{drives}{wrist}{others}<position joint="robot0:LFJ4" kp="20" kv=".5"/></actuator></mujoco>""",
         )
         joints = [self.model.joint(f"robot0:{name}") for name in (*_FINGER_JOINTS, *_THUMB_JOINTS)]
-        self._places = np.array([int(one.qposadr[0]) for one in joints])
-        self._speeds = np.array([int(one.dofadr[0]) for one in joints])
+        self._places = np.array([int(joint.qposadr[0]) for joint in joints])
+        self._speeds = np.array([int(joint.dofadr[0]) for joint in joints])
         self.pads = tuple(self.model.geom(f"robot0:C_{name}distal").id for name in ("mf", "th"))
         names = [self.model.geom(k).name for k in range(self.model.ngeom)]
         self.fingers = tuple(k for k, name in enumerate(names) if name.startswith(("robot0:C_mf", "robot0:C_th")))

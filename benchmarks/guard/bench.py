@@ -75,27 +75,32 @@ def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> bool:
     def lost(name: str) -> bool:
         return not best[name].ratio >= ALLOWED * committed.get(name, 0.0)
 
-    best = {one.case.name: one.measure() for one in runners}
+    best = {runner.case.name: runner.measure() for runner in runners}
     for one in AGAIN * list(runners):
         if lost(name := one.case.name):
             print(f"  {name}: {best[name].ratio:.3g} of {committed[name]:.3g}, measured again", flush=True)
             best[name] = max(best[name], one.measure())
     rows = []
-    for one in runners:
-        (ratio, ours_s), known = best[one.case.name], committed.get(one.case.name)
-        found = {"CPU ms": 1e3 * ours_s, "ratio now": ratio, "committed": known, "peer": one.case.peer}
-        rows.append({"": one.case.name, **found, "is": "LOST" if lost(one.case.name) else ""})
+    for runner in runners:
+        (ratio, ours_s), known = best[runner.case.name], committed.get(runner.case.name)
+        found = {"CPU ms": 1e3 * ours_s, "ratio now": ratio, "committed": known, "peer": runner.case.peer}
+        rows.append({"": runner.case.name, **found, "is": "LOST" if lost(runner.case.name) else ""})
     print_rows(rows)
     return not any(row["is"] for row in rows)
 
 
 def renew(runners: Sequence[Runner], path: Path) -> None:
     """Write the median of several measurements, each over all cases; rows of other cases stay."""
-    every = np.array([[one.measure() for one in runners] for _ in range(RENEWED)])
+    every = np.array([[runner.measure() for runner in runners] for _ in range(RENEWED)])
     rows = {row["name"]: row for row in read_csv(path)}
-    for one, (ratio, ours_s) in zip(runners, np.median(every, axis=0), strict=True):
-        facts = {"name": one.case.name, "peer": one.case.peer, "ratio": f"{ratio:.4g}", "cpu_ms": f"{1e3 * ours_s:.4g}"}
-        rows[one.case.name] = facts
+    for runner, (ratio, ours_s) in zip(runners, np.median(every, axis=0), strict=True):
+        facts = {
+            "name": runner.case.name,
+            "peer": runner.case.peer,
+            "ratio": f"{ratio:.4g}",
+            "cpu_ms": f"{1e3 * ours_s:.4g}",
+        }
+        rows[runner.case.name] = facts
     write_csv(path, [rows[case.name] for case in all_cases() if case.name in rows])
 
 

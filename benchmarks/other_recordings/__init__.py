@@ -55,23 +55,25 @@ class Records:
 
     def __init__(self, records: Sequence[SampleRecord], sha256: str) -> None:
         self.records, self.sha256 = records, sha256
-        self.touches = np.array([one.sample.touch.values for one in records if one.sample.touch is not None])  # (S, D)
-        self.objects: Any = np.array([one.sample.object for one in records])
-        self.postures: Any = np.array([one.note.partition(".")[0].removesuffix("_test") for one in records])
-        files = [one.note.partition(",")[0] for one in records]
-        names = [f"{one} {file}" for one, file in zip(self.objects, files, strict=True)]
+        self.touches = np.array(
+            [record.sample.touch.values for record in records if record.sample.touch is not None]
+        )  # (S, D)
+        self.objects: Any = np.array([record.sample.object for record in records])
+        self.postures: Any = np.array([record.note.partition(".")[0].removesuffix("_test") for record in records])
+        files = [record.note.partition(",")[0] for record in records]
+        names = [f"{object_} {file}" for object_, file in zip(self.objects, files, strict=True)]
         self.sessions: Any = np.unique(names, return_inverse=True)[1]
-        earlier = [np.count_nonzero(self.sessions[:k] == one) for k, one in enumerate(self.sessions)]
+        earlier = [np.count_nonzero(self.sessions[:k] == session) for k, session in enumerate(self.sessions)]
         self.places = np.array(earlier, np.float64)
 
 
 def _load(_settings: OtherSettings, path: Path) -> Records:
-    records = [one for one in open_samples(path).records() if one.sample.touch is not None]
-    return Records(records, content_sha256(one.sample for one in records))
+    records = [record for record in open_samples(path).records() if record.sample.touch is not None]
+    return Records(records, content_sha256(record.sample for record in records))
 
 
 def _cells(settings: OtherSettings, data: Records) -> list[Cell]:
-    if not {"success", "failure"} <= {one.outcome for one in data.records}:
+    if not {"success", "failure"} <= {record.outcome for record in data.records}:
         raise ConfigError("experiment: the dataset does not hold outcomes of both kinds")
     names = sorted(set(data.postures))
     folds = [("objects", settings.folds), *((name, _POSTURE_FOLDS) for name in (names if 1 < len(names) < 10 else ()))]
@@ -81,12 +83,12 @@ def _cells(settings: OtherSettings, data: Records) -> list[Cell]:
 def folds_of(objects: Any, count: int, seed: int) -> Any:
     """(S,) the fold of each grasp: objects are dealt out in a shuffled order."""
     names = np.random.default_rng(seed).permutation(np.unique(objects))
-    return np.array([dict(zip(names, np.arange(len(names)) % count, strict=True))[one] for one in objects])
+    return np.array([dict(zip(names, np.arange(len(names)) % count, strict=True))[object_] for object_ in objects])
 
 
 def _run(cell: Cell, settings: OtherSettings, data: Records) -> list[Row]:
-    known = np.array([one.outcome != "unknown" for one in data.records])
-    held = np.array([one.outcome == "success" for one in data.records])
+    known = np.array([record.outcome != "unknown" for record in data.records])
+    held = np.array([record.outcome == "success" for record in data.records])
     left_out, fold = cell.values["left_out"], cell.values["fold"]
     if left_out == "objects":
         test = folds_of(data.objects, settings.folds, settings.seed) == fold
@@ -147,13 +149,13 @@ def fit(readings: Float64, held: Bool, seed: int) -> TouchHold:
     networks = [MLPClassifier((CONFIG["units"],), random_state=seed + k, **how) for k in range(CONFIG["networks"])]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is part of the recipe
-        for one in networks:
-            one.fit((found - mean) / deviation, held)
+        for network in networks:
+            network.fit((found - mean) / deviation, held)
     # The standardisation is part of the first layer.
-    hidden = np.stack([one.coefs_[0] / deviation[:, None] for one in networks])
-    bias = np.stack([one.intercepts_[0] for one in networks]) - np.einsum("d,kdh->kh", mean, hidden)
-    out = np.stack([one.coefs_[1][:, 0] for one in networks])
-    last = np.array([one.intercepts_[1][0] for one in networks])
+    hidden = np.stack([network.coefs_[0] / deviation[:, None] for network in networks])
+    bias = np.stack([network.intercepts_[0] for network in networks]) - np.einsum("d,kdh->kh", mean, hidden)
+    out = np.stack([network.coefs_[1][:, 0] for network in networks])
+    last = np.array([network.intercepts_[1][0] for network in networks])
     low, high = np.quantile(found, _USUAL, axis=0)
     return TouchHold(low, high, hidden, bias, out, last, np.array([1.0, 0.0]))
 

@@ -54,13 +54,13 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the model")
     arguments = parser.parse_args()
     samples = open_samples(arguments.dataset)
-    records = [one for one in samples.records() if one.sample.touch is not None]
-    touches = np.array([one.sample.touch.values for one in records if one.sample.touch is not None])
+    records = [record for record in samples.records() if record.sample.touch is not None]
+    touches = np.array([record.sample.touch.values for record in records if record.sample.touch is not None])
     readings = electrodes(touches, samples.sensor.channels)
     if readings is None:
         raise SystemExit(f"{arguments.dataset}: holds no electrodes of {', '.join(FINGERS)}")
-    held = np.array([one.outcome == "success" for one in records])
-    objects = np.array([one.sample.object for one in records])
+    held = np.array([record.outcome == "success" for record in records])
+    objects = np.array([record.sample.object for record in records])
     model, refused = calibrated(readings, held, folds_of(objects, _FOLDS, 0), 0)
     rows = [
         row for row in read_csv(arguments.results) if row.get("what", "hold") == "hold"
@@ -70,7 +70,7 @@ def main() -> None:
         "config": {**CONFIG, "fingers": list(FINGERS)},
         "data": {
             "name": "biotacsp-stability-set-v2", "samples": len(records), "objects": len(set(objects)),
-            "sha256": content_sha256(one.sample for one in records),
+            "sha256": content_sha256(record.sample for record in records),
             "source": "github.com/3dperceptionlab/biotacsp-stability-set-v2", "licence": "MIT",
         },
         "skill": _skill([row for row in rows if row["method"] == "patterns"]),

@@ -13,7 +13,7 @@ _SOURCES = {"perception": ("camera",)}
 
 QUEUED_S = 2.0  # a node that ends takes along what arrived so shortly before
 MATCHED_S = 2.0  # an active node is found by its publishers within this time; one that was killed before, after 1.6 s
-COUNTED_S = 20.0  # a drop is counted this long after the cloud at most: one that waits for others is given up
+COUNTED_S = 5.0  # a drop is counted and reported this long after the cloud at most
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ def account(
         counted = next((one for one in left if one and _explains(one[0], node, time_s)), None)
         outage = next((one for one in outages if one.node == node and one.covers(time_s)), None)
         source = next((one for one in outages if one.node in _SOURCES[node] and one.covers(time_s)), None)
-        if counted:
-            fates[f"dropped by {node}: {counted.pop().reason}"] += 1  # each explains one cloud
-        elif outage:
+        if outage:  # before a drop, which is left for the cloud that was counted
             fates[f"dropped by {node}: {outage.reason}"] += 1
+        elif counted:
+            fates[f"dropped by {node}: {counted.pop().reason}"] += 1  # each explains one cloud
         elif source:  # what it sent last is lost with it, and what it sends first before the other has found it
             fates[f"dropped by {node}: {source.node} {source.reason}"] += 1
         else:

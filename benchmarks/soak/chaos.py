@@ -32,7 +32,7 @@ TMPFS_MB = 64
 
 def memory_row(node: str, sizes: Sequence[tuple[float, float]], warm_up_s: float) -> dict[str, Any] | None:
     """A row of `memory.csv` from times [s] and sizes [MB] of a process, if it lived long enough."""
-    kept = np.array([one for one in sizes if one[0] >= sizes[0][0] + warm_up_s])
+    kept = np.array([size for size in sizes if size[0] >= sizes[0][0] + warm_up_s])
     if len(kept) < 60:
         return None
     times, values = kept.T
@@ -300,7 +300,7 @@ def summary(
     """The figures; what breaks a limit is printed, and `limits broken` counts it."""
     seen = soak.seen
     fates, unexplained = account(seen.clouds, seen.stamps, soak.outages, seen.drops)
-    found = [(name, key) for (name, _), one in seen.reports.items() for key in one.values]
+    found = [(name, key) for (name, _), report in seen.reports.items() for key in report.values]
     errors = [f"{name}: {key}" for name, key in found if "internal_errors." in key]
     recoveries = [PATIENCE_S if one["recovery_s"] == "none" else float(one["recovery_s"]) for one in done]
     late = [one["disturbance"] for one, recovery in zip(done, recoveries, strict=True) if recovery > RECOVERY_S]

@@ -58,7 +58,9 @@ class Observer(Client):
     def active(self, node: str, besides: AbstractSet[bytes]) -> bool:
         """Whether a process of a node, besides these, has reported that it is active."""
         with self.lock:
-            found = [one for (name, process), one in self.reports.items() if name == node and process not in besides]
+            found = [
+                report for (name, process), report in self.reports.items() if name == node and process not in besides
+            ]
         return any(report.values.get("state") == "active" for report in found)
 
     def reported(self, node: str, before: Report | None, now: Report) -> None:
@@ -93,7 +95,9 @@ class Observer(Client):
         from foretouch.ros.messages.requests import status_name
 
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
-        good = [(*one.scalars, *one.values) for one in message.predictions if one.status == 0]
+        good = [
+            (*prediction.scalars, *prediction.values) for prediction in message.predictions if prediction.status == 0
+        ]
         with self.lock:
             self._heard("touch", info)
             self.stamps["touch"].add(stamp)

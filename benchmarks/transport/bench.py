@@ -125,7 +125,7 @@ def check(bench: Bench, clouds: Sequence[Cloud], inputs: Sequence[Sequence[Any]]
     """One input at a time: every answer equals that of `Pipeline.run`, before anything is timed."""
     pipeline = Pipeline()
     for number, (cloud, messages) in enumerate(zip(clouds, inputs, strict=True)):
-        predicted = [one.value for target in pipeline.run(cloud).targets for one in target.predictions]
+        predicted = [prediction.value for target in pipeline.run(cloud).targets for prediction in target.predictions]
         expected = [float(np.float32(v)) for touch in predicted for v in touch.values[:2]]
         values: list[float] = []
         for _ in range(5):  # a transport may lose some
@@ -145,11 +145,11 @@ def measure(condition: Condition, source: Path, rates: Sequence[float], seconds:
     prepare_domain(DOMAIN)
     os.environ["PYTHONPATH"] = str(source / "src")  # of the graph
     frames, others, rows = scenes(), OthersLoad(), []
-    clouds = [one.cloud() for one in frames]
-    inputs: list[tuple[Any, ...]] = [depth_to_msgs(one)[::-1] for one in frames]
+    clouds = [frame.cloud() for frame in frames]
+    inputs: list[tuple[Any, ...]] = [depth_to_msgs(frame)[::-1] for frame in frames]
     if condition.input == "points":
-        clouds = [Cloud(one.xyz, frame_id=one.frame_id) for one in clouds]  # whose image and camera are not known
-        inputs = [(cloud_to_msg(one),) for one in clouds]
+        clouds = [Cloud(cloud.xyz, frame_id=cloud.frame_id) for cloud in clouds]  # whose image and camera are not known
+        inputs = [(cloud_to_msg(cloud),) for cloud in clouds]
     now = condition.version == "now"
     parameters = {"diagnostics_period_s": 0.5, "grasp_hold": 0.0} | ({"input": condition.input} if now else {})
     graph = spawn(NOW if now else BEFORE, parameters)
@@ -166,7 +166,7 @@ def measure(condition: Condition, source: Path, rates: Sequence[float], seconds:
             before, began = cpu_s(graph.pid), time.monotonic()
             stamps = bench.send_at(inputs, rate, seconds)
             cpu = cpu_s(graph.pid) - before - rest * (time.monotonic() - began)
-            ages = [(bench.answers[one][0] - one) / 1e6 for one in stamps if bench.answers.get(one, (0, []))[1]]
+            ages = [(bench.answers[stamp][0] - stamp) / 1e6 for stamp in stamps if bench.answers.get(stamp, (0, []))[1]]
             p50, p95 = np.percentile(ages, (50, 95)) if ages else (np.nan, np.nan)
             counts = {"rate_hz": f"{rate:g}", "seconds": f"{seconds:g}", "sent": len(stamps), "lost": len(stamps) - len(ages)}  # fmt: skip
             times = {"p50_ms": p50, "p95_ms": p95, "cpu_ms": 1e3 * cpu / max(1, len(ages)), "rest_percent": 100.0 * rest}  # fmt: skip

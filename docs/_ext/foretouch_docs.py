@@ -75,7 +75,7 @@ def _hide_signature(_: Sphinx, what: str, __: str, documented: Any, ___: Any, __
 def _shorten_types(app: Sphinx, *_: Any) -> None:
     """Shorten the types that autodoc is about to add to an object."""
     for types in app.env.current_document.autodoc_annotations.values():
-        types.update({name: _short(one) for name, one in types.items()})
+        types.update({name: _short(kind) for name, kind in types.items()})
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -8,7 +8,6 @@ writes the parts of the pages below docs that stand between `<!-- generated NAME
 
 import argparse
 import dataclasses
-import importlib
 import inspect
 import os
 import re
@@ -19,6 +18,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from foretouch.cli.main import command_parser
+from foretouch.cli.parser import CommandParser
 from foretouch.config import SettingInfo, Settings, setting_infos
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -122,9 +123,9 @@ def messages() -> str:
     parts = []
     for kind, (title, names) in titles.items():
         parts.append(f"## {title}")
-        for one in interfaces(kind):
-            parts += [f"### {one.name}", one.comment]
-            for name, fields in zip(names, one.parts, strict=True):
+        for interface in interfaces(kind):
+            parts += [f"### {interface.name}", interface.comment]
+            for name, fields in zip(names, interface.parts, strict=True):
                 parts += [f"**{name}**" if name else "", _fields(fields) if fields else "No fields."]
     return sections(parts)
 
@@ -253,10 +254,10 @@ def recipes() -> str:
     from foretouch_lab.learning.training.run_config import GROUPS, RunConfig
 
     infos = all_infos(RunConfig)
-    parts = ["### Every method", settings_table(one for one in infos if one.name.partition(".")[0] not in GROUPS)]
+    parts = ["### Every method", settings_table(info for info in infos if info.name.partition(".")[0] not in GROUPS)]
     for group, methods in GROUPS.items():
         words = " and ".join(f"`method: {name}`" for name in methods)
-        parts += [f"### {words}", settings_table(one for one in infos if one.name.startswith(f"{group}."))]
+        parts += [f"### {words}", settings_table(info for info in infos if info.name.startswith(f"{group}."))]
     return sections(parts)
 
 
@@ -265,10 +266,10 @@ def experiments() -> str:
     from foretouch_lab.experiments import list_experiments
 
     parts = []
-    for one in list_experiments():
-        presets = ", ".join(f"`{preset}`" for preset in one.presets)
-        parts += [f"### `{one.name}`", one.question, f"Presets: {presets}." if presets else ""]
-        parts.append(settings_table(all_infos(one.settings)))
+    for experiment in list_experiments():
+        presets = ", ".join(f"`{preset}`" for preset in experiment.presets)
+        parts += [f"### `{experiment.name}`", experiment.question, f"Presets: {presets}." if presets else ""]
+        parts.append(settings_table(all_infos(experiment.settings)))
     return sections(parts)
 
 
@@ -277,10 +278,8 @@ def node_configs() -> dict[str, type[Settings]]:
     from foretouch.ros.graph import NODES
 
     configs = {}
-    for name, place in NODES.items():
-        module, _, class_name = place.partition(":")
-        node = getattr(importlib.import_module(module), class_name)
-        (configs[name],) = typing.get_args(node.__orig_bases__[0])
+    for name, load in NODES.items():
+        (configs[name],) = typing.get_args(load().__orig_bases__[0])
     return configs
 
 
@@ -347,7 +346,15 @@ def topics() -> str:
 
 
 def _purpose(name: str, type_name: str) -> str:
-    own = next((one for kind in ("msg", "srv", "action") for one in interfaces(kind) if one.name == type_name), None)
+    own = next(
+        (
+            interface
+            for kind in ("msg", "srv", "action")
+            for interface in interfaces(kind)
+            if interface.name == type_name
+        ),
+        None,
+    )
     return _PURPOSES.get(name, own.comment if own is not None else "")
 
 
@@ -403,32 +410,23 @@ def graph() -> dict[str, Ends]:
 # The command line.
 
 
-def parser_of(command: str) -> argparse.ArgumentParser:
-    """The parser of one command, or of an action such as `dataset build`."""
-    from foretouch.cli import main
-
-    parser = main._parser(command.partition(" ")[0])
+def parser_of(command: str) -> CommandParser:
+    """Return the parser of one command, or of an action such as `dataset build`."""
+    parser = command_parser(command.partition(" ")[0])
     for word in command.split():
-        parser = _subparsers(parser)[word]
+        parser = parser.commands[word]
     return parser
-
-
-def _subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    return dict(found[0].choices) if found else {}
 
 
 def command_names() -> list[str]:
     """All commands, and the actions of those that have some."""
     from foretouch.cli.main import COMMANDS
 
-    return [name for one in COMMANDS for name in (one, *(f"{one} {action}" for action in _subparsers(parser_of(one))))]
-
-
-def options_of(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    """Arguments and options, without `--help` and the choice of an action."""
-    hidden = argparse._HelpAction | argparse._SubParsersAction
-    return [action for action in parser._actions if not isinstance(action, hidden)]
+    return [
+        name
+        for command in COMMANDS
+        for name in (command, *(f"{command} {action}" for action in parser_of(command).commands))
+    ]
 
 
 def commands() -> str:
@@ -442,7 +440,7 @@ def commands() -> str:
         parts += [f"{'###' if ' ' in name else '##'} `{name}`", parser.description or "", f"```text\n{usage}\n```"]
         if name in COMMANDS:
             parts.append(_status(command_module(name).run))
-        parts.append(table(["argument", "meaning"], [_option_row(parser, one) for one in options_of(parser)]))
+        parts.append(table(["argument", "meaning"], [_option_row(action) for action in parser.declared]))
     return sections(parts)
 
 
@@ -452,11 +450,12 @@ def _status(function: Callable[..., Any]) -> str:
     return cell(text.partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
 
 
-def _option_row(parser: argparse.ArgumentParser, action: argparse.Action) -> tuple[str, str]:
-    formatter = parser._get_formatter()
-    shown = formatter._format_action_invocation(action)
-    help_text = formatter._expand_help(action) if action.help else ""
-    return f"`{shown}`".replace("|", "\\|"), cell(help_text)
+def _option_row(action: argparse.Action) -> tuple[str, str]:
+    """Return how an argument or option is written, and its help."""
+    metavar = action.metavar or action.dest.upper()
+    value = "" if action.nargs == 0 else " ".join(metavar) if isinstance(metavar, tuple) else metavar
+    shown = f"{', '.join(action.option_strings)} {value}".strip()
+    return f"`{shown}`".replace("|", "\\|"), cell((action.help or "") % vars(action))
 
 
 def results() -> str:

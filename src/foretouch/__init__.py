@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         Touch,
     )
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 _PLACES = {
     "foretouch.api": ("draw", "fit", "open", "plan", "reading", "segment"),

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
 from foretouch.grasp.messages import decode_predictions
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
 from foretouch.types import Cloud, Grasps, Prediction, Predictions, Sample
@@ -106,8 +106,10 @@ def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str = "conta
         DatasetError: If there are too few samples, or one cannot be used.
         MissingDependencyError: If the laboratory is not installed.
     """
-    fitted: TouchModel = laboratory("learning.training.fit", "foretouch.fit").fit(samples, recipe, settings)
-    return fitted
+    with needs_laboratory("foretouch.fit"):
+        from foretouch_lab.learning.training.fit import fit as fit_model
+
+        return fit_model(samples, recipe, settings)
 
 
 def draw(

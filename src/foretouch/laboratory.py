@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of `foretouch_lab` by name: a robot imports none of them unless a command or a simulated source asks for one."""
+"""Use of `foretouch_lab`: a robot imports none of it unless a command or a simulated source asks for a part."""
 
-import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import ModuleType
 from typing import Final
 
 from foretouch.errors import MissingDependencyError
@@ -17,20 +15,6 @@ _NEEDED: Final = {
     "trimesh": "trimesh",
 }
 """Distributions that only the laboratory needs, by the name under which they are imported."""
-
-
-def laboratory(module: str, user: str) -> ModuleType:
-    """Import a module of the laboratory.
-
-    Args:
-        module: Its name below `foretouch_lab`, such as `simulation.scene_camera`.
-        user: Command or setting that needs it, for the error message.
-
-    Raises:
-        MissingDependencyError: If it, or a library that it needs, is not installed.
-    """
-    with needs_laboratory(user):
-        return importlib.import_module(f"foretouch_lab.{module}")
 
 
 @contextmanager

@@ -19,11 +19,11 @@ from foretouch.types import Cloud
 @pytest.mark.slow
 def test_this_environment_has_no_problem(call) -> None:
     answer = call("doctor", "--json", "--self-test")
-    records = {one["name"]: one for one in answer.records if one["name"] != "large clouds"}
-    assert [name for name, one in records.items() if one["state"] not in {"ok", "optional"}] == []
-    (rclpy_loads,) = (one for name, one in records.items() if name.startswith("rclpy loads"))
+    records = {record["name"]: record for record in answer.records if record["name"] != "large clouds"}
+    assert [name for name, record in records.items() if record["state"] not in {"ok", "optional"}] == []
+    (rclpy_loads,) = (record for name, record in records.items() if name.startswith("rclpy loads"))
     assert rclpy_loads["found"] == "rmw_fastrtps_cpp"
-    (clouds,) = (one["found"] for one in answer.records if one["name"] == "large clouds")
+    (clouds,) = (record["found"] for record in answer.records if record["name"] == "large clouds")
     assert re.match(r"rmw_fastrtps_cpp: \d+ of \d+ MB of /dev/shm are free", clouds)
     assert {"Python", "torch", "open3d loads", "model contact-v3", "a node answers over DDS"} <= set(records)
 

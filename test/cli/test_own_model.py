@@ -22,10 +22,10 @@ def write_recording(path: Path, counts: tuple[int, ...], identity: Identity = ID
     samples = make_samples(len(counts), max(counts), seed)
     for k, count in enumerate(counts):
         with RecordingWriter(path, identity, QUICK) as writer:
-            for one in samples[k * max(counts) :][:count]:
-                rotation = hand_rotation(one.grasp.g1, one.grasp.g2, np.array([0.0, 1.0, 0.0]))
-                one.grasp.__dict__["rotation"] = rotation
-                writer.append(SampleRecord(sample=one))
+            for sample in samples[k * max(counts) :][:count]:
+                rotation = hand_rotation(sample.grasp.g1, sample.grasp.g2, np.array([0.0, 1.0, 0.0]))
+                sample.grasp.__dict__["rotation"] = rotation
+                writer.append(SampleRecord(sample=sample))
 
 
 def test_a_model_of_too_few_grasps_has_a_card_that_says_how_many_are_missing(tmp_path: Path, call) -> None:

@@ -126,9 +126,9 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
     results = {result["sample"]: result for result in answer.records}
     for sample in samples:
         hand, others = History(core), [one for one in samples if one.id != sample.id]  # never its own reading
-        for one in others:
-            hand.add_tare(one.stamp_ns, one.tare)
-            hand.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
+        for other in others:
+            hand.add_tare(other.stamp_ns, other.tare)
+            hand.add_touch(other.stamp_ns, other.cloud, other.grasp, other.touch)
         now_ns = max(sample.stamp_ns, others[-1].stamp_ns)
         hand.add_tare(now_ns, sample.tare)
         read = hand.snapshot(now_ns, same_object=True, tare=True)

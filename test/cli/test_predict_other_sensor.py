@@ -52,7 +52,7 @@ def test_readings_and_models_of_another_sensor_are_refused_in_one_line(call, usk
     def check(words: tuple[object, ...], rule: str) -> None:
         answer = call(*words)
         assert answer.status != 0
-        lines = [one for one in answer.err.splitlines() if one.startswith("foretouch: ")]
+        lines = [line for line in answer.err.splitlines() if line.startswith("foretouch: ")]
         assert len(lines) == (len(samples) if "sample" in words else 1)
         assert rule in lines[0]
 

@@ -18,6 +18,7 @@ from every_case import every_case
 from scene_builders import write_scenes
 
 from foretouch.cli import run as run_command
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import ModelError
 from foretouch.models.registry import find_card
@@ -89,8 +90,8 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path, environment) -
         out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     answers = [json.loads(line) for line in out.splitlines()[:5]]
-    stamps = [one["stamp_ns"] for one in answers]
-    assert not any("late" in prediction["flags"] for one in answers for prediction in one["predictions"])
+    stamps = [answer["stamp_ns"] for answer in answers]
+    assert not any("late" in prediction["flags"] for answer in answers for prediction in answer["predictions"])
     heard = [line.split()[0].split(".") for line in listener.stdout.splitlines() if line[0] != " "]
     assert list(dict.fromkeys(int(sec) * 10**9 + int(ns) for sec, ns in heard)) == stamps
 
@@ -103,7 +104,7 @@ def test_a_scene_is_predicted_by_the_model_of_its_hand_unless_another_is_named(t
     }
     for name, text in files.items():
         (tmp_path / f"{name}.yaml").write_text(text)
-    parser = argparse.ArgumentParser()
+    parser = CommandParser(prog="foretouch run")
     run_command.add_arguments(parser)
 
     def model(*words: str) -> str | None:

@@ -83,11 +83,11 @@ def test_a_run_is_used_as_its_card(call, run, simulated, files) -> None:
     assert "tiny.safetensors" in record["files"]
     assert "state.safetensors" not in record["files"]
     models = (run, run / "tiny.json")
-    by_run, by_card = (call("predict", files / "object.pcd", "--model", one, "--json").records[0] for one in models)
+    by_run, by_card = (call("predict", files / "object.pcd", "--model", model, "--json").records[0] for model in models)
     assert by_run["model"]["name"] == "tiny"
     assert by_run["predictions"] == by_card["predictions"]
     words = ("--training-scores", "--json")
-    by_run, by_card = (call("evaluate", one, simulated, *words).records[0] for one in models)
+    by_run, by_card = (call("evaluate", model, simulated, *words).records[0] for model in models)
     assert by_run["scored"] == "training_samples"
     assert (by_run.pop("model"), by_card.pop("model")) == (str(run), str(run / "tiny.json"))
     assert by_run == by_card

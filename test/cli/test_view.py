@@ -90,7 +90,7 @@ def test_predictions_are_those_of_predict_and_readings_are_beside_them_by_one_sc
     colours: dict[str, set[int]] = {}
     for what in ("predicted", "read"):
         labels, shades = (written.rows(f"/taxels/TH/{what}", f"Points2D:{name}") for name in ("labels", "colors"))
-        assert {len(one) for one in labels.values()} == {24}
+        assert {len(label) for label in labels.values()} == {24}
         for step, texts in labels.items():
             for text, shade in zip(texts, shades[step], strict=True):
                 colours.setdefault(text, set()).add(shade)

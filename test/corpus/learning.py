@@ -57,7 +57,7 @@ def _calibrated(predicted: Any, labels: Any, objects: str) -> list[Any]:
 
 def run_cases() -> Cases:
     """Whole runs with too little to learn, whose model is then loaded and predicts one grasp."""
-    same = [replace(one, touch=biotac_touch(np.full(TOUCH_SIZE, 2000.0))) for one in make_samples(3, 4)]
+    same = [replace(sample, touch=biotac_touch(np.full(TOUCH_SIZE, 2000.0))) for sample in make_samples(3, 4)]
     few = "fewer than (one batch|five|5)|no sample is unlab"
     for method in ("supervised", "srgan", "contact"):
         yield f"training: {method}, one sample", partial(_run, method, make_samples(1, 1)), few
@@ -75,7 +75,7 @@ def _run(method: str, samples: list[Sample], **train: Any) -> list[Any]:
     """Predictions and bounds of the model of a run."""
     config = run_config(method=method, model=_MODEL, train=_TRAIN | train, srgan=_SRGAN, contact={"trees": 3})
     if method == "srgan":  # half of the samples lose their labels
-        samples = [replace(one, touch=None) if k % 2 else one for k, one in enumerate(samples)]
+        samples = [replace(sample, touch=None) if k % 2 else sample for k, sample in enumerate(samples)]
     data = Dataset("made-up", tuple(samples), "0" * 64, {})
     with TemporaryDirectory() as folder:
         model = load_model(train_run(config, data, Path(folder) / "run", lambda _: None))

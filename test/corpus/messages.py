@@ -141,9 +141,9 @@ def clouds() -> Reader:
         named(scene.status, scene.reason)
         finite("table", plane_to_msg(scene.segmentation.plane).coef)
         objects_to_msg(scene.targets, FRAME, NOW_NS)
-        for one in scene.segmentation.objects:
-            object_to_msg(one, target=True)
-            finite("object", one.centroid, *one.bounds)
+        for object_ in scene.segmentation.objects:
+            object_to_msg(object_, target=True)
+            finite("object", object_.centroid, *object_.bounds)
 
     return [scene_message(), *object_messages()], read
 
@@ -151,10 +151,10 @@ def clouds() -> Reader:
 def check_predictions(message: Any) -> None:
     """Each prediction is finite, or has a status with a reason."""
     named(message.status, message.reason)
-    for one in message.predictions:
-        named(one.status, one.reason)
-        if one.status == 0:
-            finite("prediction", [*one.scalars, *one.values])
+    for prediction in message.predictions:
+        named(prediction.status, prediction.reason)
+        if prediction.status == 0:
+            finite("prediction", [*prediction.scalars, *prediction.values])
 
 
 def check_batch(batch: Any) -> None:

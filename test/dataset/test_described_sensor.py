@@ -47,7 +47,7 @@ def as_touch(level: int) -> np.ndarray:
 
 
 def labelled(samples: SampleSet) -> SampleRecord:
-    (found,) = (one for one in samples.records() if one.sample.touch is not None)
+    (found,) = (record for record in samples.records() if record.sample.touch is not None)
     return found
 
 

@@ -49,8 +49,8 @@ def test_named_topics_become_samples_by_id_and_header_stamps_also_of_a_replay(tm
     result, samples = imported(tmp_path / "replay", faults)
     assert (result.samples, result.labelled) == (2, 1)
     assert samples[0].sample.extra["clock_offset_s"] == 0.0
-    for one in samples:
-        np.testing.assert_array_equal(one.sample.grasp.rotation, TURNED)
+    for sample in samples:
+        np.testing.assert_array_equal(sample.sample.grasp.rotation, TURNED)
 
 
 def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -> None:
@@ -61,7 +61,7 @@ def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -
         if reason == "no_tactile":
             assert result.left_out["unreadable /rh/tactile"] == 500
         if reason == "pairing_error":  # a cloud whose grasp was rejected becomes a sample without a touch
-            assert [one.sample.grasp.id for one in samples] == ["a", "c"]
+            assert [sample.sample.grasp.id for sample in samples] == ["a", "c"]
 
     cases = [
         ("pairing_error", Faults(hole=True)),

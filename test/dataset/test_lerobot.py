@@ -99,12 +99,14 @@ def test_frames_and_episodes_have_the_layout_of_version_3(exported: Path) -> Non
     names = info["features"]["observation.tactile.thumb"]["names"]
     assert (names[0], names[1], names[24], names[25]) == ("pdc", "electrode_1", "electrode_24", "tdc")
     episodes = pq.read_table(exported / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
-    assert [one["episode_index"] for one in episodes] == [0, 1, 2, 3]
-    assert [(one["dataset_from_index"], one["dataset_to_index"]) for one in episodes] == [
+    assert [episode["episode_index"] for episode in episodes] == [0, 1, 2, 3]
+    assert [(episode["dataset_from_index"], episode["dataset_to_index"]) for episode in episodes] == [
         (6 * k, 6 * k + 6) for k in range(4)
     ]
-    assert [one["tasks"] for one in episodes] == [["grasp the ball"]] * 2 + [["grasp the cup"]] + [["grasp the ball"]]
-    assert [one["sample_id"] for one in episodes] == ["ball/000001", "ball/000002", "cup/000003", "ball/000004"]
+    assert [episode["tasks"] for episode in episodes] == [["grasp the ball"]] * 2 + [["grasp the cup"]] + [
+        ["grasp the ball"]
+    ]
+    assert [episode["sample_id"] for episode in episodes] == ["ball/000001", "ball/000002", "cup/000003", "ball/000004"]
 
 
 def test_statistics_are_those_of_the_frames(exported: Path) -> None:

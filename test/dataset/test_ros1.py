@@ -46,10 +46,10 @@ def fields_of(text: str) -> dict[str, str]:
 
 def test_the_rules_of_the_bridge_match_every_version_of_the_messages_field_by_field() -> None:
     rules = yaml.safe_load((PACKAGE / "mapping_rules.yaml").read_text())
-    assert {(one["ros1_package_name"], one["ros2_package_name"]) for one in rules} == {
+    assert {(rule["ros1_package_name"], rule["ros2_package_name"]) for rule in rules} == {
         ("sr_robot_msgs", "foretouch_msgs")
     }
-    pairs = {one["ros1_message_name"]: one["ros2_message_name"] for one in rules}
+    pairs = {rule["ros1_message_name"]: rule["ros2_message_name"] for rule in rules}
     assert pairs == {"Biotac": "Biotac", "BiotacAll": "BiotacAll"}  # the message in it needs a rule too
     (exported,) = ET.parse(PACKAGE / "package.xml").getroot().iterfind("export/ros1_bridge")
     assert exported.attrib == {"mapping_rules": "mapping_rules.yaml"}
@@ -93,5 +93,5 @@ def test_a_bag_of_noetic_gives_the_samples_of_the_same_bag_of_ros_2(tmp_path: Pa
         result = import_samples(tmp_path / name, tmp_path / f"{name} imported", identity=IDENTITY)
         assert (result.samples, result.labelled) == (2, 1)
         records = open_samples(tmp_path / f"{name} imported").records()
-        samples.append([encode_sample(one, IDENTITY) for one in records])
+        samples.append([encode_sample(record, IDENTITY) for record in records])
     assert samples[0] == samples[1]

@@ -50,7 +50,7 @@ def look(check: SessionCheck, rate_hz: float = 30.0, delay_ms: int = 50, *others
 
 
 def faults(findings: list[CheckFinding]) -> dict[str, str]:
-    return {one.name: f"{one.found}; {one.fix}" for one in findings if one.fix}
+    return {finding.name: f"{finding.found}; {finding.fix}" for finding in findings if finding.fix}
 
 
 def test_a_setup_without_a_fault_has_none_and_each_fault_is_named_alone(rng) -> None:
@@ -127,7 +127,7 @@ def test_reports_are_lines_in_the_dataset(tmp_path: Path) -> None:
     store_check(tmp_path, [CheckFinding("table", "none", "look")], 5)
     store_check(tmp_path, [CheckFinding("table", "found")], 6)
     lines = [json.loads(line) for line in (tmp_path / CHECKS).read_text().splitlines()]
-    assert [one["stamp_ns"] for one in lines] == [5, 6]
+    assert [line["stamp_ns"] for line in lines] == [5, 6]
     assert lines[0]["findings"] == [{"name": "table", "fault": True, "found": "none", "fix": "look"}]
     (tmp_path / CHECKS).unlink()
     (tmp_path / CHECKS).mkdir()

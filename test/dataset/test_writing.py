@@ -334,7 +334,9 @@ def test_the_example_of_lerobot_reads_what_the_export_writes(tmp_path: Path, mon
 
     write_grasps(tmp_path / "recording")
     export_samples(tmp_path / "recording", tmp_path / "exported", "lerobot")
-    wanted = [readings(one) for one in open_samples(tmp_path / "exported").records() if one.sample.touch is not None]
+    wanted = [
+        readings(record) for record in open_samples(tmp_path / "exported").records() if record.sample.touch is not None
+    ]
     found = run_example("import_lerobot", tmp_path / "exported", tmp_path / "ds", monkeypatch)
     assert wanted
     for one, other in zip(wanted, found, strict=True):
@@ -381,4 +383,4 @@ def raw_sums(root: Path, folder: str) -> Any:
             parts += [
                 np.loadtxt(robot.parent / f"xela_sensor{k}.csv", delimiter=",", skiprows=1)[:count] for k in (1, 2)
             ]
-    return np.array([sum(one.sum() for one in parts), sum(np.square(one).sum() for one in parts)])
+    return np.array([sum(part.sum() for part in parts), sum(np.square(part).sum() for part in parts)])

@@ -235,7 +235,7 @@ def test_recorded_objects_hold_still(real_data, top_view: Plane, rng: np.random.
         xyz = read_cloud(path).xyz.reshape(-1, 3)
         before = plan_grasps(Cloud(xyz), top_view, CONFIG)
         others = [xyz[rng.permutation(len(xyz))], *(xyz + rng.normal(0.0, s, xyz.shape) for s in (1e-6, 1e-4))]
-        plans = [plan_grasps(Cloud(one.astype(np.float32)), top_view, CONFIG) for one in others]
+        plans = [plan_grasps(Cloud(other.astype(np.float32)), top_view, CONFIG) for other in others]
         assert {plan.status for plan in plans} == {before.status}
         if before.grasps:
             moved.append([gap_mm(contacts(plan), contacts(before)) for plan in plans])

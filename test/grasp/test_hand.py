@@ -32,7 +32,7 @@ def test_hands_of_the_package() -> None:
         assert len(at.posture) == len(hand.config.joints)
         assert hand.limits_depth == (name != "two_tips")
         edges = np.linalg.norm(at.corners[:, [4, 2, 1]] - at.corners[:, :1], axis=2)
-        stated = [[box.size for box in (*hand.config.boxes, *one.boxes)] for one in hand.config.postures]
+        stated = [[box.size for box in (*hand.config.boxes, *posture.boxes)] for posture in hand.config.postures]
         sizes = np.reshape(stated, (len(stated), -1)).T
         expected = [np.interp(0.05, hand.widths, row) for row in sizes]
         np.testing.assert_allclose(edges, np.reshape(expected, (-1, 3)), atol=0.006)
@@ -157,8 +157,12 @@ def test_the_thumb_takes_the_contact_that_is_asked_for() -> None:
     for name in ("g1", "g2"):
         hand = HandConfig(name="shadow_thumb_middle", thumb_at=name)
         plan = plan_grasps(cloud, table, CONFIG, hand=hand)
-        assert plan.grasps[0].way is not None
-        assert plan.grasps[0].way.thumb_at == name
+        grasp = plan.grasps[0]
+        assert grasp.way is not None
+        assert grasp.way.thumb_at == "g1"  # where touch models expect the sensor's first finger
+        assert (grasp.g1[0] < grasp.g2[0]) == (name == "g1")  # left in the image, or right
+        np.testing.assert_allclose(grasp.way.pose_of_hand @ np.linalg.inv(load_hand(hand.name).at(grasp.width_m).tool)
+                                   @ [grasp.width_m / 2.0, 0.0, 0.0, 1.0], [*grasp.g1, 1.0], atol=1e-9)  # fmt: skip
 
 
 def test_no_way_in_is_counted_and_named() -> None:

@@ -62,5 +62,5 @@ def test_pixels_given_and_recovered_plan_the_same(real_data, top_view):
         for plan in plans[1:]:
             assert [g.score for g in plan.grasps] == [g.score for g in plans[0].grasps]
             np.testing.assert_array_equal(plan.initial_points, plans[0].initial_points)
-            for one, other in zip(plan.grasps, plans[0].grasps, strict=True):
-                np.testing.assert_array_equal(one.rotation, other.rotation)
+            for grasp, other in zip(plan.grasps, plans[0].grasps, strict=True):
+                np.testing.assert_array_equal(grasp.rotation, other.rotation)

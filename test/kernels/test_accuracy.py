@@ -103,7 +103,7 @@ def _near_round(t: float, rng: np.random.Generator) -> tuple[ObjectAxis, Exact, 
     points = float32_cloud(shape + far * np.array([0.1, 0.1, 1.0]))
     found = find_axis(points, ASSUMED_TABLE, GeoGraspConfig())
     members = [exact(points)[found.cells[0] == k] for k in range(len(found.cells[1]))]
-    centre, spread = covariance(np.stack([one.sum(axis=0) / len(one) for one in members]))
+    centre, spread = covariance(np.stack([member.sum(axis=0) / len(member) for member in members]))
     return found, centre, spread, float(np.abs(points).max())
 
 

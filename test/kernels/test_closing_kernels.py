@@ -34,10 +34,10 @@ class Recorder:
         self.answers: list[tuple[Any, Any]] = []
 
     def __call__(self, *arguments: Any) -> None:
-        others = [np.empty_like(one) for one in arguments[-self._results :]]
+        others = [np.empty_like(argument) for argument in arguments[-self._results :]]
         self._plain(*arguments[: -self._results], *others)
         self._kernel(*arguments)
-        self.answers.append(([one.copy() for one in arguments[-self._results :]], others))
+        self.answers.append(([argument.copy() for argument in arguments[-self._results :]], others))
 
 
 def planned(solid: Solid, camera: Camera, noise: np.random.Generator | None = None, **settings: Any) -> GraspPlan:

@@ -60,7 +60,7 @@ def test_contacts_on_a_surface_differ_by_rounding_and_those_on_a_plane_are_left_
 
     every_case(cases, check)
     scene = HandFrameFeatures(points)  # a row is the same alone and among others
-    assert_array_equal(scene.describe(grasps[:30]), np.concatenate([scene.describe([one]) for one in grasps[:30]]))
+    assert_array_equal(scene.describe(grasps[:30]), np.concatenate([scene.describe([grasp]) for grasp in grasps[:30]]))
     assert scene.describe([]).shape == (0, len(FEATURES))
     far = [Grasp(np.array([x, -x, 0.0]), PLACE, HAND) for x in (1e200, 1e308)]  # distances that overflow
     with np.errstate(over="ignore", invalid="ignore"):

@@ -39,8 +39,8 @@ def _assert_same(cloud: Cloud, config: SegmentationConfig | None = None) -> Segm
     if ours.plane is not None and plain.plane is not None:
         np.testing.assert_array_equal(ours.plane.coefficients, plain.plane.coefficients)
     parts = attrgetter("id", "pixels", "centroid", "bounds", "cloud.xyz", "cloud.rgb")
-    for one, other in zip(ours.objects, plain.objects, strict=True):
-        for first, second in zip(parts(one), parts(other), strict=True):
+    for object_, other in zip(ours.objects, plain.objects, strict=True):
+        for first, second in zip(parts(object_), parts(other), strict=True):
             np.testing.assert_array_equal(first, second)
     return ours
 

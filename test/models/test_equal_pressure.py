@@ -30,7 +30,7 @@ def grasps_around(target, pipeline, count):
     xyz = target.cloud.xyz.reshape(-1, 3)
     heights = np.random.default_rng(0).choice(xyz[np.isfinite(xyz).all(axis=1), 1], count)
     bands = [xyz[np.abs(xyz[:, 1] - y) < 0.005].astype(float) for y in heights]
-    return [pipeline.grasp_between(target, one[one[:, 0].argmin()], one[one[:, 0].argmax()]) for one in bands]
+    return [pipeline.grasp_between(target, band[band[:, 0].argmin()], band[band[:, 0].argmax()]) for band in bands]
 
 
 def test_one_grasp_refused_grasps_and_models_without_intervals_get_no_flag():

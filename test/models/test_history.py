@@ -36,10 +36,10 @@ def model() -> TouchModel:
 
 
 def read(history: History, samples: list[Sample], *, tare: Touch | None = None) -> History:
-    for number, one in enumerate(samples):
+    for number, sample in enumerate(samples):
         if tare is not None:
-            history.add_tare(one.stamp_ns, tare)
-        history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch, new_object=number == 0)
+            history.add_tare(sample.stamp_ns, tare)
+        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
     return history
 
 
@@ -97,7 +97,7 @@ def test_an_object_is_recognised_by_place_and_size(model: TouchModel) -> None:
     }
     assert history.is_current(cloud, 0.02)
     assert history.is_current(Cloud(cloud.xyz + np.float32(0.015)), 0.02)
-    assert [name for name, one in others.items() if history.is_current(one, 0.02)] == []
+    assert [name for name, other in others.items() if history.is_current(other, 0.02)] == []
     history.start_object()
     assert not history.is_current(cloud, 0.02)
     assert history.touches == 0

@@ -26,7 +26,7 @@ def box(sides: np.ndarray, rng: np.random.Generator, points: int = 300) -> np.nd
 @pytest.fixture
 def trained(rng: np.random.Generator) -> np.ndarray:
     """Sizes of twenty clouds of each of three boxes."""
-    return np.array([object_sizes(HERE + box(one, rng)) for one in SIDES for _ in range(20)])
+    return np.array([object_sizes(HERE + box(side, rng)) for side in SIDES for _ in range(20)])
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_sizes_are_what_they_are_called_and_do_not_depend_on_the_place(rng) -> N
 
 def test_training_clouds_are_in_distribution_a_house_and_a_pea_get_the_mean(fallback, trained, rng) -> None:
     assert np.mean([fallback.score(one) >= 0.5 for one in trained]) >= 0.9
-    others = [fallback.score(object_sizes(HERE + box(one, rng))) for one in SIDES for _ in range(30)]
+    others = [fallback.score(object_sizes(HERE + box(side, rng))) for side in SIDES for _ in range(30)]
     assert np.mean(np.array(others) >= 0.5) >= 0.8  # about the quantile of the usual distances
     known = fallback.known.astype(np.float64)
     distance = np.abs(known[:, None] - known[None]).sum(axis=2)
@@ -56,7 +56,7 @@ def test_training_clouds_are_in_distribution_a_house_and_a_pea_get_the_mean(fall
     assert [(nearest <= end).mean() for end in fallback.span] == pytest.approx([0.90, 0.97], abs=0.02)
     clouds = [HERE + box(sides, rng) for sides in (SIDES[0] * 100.0, SIDES[0] / 20.0)] + [cylinder(0.2, HERE)]
     sizes = np.array([object_sizes(cloud) for cloud in clouds])
-    assert [fallback.score(one) for one in sizes] == [0.0, 0.0, 0.0]
+    assert [fallback.score(size) for size in sizes] == [0.0, 0.0, 0.0]
     counts, inside = fallback.fade(np.full((3, 50), 1234.0), sizes)
     assert_array_equal(counts, np.tile(LABELS.mean(axis=0), (3, 1)))
     assert not inside.any()

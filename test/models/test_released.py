@@ -54,7 +54,7 @@ def test_the_simulated_model_knows_its_scene() -> None:
     scene = load_scene(ROOT / "config" / "scenes" / "simulated_hand.yaml")
     card = load_model("simulated").card
     assert card["data"]["scene_sha256"] == scene.sha256()
-    assert set(card["data"]["objects"]) == {one.name for one in scene.objects}
+    assert set(card["data"]["objects"]) == {object_.name for object_ in scene.objects}
 
 
 @pytest.mark.slow
@@ -85,8 +85,8 @@ def test_objects_of_sizes_far_from_those_of_training_are_flagged_and_get_the_mea
             cloud = scaled(can, factor)
             centre = cloud.xyz.mean(axis=0, dtype=np.float64)
             grasps = [
-                Grasp(*(centre + factor * (p - centre) for p in (one.g1, one.g2)), one.rotation)
-                for one in make_grasps(3)
+                Grasp(*(centre + factor * (p - centre) for p in (grasp.g1, grasp.g2)), grasp.rotation)
+                for grasp in make_grasps(3)
             ]
             predictions = model.predict(cloud, grasps)
             assert all("unfamiliar" in p.flags for p in predictions), (name, factor)

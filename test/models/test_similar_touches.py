@@ -49,8 +49,8 @@ def model() -> TouchModel:
 
 def read(model: TouchModel, samples: list[Sample]) -> History:
     history = History(model)
-    for number, one in enumerate(samples):
-        history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch, new_object=number == 0)
+    for number, sample in enumerate(samples):
+        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
     return history
 
 

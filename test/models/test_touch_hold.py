@@ -27,8 +27,8 @@ def test_a_pattern_is_what_is_left_without_level_and_spread_of_each_finger() -> 
 def test_the_released_model_computes_what_its_file_says() -> None:
     model, card = load_touch_hold()
     readings = RNG.uniform(1000.0, 3500.0, (3, 3, 24))
-    for one, chance in zip(readings, model.chance(readings), strict=True):
-        row, logits = patterns(one[None])[0], []
+    for reading, chance in zip(readings, model.chance(readings), strict=True):
+        row, logits = patterns(reading[None])[0], []
         for k in range(len(model.out_bias)):
             units = [math.tanh(row @ model.hidden[k, :, h] + model.hidden_bias[k, h]) for h in range(len(model.out[k]))]
             logits.append(

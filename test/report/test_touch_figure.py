@@ -51,7 +51,7 @@ def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, t
     assert len(dots) == 8
     drops = [tare["E_TH"] - prediction.value["E_TH"], tare["E_MF"] - prediction.value["E_MF"]]
     np.testing.assert_array_equal(dots[0].get_array(), drops[0])  # from rest, within the limits of the page
-    assert {one.get_clim() for one in dots} == {(np.min(drops), np.max(drops) + 500.0)}
+    assert {dot.get_clim() for dot in dots} == {(np.min(drops), np.max(drops) + 500.0)}
     np.testing.assert_array_equal(dots[0].get_array(), dots[1].get_array())  # predicted and read of the thumb
     np.testing.assert_allclose(dots[5].get_array() - dots[4].get_array(), 500.0)
 
@@ -110,7 +110,7 @@ def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path, monkeypatch) -> Non
     figure.canvas.draw()
     dots = dots_of(figure)
     assert len(dots) == 4
-    assert {one.get_clim() for one in dots} == {(1000.0, 3000.0)}
+    assert {dot.get_clim() for dot in dots} == {(1000.0, 3000.0)}
     drawn, page = figure.get_tightbbox(), figure.bbox_inches
     assert drawn.x0 >= 0.0 <= drawn.y0
     assert (drawn.x1 <= page.x1, drawn.y1 <= page.y1) == (True, True)
@@ -124,8 +124,8 @@ def of_any_sensor(name: str, rng: np.random.Generator, *dead: int) -> tuple:
     places = sensor.layout.positions
     near = np.exp(-((places - places.mean(axis=0)) ** 2).sum(axis=1) / (2.0 * 0.003**2))
     values = rest.copy()
-    for k, one in enumerate(sensor.taxel_channels):
-        size = (1500.0 if one.tared else 0.1) * (1.0 if one.name in ("Z", "BZ", "normal") else -0.2)
+    for k, channel in enumerate(sensor.taxel_channels):
+        size = (1500.0 if channel.tared else 0.1) * (1.0 if channel.name in ("Z", "BZ", "normal") else -0.2)
         values[sensor.taxel_columns[..., k]] += size * near
     return sensor, Touch(values, sensor.channels), Touch(rest, sensor.channels)
 
@@ -141,10 +141,15 @@ def test_a_sensor_of_any_layout_is_drawn_by_its_chosen_channel_and_dead_taxels_a
     save_touch_picture(
         tmp_path / "a.png", [DrawnGrasp(prediction=predicted, target=target, rest=rest, read=touch)], sensor
     )
-    dots = [one for axes in drawn[0].axes for one in axes.collections if isinstance(one, PathCollection)]
-    taxels = [one for one in dots if one.get_array() is not None and len(one.get_offsets()) in (14, 16)]
-    assert [len(one.get_offsets()) for one in taxels] == [14, 14, 16, 16]  # of both fingers, predicted and read
-    hollow = [one for one in dots if not len(one.get_facecolor())]
+    dots = [
+        collection
+        for axes in drawn[0].axes
+        for collection in axes.collections
+        if isinstance(collection, PathCollection)
+    ]
+    taxels = [dot for dot in dots if dot.get_array() is not None and len(dot.get_offsets()) in (14, 16)]
+    assert [len(taxel.get_offsets()) for taxel in taxels] == [14, 14, 16, 16]  # of both fingers, predicted and read
+    hollow = [dot for dot in dots if not len(dot.get_facecolor())]
     assert [len(one.get_offsets()) for one in hollow] == [2, 2]
     change = (touch.values - rest.values)[sensor.taxel_columns[1, :, 2]]
     np.testing.assert_array_equal(taxels[2].get_array(), change)  # Z, from rest

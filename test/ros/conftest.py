@@ -208,8 +208,8 @@ class Graph:
 
     def change(self, name: str, *transitions: str) -> bool:
         """Ask a node for transitions such as `deactivate`; whether all have succeeded."""
-        requests = [ChangeState.Request(transition=Transition(label=one)) for one in transitions]
-        return all(self.call(ChangeState, f"{name}/change_state", one).success for one in requests)
+        requests = [ChangeState.Request(transition=Transition(label=transition)) for transition in transitions]
+        return all(self.call(ChangeState, f"{name}/change_state", request).success for request in requests)
 
     def goal(self, kind: Any, name: str, goal: Any) -> tuple[int, Any, list[Any]]:
         """The status and the result of a goal, and its feedback."""

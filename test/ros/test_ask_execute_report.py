@@ -85,7 +85,7 @@ class Planner(Robot):
 
     def service_with_arrays(self):
         grasps = self.candidates()[:3]
-        contacts = [value for one in grasps for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
+        contacts = [value for grasp in grasps for p in (grasp.g1, grasp.g2) for value in (p.x, p.y, p.z)]
         name, table = f"mine {next(self.numbers)}", [self.heard["table"][-1].plane]
         cloud = self.heard["object_cloud"][-1]
         request = PredictTouch.Request(cloud=cloud, table=table, contacts=contacts, id=name)
@@ -95,8 +95,8 @@ class Planner(Robot):
 
     def action(self, **fields):
         _, result, _ = self.graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=3, **fields))
-        planned = {one.id for array in self.heard["grasps"] for one in array.grasps}
-        assert not planned & {one.id for one in result.grasps}
+        planned = {grasp.id for array in self.heard["grasps"] for grasp in array.grasps}
+        assert not planned & {grasp.id for grasp in result.grasps}
         return result.grasps[0].id
 
     def action_with_the_received_cloud(self):

@@ -66,8 +66,8 @@ def test_nodes_and_command_line_give_the_same_bits_in_the_frame_and_stamp_of_the
         table, obstacles = found["table"], pipeline.segment(cloud).obstacles
         np.testing.assert_array_equal(plane_from_msg(table.plane).coefficients, felt.target.plane.coefficients)
         np.testing.assert_array_equal(np.reshape(table.obstacles, (-1, 3)).astype(np.float32), obstacles.xyz)
-        assert {str(one) for one in table.obstacle_ids} == {one.id for one in found["objects"].objects}
-        (chosen,) = [one for one in found["objects"].objects if one.target]
+        assert {str(one) for one in table.obstacle_ids} == {object_.id for object_ in found["objects"].objects}
+        (chosen,) = [object_ for object_ in found["objects"].objects if object_.target]
         grasps = found["grasps"].grasps
         assert [one.object_id for one in grasps] == [chosen.id] * len(felt.plan.grasps)  # ids of a stream are its own
         np.testing.assert_array_equal(chosen.indices, felt.target.pixels)
@@ -140,7 +140,7 @@ def test_targets_limits_and_lateness_are_parameters(chain, scene_cloud):
     graph = chain.graph
     graph.set(chain.node, target__mode="all", grasp__count=3, late_after_s=60.0)
     found = chain.send(scene_cloud(n_objects=3, stamp_ns=graph.probe.get_clock().now().nanoseconds))
-    ids, grasps = [one.id for one in found["objects"].objects], [one.id for one in found["grasps"].grasps]
+    ids, grasps = [object_.id for object_ in found["objects"].objects], [grasp.id for grasp in found["grasps"].grasps]
     assert len(ids) == 3
     assert {grasp.object_id for grasp in found["grasps"].grasps} == set(ids)
     assert [p.grasp.id for p in found["touch"].predictions] == grasps

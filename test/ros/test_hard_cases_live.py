@@ -39,8 +39,12 @@ def content(one):
 
 def agree(answer, pattern=""):
     """An answer without NaN, or a refusal with a name and a reason of the pattern; "ok" demands an answer, "" leaves it open."""
-    for one in answer.predictions:
-        assert np.isfinite([*one.scalars, *one.values]).all() if one.status == Status.OK else one.reason
+    for prediction in answer.predictions:
+        assert (
+            np.isfinite([*prediction.scalars, *prediction.values]).all()
+            if prediction.status == Status.OK
+            else prediction.reason
+        )
     told = status_name(answer.status), answer.reason
     if answer.status in (Status.OK, Status.INITIAL_POINTS):
         assert pattern in ("", "ok"), told
@@ -121,8 +125,10 @@ def test_objects_on_the_topic_and_in_requests_with_and_without_orientation(life)
         expected = "ok" if case.predicted == "ok" else f"{case.predicted}|holds no finite point"
         if case.predicted == "not a rotation matrix":
             expected = "not a rotation|no orientation"  # of a message, where nine zeros are none
-        for one, pattern in zip(answer.predictions or [answer], (REQUESTED.get(case.name, expected), ""), strict=False):
-            found = TouchPredictionArray(status=one.status, reason=one.reason)
+        for prediction, pattern in zip(
+            answer.predictions or [answer], (REQUESTED.get(case.name, expected), ""), strict=False
+        ):
+            found = TouchPredictionArray(status=prediction.status, reason=prediction.reason)
             agree(found, pattern)
 
     every_case(OBJECTS, check)

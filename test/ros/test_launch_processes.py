@@ -37,10 +37,10 @@ def installed(prefix: Path) -> None:
     (prefix / "share" / "ament_index" / "resource_index" / "packages" / "foretouch").touch()
     (prefix / "share" / "foretouch").symlink_to(ROOT)
     (prefix / "lib" / "foretouch").mkdir(parents=True)
-    for one in EXECUTABLES:
-        path = prefix / "lib" / "foretouch" / f"foretouch_{one}"
+    for executable in EXECUTABLES:
+        path = prefix / "lib" / "foretouch" / f"foretouch_{executable}"
         path.write_text(f"#!{sys.executable}\nfrom foretouch.ros.executables import run, EXECUTABLES\n"
-                        f"raise SystemExit(run(*EXECUTABLES[{one!r}]))\n", encoding="utf-8")  # fmt: skip
+                        f"raise SystemExit(run(*EXECUTABLES[{executable!r}]))\n", encoding="utf-8")  # fmt: skip
         path.chmod(0o755)
 
 

@@ -36,7 +36,7 @@ def test_the_hand_holds_what_the_camera_saw(graph, tmp_path):
     graph.add("camera", source="scene", camera__fps=5, **shown)
     graph.until(lambda: len(reports) >= 2, timeout_s=40.0)
     assert all(report.success for report in reports)
-    assert {report.grasp_id for report in reports} <= {one.id for message in grasps for one in message.grasps}
+    assert {report.grasp_id for report in reports} <= {grasp.id for message in grasps for grasp in message.grasps}
     for cloud in map(decode_cloud, points[:3]):
         expected = FrameMaker(config).frame(show.slot(cloud.stamp_ns)).cloud()
         np.testing.assert_allclose(cloud.xyz, expected.xyz, atol=1e-6)

@@ -64,15 +64,15 @@ def test_a_clicked_object_is_the_target_until_another_is_clicked_and_bad_clicks_
     cloud = scene_cloud(0, stamp_ns=START)
     frame = cloud.frame_id
     scene = Pipeline(PipelineConfig(model=model_card)).segment(cloud)
-    nearest, other = (one.id for one in scene.objects[:2])
-    assert [one.object_id for one in table.send(cloud)["grasps"].grasps] == [nearest]
+    nearest, other = (object_.id for object_ in scene.objects[:2])
+    assert [grasp.object_id for grasp in table.send(cloud)["grasps"].grasps] == [nearest]
     for clicked, expected in ((1, other), (0, nearest), (1, other)):
         table.click(scene.objects[clicked].cloud.xyz[5], frame)
         found = table.send(cloud)
-        assert {one.object_id for one in found["grasps"].grasps} == {expected}
+        assert {grasp.object_id for grasp in found["grasps"].grasps} == {expected}
         assert found["grasps"].reason == f"selected: object {expected} was clicked"
         assert "selected" in found["touch"].predictions[0].flags
-        assert [str(one.id) for one in found["objects"].objects if one.target] == [expected]
+        assert [str(object_.id) for object_ in found["objects"].objects if object_.target] == [expected]
     beyond = scene.objects[0].cloud.xyz[0] + np.float32([0.0, 0.0, 0.4])
     bad = [
         ((scene.objects[0].centroid, "map"), "refused: frame 'map' is not that of the clouds"),
@@ -82,7 +82,7 @@ def test_a_clicked_object_is_the_target_until_another_is_clicked_and_bad_clicks_
     ]
     for arguments, text in bad:
         table.click(*arguments)
-        assert {one.object_id for one in table.send(cloud)["grasps"].grasps} == {other}
+        assert {grasp.object_id for grasp in table.send(cloud)["grasps"].grasps} == {other}
         assert text in table.node.notes()["clicked_point"]
 
 
@@ -94,7 +94,7 @@ def test_the_labels_of_a_mask_of_the_same_stamp_are_the_objects(graph, model_car
     mask = np.where(labels == 2, 200, 0)
     found = table.send(cloud, mask)
     (result,) = pipeline.run(cloud, mask=mask).targets
-    assert [one.id for one in found["objects"].objects] == ["200"]
+    assert [object_.id for object_ in found["objects"].objects] == ["200"]
     np.testing.assert_array_equal(found["objects"].objects[0].indices, result.target.pixels)
     (grasp,) = found["grasps"].grasps
     assert (grasp.object_id, grasp.g1.x) == ("200", result.plan.grasps[0].g1[0])

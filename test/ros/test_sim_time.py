@@ -32,7 +32,7 @@ def test_clouds_are_answered_and_reports_go_on_whatever_the_clock_does(graph, sc
         points.publish(cloud_to_msg(scene_cloud(stamp_ns=now_s * SECOND)))
         graph.until(lambda: heard and stamp_ns(heard[-1].header.stamp) == now_s * SECOND, 15.0)
         assert heard[-1].status == status, heard[-1].reason
-        assert not any("late" in one.flags for one in heard[-1].predictions)
+        assert not any("late" in prediction.flags for prediction in heard[-1].predictions)
         graph.until(lambda: all(len(found) > before[name] for name, found in reports.items()), 15.0)
 
     check(50)  # no message on /clock yet: the time is 0

@@ -41,7 +41,7 @@ def test_sensors_of_others_by_file_alone(rng: np.random.Generator) -> None:
     names = [*(f"magnetic_induction_{axis}" for axis in "xyz"), "temperature"]
     counts = rng.integers(-2048, 2048, (5, 7, 4))
     counts[..., 3] = 300
-    fingers = [Message(sensors=[Message(**dict(zip(names, row, strict=True))) for row in one]) for one in counts]
+    fingers = [Message(sensors=[Message(**dict(zip(names, row, strict=True))) for row in count]) for count in counts]
     reading = read("shadow_mst", Message(header=header(), fingers=fingers))
     assert_array_equal(reading.counts, by_channel(counts[[4, 1], :, :3]))
 

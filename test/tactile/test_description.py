@@ -100,7 +100,7 @@ def test_the_hash_is_that_of_what_the_numbers_mean(tmp_path) -> None:
         (changes, TAXELS.replace("0.001", "0.0010000001")),
         (changes, TAXELS.replace("0.6,0.8", "0.8,0.6")),
     ]
-    assert len({first, *(load_sensor(write_sensor(moved, *one)).sha256 for one in others)}) == len(others) + 1
+    assert len({first, *(load_sensor(write_sensor(moved, *other)).sha256 for other in others)}) == len(others) + 1
 
 
 def test_settings_that_break_a_rule_are_named(tmp_path) -> None:
@@ -209,10 +209,10 @@ def test_columns_of_fingers_are_where_the_modalities_are_and_dead_taxels_are_not
         channels, taken = sensor.channels, np.concatenate([sensor.scalar_columns.ravel(), sensor.taxel_columns.ravel()])
         np.testing.assert_array_equal(np.sort(taken), np.arange(channels.size))
         for f, finger in enumerate(channels.fingers):
-            for s, one in enumerate(sensor.scalar_channels):
-                assert [sensor.scalar_columns[f, s]] == channels.columns([f"{one.name}_{finger}"]).tolist()
-            for c, one in enumerate(sensor.taxel_channels):
-                assert sensor.taxel_columns[f, :, c].tolist() == channels.columns([f"{one.name}_{finger}"]).tolist()
+            for s, channel in enumerate(sensor.scalar_channels):
+                assert [sensor.scalar_columns[f, s]] == channels.columns([f"{channel.name}_{finger}"]).tolist()
+            for c, channel in enumerate(sensor.taxel_channels):
+                assert sensor.taxel_columns[f, :, c].tolist() == channels.columns([f"{channel.name}_{finger}"]).tolist()
         assert sensor.valid.shape == (len(channels.fingers), sensor.size)
         assert sensor.valid.all()
 

@@ -71,7 +71,7 @@ def test_the_tare_of_a_channel_whose_rest_level_is_zero_is_zero(rng: np.random.G
     readings = [Touch(rng.normal(0.0, 0.01, channels.size), channels) for _ in range(5)]
     assert not make_tare(readings).values.any()
     counts = rng.integers(1, 4095, (5, BIOTAC.size)).astype(float)
-    tare = make_tare([Touch(one, BIOTAC) for one in counts])
+    tare = make_tare([Touch(count, BIOTAC) for count in counts])
     np.testing.assert_array_equal(tare.values, np.median(counts, axis=0))
 
 

@@ -214,7 +214,7 @@ def test_an_image_without_depth_and_a_part_of_an_image_are_no_error() -> None:
 def test_zeros_behind_the_coefficients_of_a_driver_are_no_distortion() -> None:
     camera = CameraModel.of(K, 848, 480, [0.0] * 14)
     assert camera.distortion == ()
-    assert [one.shape for one in camera.rays] == [(1, 848), (480, 1)]
+    assert [ray.shape for ray in camera.rays] == [(1, 848), (480, 1)]
     assert camera.rays[0] is CameraModel.of((616.0, 615.0, 423.5, 239.5), 848, 480).rays[0]
 
 

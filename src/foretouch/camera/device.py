@@ -2,8 +2,8 @@
 """Sources of a device: the USB bus, a recording, or a program that feeds the library's software device."""
 
 import contextlib
-import ctypes
 import functools
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,25 +11,32 @@ from foretouch.camera.config import RealSenseConfig
 from foretouch.errors import CameraError, FileError, MissingDependencyError
 
 
-def ensure_libusb() -> None:
+@functools.cache
+def ensure_libusb() -> Any:
     """Load libusb from the system or else from the wheel; a `MissingDependencyError` if neither has it.
 
     The wheels of open3d and pyrealsense2 link against `libusb-1.0.so.0`, which minimal systems lack. The wheel `libusb-package`
     contains the same library; loaded globally beforehand, it satisfies both.
     """
     try:
-        ctypes.CDLL("libusb-1.0.so.0", mode=ctypes.RTLD_GLOBAL)
-        return
+        return _load_globally("libusb-1.0.so.0")
     except OSError:
         pass
     try:
         import libusb_package
 
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+        return _load_globally(str(libusb_package.get_library_path()))
     except (ImportError, OSError) as err:
         raise MissingDependencyError(
             "libusb-1.0.so.0: not found, Open3D and pyrealsense2 need it: pip install libusb-package"
         ) from err
+
+
+def _load_globally(path: str) -> Any:
+    """Load a library whose functions those loaded later may use, while the result is kept."""
+    from cffi import FFI
+
+    return FFI().dlopen(path, os.RTLD_NOW | os.RTLD_GLOBAL)
 
 
 @functools.cache

@@ -57,7 +57,7 @@ class Adaptation:
 
         A `DatasetError` if a sample lacks the requested tare, or is of another object than the touches.
         """
-        label = next((one.object for one in self.touched if one.object != _UNKNOWN), "")
+        label = next((touch.object for touch in self.touched if touch.object != _UNKNOWN), "")
         if sample is not None and label and sample.object not in (label, _UNKNOWN):
             raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {label}")
         tare = _own_tare(sample) if self.own else self.tare
@@ -75,13 +75,13 @@ class Adaptation:
         now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
         hand = self.hand.copy() if self.hand is not None else History(self.model)
         last = None
-        for one in sorted(others(self.history, sample), key=lambda one: one.stamp_ns):
-            if one.stamp_ns <= now_ns:
-                self._add(hand, one, one.stamp_ns, new_object=one.object != last)
-                last = one.object
-        for number, one in enumerate(sorted(touched, key=lambda one: one.stamp_ns)):
-            self._add(hand, one, one.stamp_ns or now_ns, new_object=number == 0)
-            now_ns = max(now_ns, one.stamp_ns)
+        for other in sorted(others(self.history, sample), key=lambda touched_sample: touched_sample.stamp_ns):
+            if other.stamp_ns <= now_ns:
+                self._add(hand, other, other.stamp_ns, new_object=other.object != last)
+                last = other.object
+        for number, touched_sample in enumerate(sorted(touched, key=lambda touched_sample: touched_sample.stamp_ns)):
+            self._add(hand, touched_sample, touched_sample.stamp_ns or now_ns, new_object=number == 0)
+            now_ns = max(now_ns, touched_sample.stamp_ns)
         if tare is not None:
             hand.add_tare(now_ns, tare[0], tdc=tare[1])
         return hand.snapshot(now_ns, same_object=bool(touched), tare=tare is not None)
@@ -159,8 +159,8 @@ def _read_tare(paths: Sequence[str], sensor: Sensor, calibration: Calibration | 
 def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
     """One reading and its TDC; `make_tare` checks later whether a working sensor can give it."""
     channels = sensor.channels
-    sizes = {name.lower(): one.size for name, one in channels.channel_of.items()}
-    measured = any(one.name == _TEMPERATURE for one in sensor.config.scalars)
+    sizes = {name.lower(): channel.size for name, channel in channels.channel_of.items()}
+    measured = any(scalar.name == _TEMPERATURE for scalar in sensor.config.scalars)
     temperatures = [f"{_TEMPERATURE}_{finger}" for finger in channels.fingers if measured]
     optional = [name.lower() for name in temperatures]
     if not isinstance(entry, dict) or entry.keys() - {*optional} != sizes.keys():
@@ -183,7 +183,9 @@ def others(samples: Sequence[Sample], sample: Sample | None) -> Sequence[Sample]
     if sample is None or sample.touch is None:
         return samples
     own = sample.touch.values
-    return [one for one in samples if one.id != sample.id or one.touch is None or (one.touch.values != own).any()]
+    return [
+        other for other in samples if other.id != sample.id or other.touch is None or (other.touch.values != own).any()
+    ]
 
 
 def _own_tare(sample: Sample | None) -> tuple[Touch, Float64]:

@@ -81,7 +81,7 @@ def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> 
         "frame_id": message.header.frame_id,
         "status": status_name(message.status),
         "reason": message.reason,
-        "predictions": [_message_record(one, sensor) for one in message.predictions],
+        "predictions": [_message_record(prediction, sensor) for prediction in message.predictions],
     }
 
 
@@ -104,8 +104,8 @@ def modality_text(
     if value is None:
         return "refused"
     values = np.atleast_1d(value)
-    found = f"{text(values.min())}–{text(values.max())}" if values.size > 1 else text(values[0])
+    shown = f"{text(values.min())}–{text(values.max())}" if values.size > 1 else text(values[0])
     if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
-        return found
+        return shown
     half = f"±{text(float(np.mean(np.subtract(upper, lower))) / 2.0)}"  # no space: a table folds there
-    return f"{found}\neach {half}" if values.size > 1 else f"{found} {half}"
+    return f"{shown}\neach {half}" if values.size > 1 else f"{shown} {half}"

@@ -25,7 +25,7 @@ def run_check(node: "RecorderNode", arguments: argparse.Namespace) -> int:
     with opened_to_write(path, node.identity, node.reader.sensor):
         findings = _check(node, as_json=arguments.json)
         store_check(path, findings, time.time_ns())
-    faults = sum(bool(one.fix) for one in findings)
+    faults = sum(bool(finding.fix) for finding in findings)
     warn(f"{len(findings)} checks, {faults} faults; stored in {path / CHECKS}")
     return int(bool(faults))
 
@@ -39,15 +39,15 @@ def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
     check = SessionCheck(config.tactile.fingers, node.reader)
     feed = CheckFeed(check, node.input_topics, node.reader)
 
-    def report(found: list[CheckFinding]) -> None:
-        findings.extend(found)
-        for one in found:
+    def report(new: list[CheckFinding]) -> None:
+        findings.extend(new)
+        for finding in new:
             if as_json:
-                print_json(one.record())
-            elif one.fix:
-                print_text(f"FAULT {one.name}: {one.found}; fix: {one.fix}", "red")
+                print_json(finding.record())
+            elif finding.fix:
+                print_text(f"FAULT {finding.name}: {finding.found}; fix: {finding.fix}", "red")
             else:
-                print_text(f"ok    {one.name}: {one.found}")
+                print_text(f"ok    {finding.name}: {finding.found}")
 
     try:
         warn(f"keep the fingers open and still for {_REST_S:g} s")

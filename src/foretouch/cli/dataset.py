@@ -9,7 +9,7 @@ from typing import Any
 
 from foretouch.cli.inputs import add_options, positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
-from foretouch.cli.parser import CommandParser
+from foretouch.cli.parser import CommandParser, one_of
 from foretouch.dataset import editing, formats
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import BagTopics, import_samples
@@ -22,89 +22,101 @@ from foretouch.dataset.samples import has_points, only_finite, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.messages.table import TactileConfig
 
 _SHEET_SAMPLES = 12
 _KINDS = ("clouds", "grasps", "executed", "tactile")  # of topics in a bag
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add one action each, with its options."""
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     dataset = f"dataset: {formats.readable_formats()}"
 
-    info = _action(actions, "info", _info, "Print counts and ranges of a dataset")
+    info = _action(parser, "info", _info, "Print counts and ranges of a dataset")
     info.add_argument("path", metavar="IN", help=dataset)
 
-    verify = _action(actions, "verify", _verify, "Verify the checksums of every byte")
+    verify = _action(parser, "verify", _verify, "Verify the checksums of every byte")
     verify.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, one of its files, or training store")
 
-    repair = _action(actions, "repair", _repair, "Repair unfinished or damaged recordings, and keep the originals")
+    repair = _action(parser, "repair", _repair, "Repair unfinished or damaged recordings, and keep the originals")
     repair.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, or one of its files")
 
     edit = _action(
-        actions, "edit", _edit, "Relabel, drop or merge samples in a log beside the recordings; can be undone"
+        parser, "edit", _edit, "Relabel, drop or merge samples in a log beside the recordings; can be undone"
     )
     edit.add_argument("path", metavar="DS", help="recorded dataset; without an action, its edits are listed")
     edit.add_argument(
         "--id", action="append", default=[], metavar="ID", help="id of a sample to relabel or drop; may be repeated"
     )
-    one = edit.add_mutually_exclusive_group()
-    one.add_argument("--relabel", metavar="NAME", help="give the samples another object name")
-    one.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
-    one.add_argument("--merge", nargs=2, metavar=("A", "B"), help="give all samples of the object A the name B")
-    one.add_argument("--undo", action="store_true", help="undo the latest edit that is in force")
+    alternatives = edit.add_mutually_exclusive_group()
+    edit.add_argument("--relabel", group=alternatives, metavar="NAME", help="give the samples another object name")
+    edit.add_argument(
+        "--drop", group=alternatives, action="store_true", help="discard the samples: builds and exports leave them out"
+    )
+    edit.add_argument(
+        "--merge", group=alternatives, nargs=2, metavar=("A", "B"), help="give all samples of the object A the name B"
+    )
+    edit.add_argument("--undo", group=alternatives, action="store_true", help="undo the latest edit that is in force")
 
-    build = _action(actions, "build", _build, "Build a training store with splits")
+    build = _action(parser, "build", _build, "Build a training store with splits")
     build.add_argument("sources", metavar="IN", nargs="+", help=dataset)
     _add_out(build, "STORE", "training store to create; must not exist")
     build.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
 
-    _add_import(_action(actions, "import", _import, "Convert other datasets and ROS bags to a recorded dataset"))
+    _add_import(_action(parser, "import", _import, "Convert other datasets and ROS bags to a recorded dataset"))
 
-    export = _action(actions, "export", _export, "Write samples in another format")
+    export = _action(parser, "export", _export, "Write samples in another format")
     export.add_argument("source", metavar="DS", help=dataset)
     _add_out(export, "DIR", "folder to create; must not exist")
     exported = [entry.name for entry in formats.FORMATS if entry.exported]
-    export.add_argument("--format", required=True, choices=exported, help="format to write")
+    export.add_argument(
+        "--format",
+        required=True,
+        type=one_of(*exported),
+        metavar="{" + ",".join(exported) + "}",
+        help="format to write",
+    )
     fps = (
         "of lerobot: frames per second, each with the window of the newest readings; by default each reading is a frame"
     )
     export.add_argument("--fps", type=positive_number, metavar="N", help=fps)
 
-    show = _action(actions, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
+    show = _action(parser, "show", _show, "Draw a contact sheet: clouds, contacts and electrode maps")
     show.add_argument("source", metavar="DS", help=dataset)
     _add_out(show, "F.png", "image file")
     count = "number of samples, evenly spaced over the dataset"
     show.add_argument("-n", "--count", type=positive_number, default=_SHEET_SAMPLES, help=count)
 
 
-def _action(actions: Any, name: str, act: Callable[..., int], summary: str) -> argparse.ArgumentParser:
-    parser: CommandParser = actions.add_parser(name, help=summary, description=f"{summary}.")
-    parser.set_defaults(act=act)
-    parser.add_json()
-    return parser
+def _action(parser: CommandParser, name: str, act: Callable[..., int], summary: str) -> CommandParser:
+    action = parser.add_command(name, summary)
+    action.set_defaults(act=act)
+    action.add_json()
+    return action
 
 
-def _add_out(parser: argparse.ArgumentParser, metavar: str, summary: str) -> None:
+def _add_out(parser: CommandParser, metavar: str, summary: str) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, metavar=metavar, help=summary)
 
 
-def _add_import(parser: argparse.ArgumentParser) -> None:
+def _add_import(parser: CommandParser) -> None:
     parser.add_argument("source", metavar="SRC", help=f"dataset ({formats.readable_formats()}) or ROS bag")
     _add_out(parser, "DS", "recorded dataset to create or to extend")
     group = parser.add_argument_group("ROS bags without foretouch samples")
-    group.add_argument(
+    parser.add_argument(
         "--topic",
+        group=group,
         action="append",
         default=[],
         type=_topic,
         metavar="KIND=NAME",
         help="a topic of another name than the recorder's, such as tactile=/taxels; of the kinds clouds (of the object), grasps, executed, tactile",
     )
-    add_options(group, "--sensor", "--thumb", "--middle")
-    group.add_argument("--object", default="unknown", metavar="NAME", help="name of the object on the table")
+    add_options(parser, "--sensor", "--thumb", "--middle", group=group)
+    parser.add_argument(
+        "--object", group=group, default="unknown", metavar="NAME", help="name of the object on the table"
+    )
 
 
 def _topic(text: str) -> tuple[str, str]:
@@ -121,28 +133,28 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    found = describe(arguments.path)
+    facts = describe(arguments.path)
     if arguments.json:
-        return print_result("", {"path": arguments.path, **found, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
-    counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**found)
-    period = f"{_utc(found['first_ns'])} to {_utc(found['last_ns'])}"
-    least, median, most = found["points"]
-    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found["pairing_ms"], strict=False)
+        return print_result("", {"path": arguments.path, **facts, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
+    counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**facts)
+    period = f"{_utc(facts['first_ns'])} to {_utc(facts['last_ns'])}"
+    least, median, most = facts["points"]
+    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], facts["pairing_ms"], strict=False)
     rows = {
-        "kind": found["kind"],
+        "kind": facts["kind"],
         "samples": counts,
-        **{name: found[name] for name in ("objects", "outcomes", "flags")},
-        "time": period if found["last_ns"] else "simulated, without a clock",
-        "points a cloud": f"{least} to {most} (median {median})" if found["samples"] else "",
-        "sensor": found["sensor"],
-        "dead taxels": found["dead"],
-        **{name: f"{low:g} to {high:g} {found['units'][name]}" for name, (low, high) in found["ranges"].items()},
-        "hand": found["hand"],
-        "camera": found["camera"],
-        "not finished": ", ".join(found["unfinished"]),
+        **{name: facts[name] for name in ("objects", "outcomes", "flags")},
+        "time": period if facts["last_ns"] else "simulated, without a clock",
+        "points a cloud": f"{least} to {most} (median {median})" if facts["samples"] else "",
+        "sensor": facts["sensor"],
+        "dead taxels": facts["dead"],
+        **{name: f"{low:g} to {high:g} {facts['units'][name]}" for name, (low, high) in facts["ranges"].items()},
+        "hand": facts["hand"],
+        "camera": facts["camera"],
+        "not finished": ", ".join(facts["unfinished"]),
         "pairing error": ", ".join(f"{low:g}-{high:g} ms: {count}" for low, high, count in bins if count),
-        **found["accounts"],
-        "edits": found["edits"],
+        **facts["accounts"],
+        "edits": facts["edits"],
     }
     return print_result(arguments.path, rows, as_json=False)
 
@@ -185,8 +197,8 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
                 "samples": len(report.ids),
                 "messages": report.messages.total(),
                 "bytes": report.size,
-                "dropped": {topic: one["dropped"] for topic, one in counts.items() if one["dropped"]},
-                "lost": {topic: one["lost"] for topic, one in counts.items() if one["lost"]},
+                "dropped": {topic: count["dropped"] for topic, count in counts.items() if count["dropped"]},
+                "lost": {topic: count["lost"] for topic, count in counts.items() if count["lost"]},
                 "faults": report.fault_lines(),
             }
     except ForetouchError as err:
@@ -204,12 +216,16 @@ def _show(arguments: argparse.Namespace) -> int:
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     sensor = sensor_of_samples(samples)
-    if any(has_points(one.sample) for one in selected):
-        save_contact_sheet(arguments.out, [only_finite(one.sample) for one in selected], sensor)
+    if any(has_points(selection.sample) for selection in selected):
+        save_contact_sheet(arguments.out, [only_finite(selection.sample) for selection in selected], sensor)
     else:
         title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
         save_series_sheet(arguments.out, selected, title, sensor)
-    record = {"out": str(arguments.out), "samples": [one.sample.id for one in selected], "dead_taxels": sensor.dead}
+    record = {
+        "out": str(arguments.out),
+        "samples": [selection.sample.id for selection in selected],
+        "dead_taxels": sensor.dead,
+    }
     return print_result("drawn", record, as_json=arguments.json)
 
 
@@ -260,7 +276,10 @@ def _edit(arguments: argparse.Namespace) -> int:
 
 
 def _build(arguments: argparse.Namespace) -> int:
-    return int(laboratory("cli.build", "dataset build").run(arguments))
+    with needs_laboratory("dataset build"):
+        from foretouch_lab.cli.build import run as build
+
+        return build(arguments)
 
 
 def _import(arguments: argparse.Namespace) -> int:

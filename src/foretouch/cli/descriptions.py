@@ -38,16 +38,15 @@ class Descriptions:
     row: Callable[[dict[str, Any]], list[str]]
     save_figure: Callable[[str, Path], Any]
 
-    def add_arguments(self, parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    def add_arguments(self, parser: CommandParser) -> CommandParser:
         """Add the actions `list`, `check` and `show` to a parser; returns the parser of `check`."""
-        actions: Any = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
         made: dict[str, CommandParser] = {}
         for name, summary, count in (
             ("list", f"List the {self.name}s of the package", 0),
             ("check", f"Check descriptions of {self.name}s", "+"),
             ("show", self.show, 1),
         ):
-            made[name] = actions.add_parser(name, help=summary, description=f"{summary}.")
+            made[name] = parser.add_command(name, summary)
             made[name].add_json()
             if count:
                 about = f"YAML file, or the name of a {self.name} of the package"

@@ -21,6 +21,7 @@ from typing import Literal
 from packaging.requirements import Requirement
 
 from foretouch.cli.output import announce, print_json, print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.errors import CameraError, ForetouchError, MissingDependencyError
 from foretouch.processes import ONE_THREAD
 from foretouch.ros.runtime.environment import FAST_DDS, large_clouds
@@ -48,7 +49,7 @@ class _Finding:
     fix: str = ""  # the command that fixes it, else ""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the options."""
     parser.add_argument("--all", action="store_true", help="also show the checks that passed")
     parser.add_argument("--self-test", action="store_true", help="also run the shipped models and ROS on this machine")
@@ -61,16 +62,18 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.self_test:
         code = "from foretouch.cli import selftest; selftest.check_"
         findings.append(_tried("models answer as expected", f"{code}models()", _REINSTALL))
-        if not any(" loads" in one.name and one.state == "broken" for one in findings):
+        if not any(" loads" in finding.name and finding.state == "broken" for finding in findings):
             fix = "see the checks of rclpy, foretouch_msgs and shared memory"
             findings.append(_tried("a node answers over DDS", f"{code}ros()", fix))
-    problems = [one for one in findings if one.state not in {"ok", "optional"}]
+    problems = [finding for finding in findings if finding.state not in {"ok", "optional"}]
     if arguments.json:
-        for one in findings:
-            print_json(asdict(one))
+        for finding in findings:
+            print_json(asdict(finding))
         return int(bool(problems))
-    if shown := [one for one in findings if arguments.all or one.state != "ok"]:
-        print_table("foretouch doctor", ["check", "state", "found", "fix"], [[*asdict(one).values()] for one in shown])
+    if shown := [finding for finding in findings if arguments.all or finding.state != "ok"]:
+        print_table(
+            "foretouch doctor", ["check", "state", "found", "fix"], [[*asdict(finding).values()] for finding in shown]
+        )
     print(f"{len(findings)} checks, {len(problems)} to fix")
     return int(bool(problems))
 
@@ -90,11 +93,11 @@ def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
     name, wanted = requirement.name, requirement.specifier
     fix = f"pip install '{name}{wanted}'"
     try:
-        found = metadata.version(name)
+        installed = metadata.version(name)
     except metadata.PackageNotFoundError:
         return _Finding(name, "missing" if extra is None else "optional", "absent", fix)
-    fits = wanted.contains(found, prereleases=True)
-    return _Finding(name, "ok", found) if fits else _Finding(name, "mismatch", f"{found} is not {wanted}", fix)
+    fits = wanted.contains(installed, prereleases=True)
+    return _Finding(name, "ok", installed) if fits else _Finding(name, "mismatch", f"{installed} is not {wanted}", fix)
 
 
 def _libraries() -> Iterator[_Finding]:
@@ -102,7 +105,11 @@ def _libraries() -> Iterator[_Finding]:
     for name, code, fix in _LIBRARIES:
         if importlib.util.find_spec(name) is not None:
             yield _tried(f"{name} loads", code, fix)
-    wheels = [one.name for one in metadata.distributions() if one.name in ("ros-rclpy", "ros-jazzy-rclpy")]
+    wheels = [
+        distribution.name
+        for distribution in metadata.distributions()
+        if distribution.name in ("ros-rclpy", "ros-jazzy-rclpy")
+    ]
     distro = os.environ.get("ROS_DISTRO") or f"{'kilted' if wheels == ['ros-rclpy'] else 'jazzy'}, wheels of PyPI"
     identified = f"{_ROS}; import rclpy; print(rclpy.get_rmw_implementation_identifier())"
     loaded = _tried(f"rclpy loads ({distro})", identified, "pip install 'foretouch[ros]'")

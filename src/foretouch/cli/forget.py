@@ -5,13 +5,14 @@ import argparse
 
 from foretouch.cli.inputs import add_options, positive_value
 from foretouch.cli.output import print_json
+from foretouch.cli.parser import CommandParser, one_of
 from foretouch.ros.graph import call_trigger
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """What is forgotten, and by which graph."""
     text = "touches: the readings of the current object, after it was replaced; history: all readings of the hand"
-    parser.add_argument("what", metavar="touches|history", choices=["touches", "history"], help=text)
+    parser.add_argument("what", metavar="touches|history", type=one_of("touches", "history"), help=text)
     add_options(parser, "--namespace")
     parser.add_argument("--wait", type=positive_value, default=5.0, metavar="S", help="longest wait for the graph [s]")
 

@@ -12,21 +12,26 @@ import numpy as np
 from foretouch.cli import inputs
 from foretouch.cli.answers import grasp_record
 from foretouch.cli.output import print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.grasp.hand import load_hand
 from foretouch.pipeline import Pipeline
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the common inputs and the settings of the planner."""
     inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument("--tip-mm", type=float, metavar="MM", help="size of the gripper's fingertip [mm] (default: 25)")
     parser.add_argument("--count", type=int, metavar="K", help="maximum number of grasps (default: 1)")
-    slide = parser.add_mutually_exclusive_group()
+    slide = parser.headings["model and adaptation"].add_mutually_exclusive_group()
     slide_help = "shift the grasp plane along the object's axis by this distance [m]"
-    slide.add_argument("--slide-m", type=float, default=0.0, metavar="δ", help=slide_help)
-    slide.add_argument(
-        "--vary", type=inputs.seed_number, metavar="SEED", help="shift it by a random distance for each cloud"
+    parser.add_argument("--slide-m", group=slide, type=float, default=0.0, metavar="δ", help=slide_help)
+    parser.add_argument(
+        "--vary",
+        group=slide,
+        type=inputs.seed_number,
+        metavar="SEED",
+        help="shift it by a random distance for each cloud",
     )
 
 
@@ -43,16 +48,16 @@ def _plan(
     arguments: argparse.Namespace, pipeline: Pipeline, rng: np.random.Generator | None, item: SourceItem
 ) -> Iterator[inputs.Record]:
     targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
-    for number, one in enumerate(targets):
-        plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
+    for number, target in enumerate(targets):
+        plan = pipeline.plan(target, slide_m=arguments.slide_m, rng=rng)
         if number == 0:
             inputs.draw_result(arguments, scene, plan.grasps)
         yield {
-            "object": one.id,
+            "object": target.id,
             **({"selected": selected} if selected else {}),
             "status": plan.status,
             "reason": plan.reason,
-            "plane": one.plane.coefficients,
+            "plane": target.plane.coefficients,
             "grasps": [grasp_record(grasp) for grasp in plan.grasps],
             "initial_points": plan.initial_points,
             "axis": plan.axis,

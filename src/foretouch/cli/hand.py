@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.cli.descriptions import Descriptions
+from foretouch.cli.parser import CommandParser
 from foretouch.grasp.hand import hand_files, load_hand
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add an action for each thing to do with a description."""
     _HANDS.add_arguments(parser)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.cli.output import print_json, warn
+from foretouch.cli.parser import CommandParser, one_of
 from foretouch.cloud.io.depth_files import PAIRING, DepthCamera
 from foretouch.cloud.io.mask_files import read_mask
 from foretouch.config import load_yaml, parse_overrides
@@ -28,12 +29,12 @@ ADDRESS_HELP: Final = "run on Ray: auto, ray://host:port, or local for a node on
 def numbers(text: str, count: int = 4) -> list[float]:
     """Numbers with commas between them for argparse, such as `a,b,c,d`."""
     try:
-        found = [float(word) for word in text.split(",")]
+        values = [float(word) for word in text.split(",")]
     except ValueError:
-        found = []
-    if len(found) != count:
+        values = []
+    if len(values) != count:
         raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers with commas between them")
-    return found
+    return values
 
 
 def positive_number(text: str, minimum: int = 1) -> int:
@@ -80,9 +81,14 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "a,b,c,d",
         "help": "table ax+by+cz+d=0 [m]; the cloud then contains only the object (default: found in the cloud)",
     },
+    "--hand": {
+        "metavar": "NAME|YAML",
+        "help": "hand or gripper that must find a way to the object (default: two_tips; `hand list` names the others)",
+    },
     "--scene": {"action": "store_true", "help": "find table and objects in unorganised clouds too"},
     "--target": {
-        "choices": ["nearest", "largest", "free", "all"],
+        "type": one_of("nearest", "largest", "free", "all"),
+        "metavar": "{nearest,largest,free,all}",
         "help": "objects of a cloud to use; free is the nearest whose best grasp no other object blocks (default: nearest; all for predict)",
     },
     "--intrinsics": {
@@ -157,15 +163,21 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 CAMERA: Final = ("--intrinsics", "--camera-info", "--depth-scale")
 READ: Final = ("inputs", "--topic", "--config", "--set", *CAMERA, "--mask", "--picture")
-PLANNED: Final = ("--plane", "--scene", "--target")
+PLANNED: Final = ("--plane", "--scene", "--target", "--hand")
 CHOSEN: Final = ("--pixel", "--point")
 ADAPTED: Final = ("--tare", "--touched", "--history")
 
 
-def add_options(parser: argparse._ActionsContainer, *names: str) -> None:
-    """Add arguments that several commands share, such as `--topic`."""
+def add_options(parser: CommandParser, *names: str, group: Any = None) -> None:
+    """Add arguments that several commands share.
+
+    Args:
+        parser: Parser of a command.
+        names: Their names, such as `--topic`.
+        group: Group that they belong to, or None for their headings.
+    """
     for name in names:
-        parser.add_argument(name, **_OPTIONS[name])
+        parser.add_argument(name, group=group, **_OPTIONS[name])
 
 
 def pipeline_config(
@@ -178,7 +190,11 @@ def pipeline_config(
     config = PipelineConfig().updated(defaults or {})
     if arguments.config:
         config = config.updated(load_yaml(arguments.config), arguments.config)
-    given = {"target.mode": getattr(arguments, "target", None), "model": getattr(arguments, "model", None) or None}
+    given = {
+        "target.mode": getattr(arguments, "target", None),
+        "hand.name": getattr(arguments, "hand", None),
+        "model": getattr(arguments, "model", None) or None,
+    }
     options = {name: value for name, value in (given | (changes or {})).items() if value is not None}
     return config.updated(parse_overrides(arguments.set), "--set").updated(options, "options")
 

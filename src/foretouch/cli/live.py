@@ -82,25 +82,33 @@ def _nodes(nodes: Mapping[str, tuple[int, str, dict[str, str]]]) -> Table:
 
 def _dropped(values: Mapping[str, str]) -> dict[str, int]:
     """Numbers of dropped messages by reason."""
-    found = {key.removeprefix("dropped."): int(n) for key, n in values.items() if key.startswith("dropped.")}
-    return {reason: count for reason, count in found.items() if count}
+    counts = {key.removeprefix("dropped."): int(n) for key, n in values.items() if key.startswith("dropped.")}
+    return {reason: count for reason, count in counts.items() if count}
 
 
 def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Table:
     from foretouch.ros.messages.conversions import reference_text
 
-    models = " ".join(sorted({one.model for one in predictions if one.model}))
+    models = " ".join(sorted({prediction.model for prediction in predictions if prediction.model}))
     modalities = TaxelView(sensor).modalities
     rows: list[list[str | Text]] = []
-    for one in predictions:
-        width_mm = 1e3 * dist(*((point.x, point.y, point.z) for point in (one.grasp.g1, one.grasp.g2)))
+    for prediction in predictions:
+        width_mm = 1e3 * dist(*((point.x, point.y, point.z) for point in (prediction.grasp.g1, prediction.grasp.g2)))
         width = f"{width_mm:.0f}" if width_mm < 1e4 else "–"  # a refused grasp may be 1e160 m wide
-        if one.reason and one.status:
-            rows.append([one.grasp.object_id, width, *[""] * len(modalities), "", one.reason])
+        if prediction.reason and prediction.status:
+            rows.append([prediction.grasp.object_id, width, *[""] * len(modalities), "", prediction.reason])
             continue
-        flags = [flag.replace("_", " ") for flag in one.flags]
+        flags = [flag.replace("_", " ") for flag in prediction.flags]
         marked = Text("\n".join(flags) or "–", "yellow" if flags else "")
-        rows.append([one.grasp.object_id, width, *_modalities(one, sensor, modalities), reference_text(one), marked])
+        rows.append(
+            [
+                prediction.grasp.object_id,
+                width,
+                *_modalities(prediction, sensor, modalities),
+                reference_text(prediction),
+                marked,
+            ]
+        )
     units = ", ".join(dict.fromkeys(sensor.channels.channel_of[name].unit for name in modalities))
     title = f"last prediction ({units}){models and f' by {models}'}"
     return _table("object", "mm", *modalities, "based on", "flags", rows=rows, title=title)
@@ -110,8 +118,8 @@ def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequenc
     """Values of some modalities with their half width."""
     from foretouch.ros.messages.conversions import prediction_from_msg
 
-    one = prediction_from_msg(prediction, sensor)
-    value, lower, upper = one.value.values, one.lower.values, one.upper.values
+    decoded = prediction_from_msg(prediction, sensor)
+    value, lower, upper = decoded.value.values, decoded.lower.values, decoded.upper.values
     columns = [(sensor.channels.columns([name]), sensor.channels.channel_of[name].text) for name in modalities]
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 

@@ -18,7 +18,7 @@ from foretouch import __version__
 from foretouch.cli.parser import CommandParser
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
-from foretouch.laboratory import laboratory, needs_laboratory
+from foretouch.laboratory import needs_laboratory
 
 COMMANDS = {
     "segment": "Segment the table and the objects of each cloud",
@@ -95,7 +95,7 @@ def _prepare_streams() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    parser = _parser(arguments[0] if arguments else None)
+    parser = command_parser(arguments[0] if arguments else None)
     parsed = _parse(parser, arguments)
     if parsed.command is None:
         parser.print_help()
@@ -105,14 +105,14 @@ def _run(arguments: list[str]) -> int:
 
 
 def command_module(command: str) -> ModuleType:
-    """The module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
-    if command in LABORATORY:
-        return laboratory(f"cli.{command}", command)
-    return importlib.import_module(f"foretouch.cli.{command}")
+    """Import the module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
+    with needs_laboratory(command):
+        return importlib.import_module(f"{'foretouch_lab' if command in LABORATORY else 'foretouch'}.cli.{command}")
 
 
-def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
+def _parse(parser: CommandParser, arguments: list[str]) -> argparse.Namespace:
     """Parse; `key=value` may also follow the options, where argparse alone rejects further positionals."""
+    parsed: argparse.Namespace
     parsed, rest = parser.parse_known_args(arguments)
     if any(word.startswith("-") or "=" not in word for word in rest) or (rest and not hasattr(parsed, "overrides")):
         parser.error(f"there is no such argument: {' '.join(rest)}")
@@ -121,13 +121,12 @@ def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Na
     return parsed
 
 
-def _parser(chosen: str | None) -> argparse.ArgumentParser:
-    """The parser of all commands; only the module of the chosen one is imported for its arguments."""
+def command_parser(chosen: str | None) -> CommandParser:
+    """Make the parser of all commands; only the module of the chosen one is imported for its arguments."""
     parser = CommandParser(prog="foretouch", description="Feel before you touch.")
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, summary in COMMANDS.items():
-        command = commands.add_parser(name, help=summary, description=f"{summary}.")
+        command = parser.add_command(name, summary)
         if name == chosen:
             command_module(name).add_arguments(command)
             if name not in {"dataset", "hand", "sensor", "view"}:  # whose actions have it, and which prints nothing

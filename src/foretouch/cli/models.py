@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.cli.output import print_json, print_table, print_text
+from foretouch.cli.parser import CommandParser
 from foretouch.errors import ModelError
 from foretouch.files import file_sha256
 from foretouch.models.registry import available_models, find_card, load_model
@@ -14,7 +15,7 @@ from foretouch.models.registry import available_models, find_card, load_model
 _SPLITS = ("random", "time", "object")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Names or paths; by default all models of the package."""
     parser.add_argument(
         "models",
@@ -43,8 +44,8 @@ def _record(name: str) -> dict[str, Any]:
         return {"status": "damaged", "name": name, "reason": str(err)}
     card = model.card
     names = (card["weights"], (card["calibration"] or {}).get("weights"))
-    files = [path.with_name(Path(one).name) for one in names if one]
-    skills = {split: _mean(one, "skill") for split, one in card.get("skill", {}).items()}
+    files = [path.with_name(Path(name).name) for name in names if name]
+    skills = {split: _mean(name, "skill") for split, name in card.get("skill", {}).items()}
     return {
         "status": "ok",
         "name": model.name,
@@ -76,11 +77,11 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
     if facts is None:
         return None
     groups = {
-        name: {key: one.get(key) for key in ("objects", "samples")}
-        | {"coverage": _mean(one.get("coverage", {}), "mean")}
-        for name, one in facts.get("regimes", {}).items()
+        name: {key: regime.get(key) for key in ("objects", "samples")}
+        | {"coverage": _mean(regime.get("coverage", {}), "mean")}
+        for name, regime in facts.get("regimes", {}).items()
     }
-    objects = max((one["objects"] or 0 for one in groups.values()), default=0)
+    objects = max((group["objects"] or 0 for group in groups.values()), default=0)
     return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": groups}
 
 
@@ -108,7 +109,7 @@ def _row(record: Mapping[str, Any]) -> list[str]:
     skills = [f"{record['skill'][name]:+.2f}" if name in record["skill"] else "–" for name in _SPLITS]
     coverage = "no intervals"
     if record["calibration"] is not None:
-        shares = {name: one["coverage"] for name, one in record["calibration"]["regimes"].items()}
+        shares = {name: regime["coverage"] for name, regime in record["calibration"]["regimes"].items()}
         known = [f"{name} {share:.2f}" for name, share in shares.items() if share is not None]
         coverage = "\n".join(known) or "not measured"
     return [record["name"], record["kind"], "ok", f"{record['bytes'] / 1000:.0f}", *skills, coverage]

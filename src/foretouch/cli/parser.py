@@ -3,21 +3,21 @@
 
 import argparse
 import re
-from collections.abc import Iterable, Sequence
+import shutil
+import textwrap
 from typing import Any, Final
 
 from foretouch.errors import nearest, none_of
 
-_MANY: Final = 10  # options that need no groups
 _GROUPS: Final = {
-    "what is read": "topic intrinsics camera_info depth_scale mask target pixel point plane scene grasp data source dwell rate loop restamp resume "
+    "what is read": "topic intrinsics camera_info depth_scale mask target pixel point plane scene hand grasp data source dwell rate loop restamp resume "
     "sensor thumb middle check assume_grasps object objects",
     "model and adaptation": "model tare touched history prequential tip_mm slide_m vary",
     "settings": "config set params namespace count seconds samples seed workers preset address explain wait_for "
     "wait_limit no_wait",
-    "what is written": "json out output picture serve save screenshot labels_out no_sheet redraw",
+    "what is written": "all json out output picture serve save screenshot labels_out no_sheet redraw",
 }
-"""Destinations of options by the heading under which a command with many options lists them."""
+"""Names of options by the heading under which help lists them."""
 
 STATUSES: Final = (
     "0 done; 1 a known failure, in one line that names what and why; 2 wrong usage; 128 + n ended by signal n"
@@ -68,79 +68,99 @@ EXAMPLES: Final = {
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose help and refusals are the same for all commands."""
+    """A parser whose help and refusals are the same for all commands.
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **{"formatter_class": _Formatter, **options})
+    Attributes:
+        commands: Parsers of its commands, or of the actions of a command, by name.
+        declared: Its arguments and options, without `--help`.
+        headings: Groups of options in its help, by title.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, add_help=False, **options)
+        super().add_argument("-h", "--help", action="help", help="print this help and end")
+        self.commands: dict[str, CommandParser] = {}
+        self.declared: list[argparse.Action] = []
+        self._choice: Any = None
+        self.headings = {title: self.add_argument_group(title) for title in _GROUPS}
+        name = self.prog.partition(" ")[2]
+        width = shutil.get_terminal_size().columns - 2
+        statuses = textwrap.wrap(STATUSES + _MORE_STATUSES.get(name, ""), width - 2)
+        self.epilog = "\n".join(
+            ["example:", f"  {EXAMPLES[name]}", "", "exit status:", *(f"  {line}" for line in statuses)]
+        )
+
+    def add_argument(self, *names: str, group: Any = None, **options: Any) -> argparse.Action:
+        """Declare an argument or option, with its default in the help.
+
+        Args:
+            names: Name of an argument, or names of an option.
+            group: Group that it belongs to; by default the heading of its name.
+            options: What `argparse` takes for it.
+        """
+        if names[0].startswith("-"):
+            options["help"] = _with_default(options)
+        add = self._heading(names[-1]).add_argument if group is None else group.add_argument
+        action: argparse.Action = add(*names, **options)
+        self.declared.append(action)
+        return action
+
+    def _heading(self, name: str) -> Any:
+        """Return the group under which an option stands, or what takes all others."""
+        key = name.lstrip("-").replace("-", "_")
+        for title, names in _GROUPS.items():
+            if name.startswith("-") and key in names.split():
+                return self.headings[title]
+        return super()
 
     def add_json(self) -> None:
         """Add the option that nearly all commands have."""
         help_text = "print JSON on stdout, an object a line, and nothing else there"
         self.add_argument("--json", action="store_true", help=help_text)
 
-    def format_help(self) -> str:
-        """Usage, description, arguments in groups, an example and the exit statuses."""
-        formatter = self._get_formatter()
-        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
-        formatter.add_text(self.description)
-        for title, actions in self._sections():
-            formatter.start_section(title)
-            formatter.add_arguments(actions)
-            formatter.end_section()
-        name = self.prog.partition(" ")[2]
-        for title, text in (("example", EXAMPLES[name]), ("exit status", STATUSES + _MORE_STATUSES.get(name, ""))):
-            formatter.start_section(title)
-            formatter.add_text(text)
-            formatter.end_section()
-        return formatter.format_help()
-
-    def _sections(self) -> Iterable[tuple[str | None, Sequence[argparse.Action]]]:
-        """Titles and arguments; more options than a few stand under several titles."""
-        options = self._optionals._group_actions  # noqa: SLF001  argparse has no other way to list them
-        for group in self._action_groups:
-            if group is not self._optionals or len(options) <= _MANY + 1:  # beside --help
-                yield group.title, group._group_actions  # noqa: SLF001
-                continue
-            left = list(options)
-            for title, names in _GROUPS.items():
-                found = [one for one in left if one.dest in names.split()]
-                left = [one for one in left if one not in found]
-                yield title, found
-            yield "others", left
+    def add_command(self, name: str, summary: str) -> "CommandParser":
+        """Add a command, or an action of a command, whose name is then `command` or `action` of the arguments."""
+        if self._choice is None:
+            kind = "action" if " " in self.prog else "command"
+            self._choice = self.add_subparsers(dest=kind, metavar=kind.upper(), required=kind == "action")
+        self.commands[name] = self._choice.add_parser(name, help=summary, description=f"{summary}.")
+        return self.commands[name]
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse, which complains of what is absent before it looks at a misspelled option."""
-        known = list(self._option_string_actions)
-        for word in () if args is None or self._subparsers is not None else args:
-            option = word.partition("=")[0]
-            if word == "--":
-                break
-            if re.match(r"--\w", word) and not any(one.startswith(option) for one in known):
-                self.error(f"{option}: there is no such option{nearest(option, known)}")
+        """Parse, after misspelled options and commands are refused: argparse complains of what is absent first."""
+        words = list(args or ())
+        if self.commands:
+            chosen = next((word for word in words if not word.startswith("-")), None)
+            if chosen is not None and chosen not in self.commands:
+                self.error(f"{none_of(chosen, self.commands)}")
+        else:
+            self._check_options(words)
         return super().parse_known_args(args, namespace)
 
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        if action.choices is not None and value not in action.choices:
-            raise argparse.ArgumentError(action, none_of(value, action.choices))
+    def _check_options(self, words: list[str]) -> None:
+        known = ["--help", *(name for action in self.declared for name in action.option_strings)]
+        for word in words[: words.index("--")] if "--" in words else words:
+            option = word.partition("=")[0]
+            if re.match(r"--\w", word) and not any(name.startswith(option) for name in known):
+                self.error(f"{option}: there is no such option{nearest(option, known)}")
 
 
-class _Formatter(argparse.HelpFormatter):
-    """Help with the default of every option that takes a value."""
+def one_of(*known: str) -> Any:
+    """Return a type for `add_argument` that refuses other words, with the nearest known one."""
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **{"max_help_position": 26, **options})
+    def word(text: str) -> str:
+        if text not in known:
+            raise argparse.ArgumentTypeError(none_of(text, known))
+        return text
 
-    def _get_help_string(self, action: argparse.Action) -> str:
-        text = action.help or ""
-        if (
-            not action.option_strings
-            or action.nargs == 0
-            or "default" in text
-            or "required" in text
-            or action.default is argparse.SUPPRESS
-        ):
-            return text
-        if action.required:
-            return f"{text} (required)"
-        default = "none" if action.default is None or action.default in ([], "") else "%(default)s"
-        return f"{text} (default: {default})"
+    return word
+
+
+def _with_default(options: dict[str, Any]) -> str:
+    """Return the help of an option with its default, if it takes a value and does not say it."""
+    text = str(options.get("help", ""))
+    if options.get("action", "append") != "append" or "default" in text or "required" in text:
+        return text
+    if options.get("required"):
+        return f"{text} (required)"
+    return f"{text} (default: {'none' if options.get('default') in (None, [], '') else '%(default)s'})"

@@ -18,9 +18,10 @@ from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, others, read_adaptation, read_samples
 from foretouch.cli.answers import contacts_text, modality_text, prediction_record
 from foretouch.cli.output import print_json, print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, GraspError
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
@@ -30,7 +31,7 @@ from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
     inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument(
@@ -90,7 +91,7 @@ def _answer(
             **({"selected": selected} if selected else {}),
             "status": "ok" if predictions and not refused else "refused",
             "reason": "; ".join(refused) or reason,
-            "predictions": [prediction_record(one) for one in predictions],
+            "predictions": [prediction_record(prediction) for prediction in predictions],
             "model": _named(pipeline.model),
             "touched": len(others(adaptation.touched, item.sample)),
             "ms": {**ms, "total": sum(ms.values())},
@@ -100,14 +101,15 @@ def _answer(
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
     """Print the prediction of each sample, in order of time."""
-    replay_model = laboratory("learning.prequential", "--prequential").replay_model
+    with needs_laboratory("--prequential"):
+        from foretouch_lab.learning.prequential import replay_model
     for name in ("tare", "touched", "grasp", "mask", "picture", "pixel", "point"):
         if getattr(arguments, name):
             raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 
     model = load_model(arguments.model) if arguments.model else load_model()
     channels = model.sensor.channels
-    history = [one for one in read_samples(arguments.history, channels) if one.touch is not None]
+    history = [earlier for earlier in read_samples(arguments.history, channels) if earlier.touch is not None]
     done = replay_model(model, read_samples(arguments.inputs, channels), history)
     for k in np.flatnonzero(done.scored):
         sample, level = done.samples[k], done.played.levels[k]
@@ -163,15 +165,15 @@ def _named(model: TouchModel) -> inputs.Record:
 
 def _show(record: dict[str, Any], *, channels: Channels) -> None:
     rows, contacts = [], []
-    for number, one in enumerate(record["predictions"], 1):
-        counts = {"touches": f" {record['touched']}", "history": f" {one['evidence']['readings']}"}
-        reference = f"{one['reference']}{counts.get(one['reference'], '')}"
-        contacts.append(f"\ngrasp {number}: {contacts_text(one['grasp'])}")
+    for number, prediction in enumerate(record["predictions"], 1):
+        counts = {"touches": f" {record['touched']}", "history": f" {prediction['evidence']['readings']}"}
+        reference = f"{prediction['reference']}{counts.get(prediction['reference'], '')}"
+        contacts.append(f"\ngrasp {number}: {contacts_text(prediction['grasp'])}")
         rows.append([
             str(number),
-            *(modality_text(**one[name], text=channel.text) for name, channel in channels.channel_of.items()),
+            *(modality_text(**prediction[name], text=channel.text) for name, channel in channels.channel_of.items()),
             reference,
-            "\n".join(flag.replace("_", " ") for flag in one["flags"]) or "–",
+            "\n".join(flag.replace("_", " ") for flag in prediction["flags"]) or "–",
         ])  # fmt: skip
     title = inputs.heading(record, f" by {record['model']['name']}")
     print_table(title + "".join(contacts), ["#", *channels.modalities, "based on", "flags"], rows)

@@ -21,6 +21,7 @@ from rich.text import Text
 from foretouch.cli.inputs import add_options, positive_number, positive_value
 from foretouch.cli.live import executed_table, titled
 from foretouch.cli.output import announce, print_json, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import make_table, terminal, watch
 from foretouch.config import flattened, parse_overrides
@@ -58,11 +59,11 @@ def record_panel(
     colours = [(f"{name} {state}  ", "green" if state == "alive" else "red") for name, state in states]
     parts += [Text(f"grasps executed: {outcomes}{error}"), Text.assemble("sensors: ", *colours)]
     odd = [name for name in sorted(session.anomalies) if name.startswith(("taxels_", "not_read_", "unreadable "))]
-    for what, found, style in (
+    for what, text, style in (
         ("not usable", _counted(odd, [session.anomalies[name] for name in odd]), "yellow"),
         ("dropped", _counted(status.drop_reasons, status.drop_counts), ""),
     ):
-        parts += [Text(f"{what}: {found}", style)] * bool(found)
+        parts += [Text(f"{what}: {text}", style)] * bool(text)
     return titled(title, [*parts, _topics(status.topics)])
 
 
@@ -92,7 +93,9 @@ def _objects(state: OperatorState) -> Text:
 
 
 def _topics(topics: Sequence[TopicAccount]) -> Table:
-    own = [one.topic for one in topics[1:] if one.topic.count("/") > 1]  # the first is the hand's, /tf the robot's
+    own = [
+        topic.topic for topic in topics[1:] if topic.topic.count("/") > 1
+    ]  # the first is the hand's, /tf the robot's
     common = commonpath(own or ["/"]).rstrip("/") + "/"
     rows: list[list[str | Text]] = []
     for topic in topics:
@@ -109,7 +112,7 @@ def _topics(topics: Sequence[TopicAccount]) -> Table:
     return make_table(("topic", "Hz", "received", "written", "queue", "lost", "dropped"), rows, live=True)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add the options."""
     parser.add_argument("-o", "--output", required=True, metavar="DIR", help="dataset; an existing one is extended")
     parser.add_argument(
@@ -243,9 +246,9 @@ def _described(node: RecorderNode) -> Sensor | None:
 def _status_record(status: RecorderStatus, session: SessionStatus) -> dict[str, Any]:
     """The status as `--json` prints it, which has null for what is not finite."""
     topics = {
-        one.topic: {name: getattr(one, name) for name in ("received", "written", "waiting", "lost", "reliable")}
-        | {"dropped": dict(zip(one.drop_reasons, one.drop_counts, strict=True))}
-        for one in status.topics
+        topic.topic: {name: getattr(topic, name) for name in ("received", "written", "waiting", "lost", "reliable")}
+        | {"dropped": dict(zip(topic.drop_reasons, topic.drop_counts, strict=True))}
+        for topic in status.topics
     }
     return {
         **{name: getattr(status, name) for name in _COPIED},

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 from foretouch.cli.inputs import depth_camera
 from foretouch.cli.output import print_json, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.cli.run import add_replay_arguments, replay_fault, report_conflicts, source_parameters
 from foretouch.ros.graph import Graph
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.replay import ReplayNode
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the options."""
     parser.add_argument("path", metavar="PATH", help="a recording, a folder of clouds or samples, or a file")
     add_replay_arguments(parser, "recorded times; 10 for files")

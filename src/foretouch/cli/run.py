@@ -17,10 +17,11 @@ from foretouch.cli.answers import answer_record
 from foretouch.cli.inputs import CAMERA, add_options, depth_camera, numbers, positive_number, positive_value
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import JsonLines, announce, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.cli.screen import terminal, watch
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
@@ -42,7 +43,7 @@ _TOPIC_S = 5.0  # until somebody must publish a topic
 _PATIENCE = {"camera.silence_s": 20.0}  # a busy computer renders slowly
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--source",
@@ -80,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
+def add_replay_arguments(parser: CommandParser, default_rate: str) -> None:
     """Declare what is played, and for whom a replay waits before its first cloud."""
     add_options(parser, "--topic", *CAMERA, "--namespace")
     parser.add_argument(
@@ -152,7 +153,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     from foretouch.models.registry import SIMULATED_HAND_MODEL, find_card
     from foretouch.ros.nodes.camera import DEPTH_TOPIC
 
-    given = [one for _, one in nodes_of_file(arguments.params)] if arguments.params else []
+    given = [settings for _, settings in nodes_of_file(arguments.params)] if arguments.params else []
     perception: dict[str, Any] = {}
     nodes: dict[str, dict[str, Any]] = {"perception": perception}
     arguments.remapped = []  # what perception receives
@@ -207,7 +208,7 @@ def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]
     from foretouch.models.registry import find_card
 
     given = dict(nodes_of_file(arguments.params)) if arguments.params else {}
-    set_in_file = next((one["model"] for one in given.values() if "model" in one), "default")
+    set_in_file = next((parameters["model"] for parameters in given.values() if "model" in parameters), "default")
     model = str(nodes["perception"].get("model", set_in_file))
     try:
         return sensor_in(read_card(find_card(model)), model)
@@ -227,12 +228,13 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
     from foretouch.camera.config import ScheduleConfig
 
-    simulation = laboratory("simulation.scene", f"--source {arguments.source}")
+    with needs_laboratory(f"--source {arguments.source}"):
+        from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
 
     show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    scene = simulation.scheduled_scene(show)  # so that an error in it is reported before anything starts
+    scene = scheduled_scene(show)  # so that an error in it is reported before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     # Few, so that a small computer has time for the rest of the graph.
     fps = 5 if arguments.rate is None else max(1, round(arguments.rate))
@@ -248,7 +250,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes.setdefault("perception", {}).update(
             {
                 "target.mode": "point",
-                "target.point": simulation.centre_of_objects(scene).tolist(),
+                "target.point": centre_of_objects(scene).tolist(),
                 "target.tolerance_m": 0.1,  # between the middle of the object and its visible part
             }
         )
@@ -288,12 +290,12 @@ def replay_fault(replay: ReplayNode | None) -> str:
 
 def report_conflicts(graph: Graph) -> list[str]:
     """Print the signs of a second graph in the namespace, and return them."""
-    found = graph.conflicts()
-    if found:
+    conflicts = graph.conflicts()
+    if conflicts:
         warn(
-            f"a second graph or source runs in the namespace: {'; '.join(found)}; end one, or set another --namespace or ROS_DOMAIN_ID"
+            f"a second graph or source runs in the namespace: {'; '.join(conflicts)}; end one, or set another --namespace or ROS_DOMAIN_ID"
         )
-    return found
+    return conflicts
 
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
@@ -369,21 +371,21 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
 
 
-def _draw(found: Sequence[Drawable], path: str, sensor: Sensor) -> None:
+def _draw(drawables: Sequence[Drawable], path: str, sensor: Sensor) -> None:
     from foretouch.report.touch_figure import save_touch_picture
 
-    if not found:
+    if not drawables:
         warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
-    save_touch_picture(path, [_drawn(one, sensor) for one in found], sensor)
+    save_touch_picture(path, [_drawn(drawable, sensor) for drawable in drawables], sensor)
     warn(f"wrote {path}")
 
 
-def _drawn(found: Drawable, sensor: Sensor) -> DrawnGrasp:
+def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
-    scene, target, message, readings = found
+    scene, target, message, readings = drawable
     prediction = prediction_from_msg(message, sensor)
     title = f"object {target.id}"
     if prediction.ok:

@@ -10,6 +10,7 @@ import numpy as np
 
 from foretouch.cli.inputs import READ, add_options, check_single, draw_result, pipeline_config, process_inputs, scene_of
 from foretouch.cli.output import print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.cloud.geometry.limits import check_object
 from foretouch.dataset.source import SourceItem
 from foretouch.errors import ConfigError, LimitError
@@ -18,7 +19,7 @@ from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """The common inputs and --labels-out."""
     add_options(parser, *READ)
     parser.add_argument(
@@ -43,27 +44,31 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Iterator[dict[str, Any]]:
     scene = scene_of(item, arguments, pipeline)
-    found = scene.segmentation
+    segmentation = scene.segmentation
     if arguments.labels_out:
-        np.save(arguments.labels_out, found.labels, allow_pickle=False)
+        np.save(arguments.labels_out, segmentation.labels, allow_pickle=False)
     draw_result(arguments, scene)
     yield {
-        "status": found.status,
-        "reason": found.reason
-        + ("; a file of one object goes to `foretouch grasp`" if _is_one_object(item.cloud, found.status) else ""),
-        "plane": None if found.plane is None else found.plane.coefficients,
+        "status": segmentation.status,
+        "reason": segmentation.reason
+        + (
+            "; a file of one object goes to `foretouch grasp`"
+            if _is_one_object(item.cloud, segmentation.status)
+            else ""
+        ),
+        "plane": None if segmentation.plane is None else segmentation.plane.coefficients,
         "objects": [
-            {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
-            for one in found.objects
+            {"id": object_.id, "n_points": object_.n_points, "centroid": object_.centroid, "bounds": object_.bounds}
+            for object_ in segmentation.objects
         ],
         "background": [
-            {"reason": one.background, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
-            for one in found.background
+            {"reason": part.background, "n_points": part.n_points, "centroid": part.centroid, "bounds": part.bounds}
+            for part in segmentation.background
         ],
-        "outline": found.outline,
-        "counts": found.counts,
-        "ms": found.ms,
-        "failed": found.status != "ok",
+        "outline": segmentation.outline,
+        "counts": segmentation.counts,
+        "ms": segmentation.ms,
+        "failed": segmentation.status != "ok",
     }
 
 
@@ -81,12 +86,12 @@ def _is_one_object(cloud: Cloud, status: str) -> bool:
 def _show(record: dict[str, Any], *, everything: bool) -> None:
     rows = [
         [
-            str(one.get("reason", one.get("id"))),
-            str(one["n_points"]),
-            " ".join(f"{v:.3f}" for v in one["centroid"]),
-            " x ".join(f"{1e3 * v:.0f}" for v in np.ptp(one["bounds"], axis=0)),
+            str(part.get("reason", part.get("id"))),
+            str(part["n_points"]),
+            " ".join(f"{v:.3f}" for v in part["centroid"]),
+            " x ".join(f"{1e3 * v:.0f}" for v in np.ptp(part["bounds"], axis=0)),
         ]
-        for one in (*record["objects"], *(record["background"] if everything else ()))
+        for part in (*record["objects"], *(record["background"] if everything else ()))
     ]
     title = f"{record['input']}: {record['status']} {record['reason']}".rstrip() + f" ({record['ms']['total']:.1f} ms)"
     print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)

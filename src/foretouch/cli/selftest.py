@@ -25,7 +25,7 @@ def exact_cloud() -> Cloud:
     Its size is one that the shipped models know, so that they do not answer with their mean.
     """
     tops, fronts = np.meshgrid(np.arange(28), np.arange(29)), np.meshgrid(np.arange(28), np.arange(1, 39))
-    x = np.concatenate([one[0].ravel() for one in (tops, fronts)])
+    x = np.concatenate([face[0].ravel() for face in (tops, fronts)])
     y = np.concatenate([tops[1].ravel(), 0 * fronts[1].ravel()])
     z = np.concatenate([0 * tops[1].ravel(), fronts[1].ravel()])
     turned = np.stack([13 * x, 5 * y - 12 * z, 12 * y + 5 * z], axis=1) * 10 // 13  # in units of 1/4096 m
@@ -47,10 +47,10 @@ def check_models() -> None:
     if missing := sorted(set(available_models()) ^ set(expected)):
         raise ModelError(f"model {missing[0]}: is not both installed and stored to compare with")
     for name, stored in expected.items():
-        found = _answers(name)
-        if found["sha256"] != stored["sha256"]:
-            raise ModelError(f"model {name}: sha256: {found['sha256']} is not {stored['sha256']} of this version")
-        error = float(np.abs(np.subtract(found["counts"], stored["counts"])).max())
+        answers = _answers(name)
+        if answers["sha256"] != stored["sha256"]:
+            raise ModelError(f"model {name}: sha256: {answers['sha256']} is not {stored['sha256']} of this version")
+        error = float(np.abs(np.subtract(answers["counts"], stored["counts"])).max())
         if not error <= _TOLERANCE_COUNTS:
             raise ModelError(f"model {name}: answers differ by {error:.3g} counts")
 
@@ -60,10 +60,10 @@ def _answers(name: str) -> dict[str, Any]:
     from foretouch.models import load_model
 
     model = load_model(name)
-    one = model.predict(exact_cloud(), [exact_grasp()])[0]
-    if not (one.ok and one.calibrated):
-        raise ModelError(f"{name}: {one.reason or 'has no bounds'}")
-    rows = [part.values.round(3).tolist() for part in (one.value, one.lower, one.upper)]
+    prediction = model.predict(exact_cloud(), [exact_grasp()])[0]
+    if not (prediction.ok and prediction.calibrated):
+        raise ModelError(f"{name}: {prediction.reason or 'has no bounds'}")
+    rows = [part.values.round(3).tolist() for part in (prediction.value, prediction.lower, prediction.upper)]
     return {"sha256": model.sha256, "counts": rows}
 
 
@@ -87,10 +87,10 @@ def check_ros() -> None:
         request.grasps = [grasp_to_msg(exact_grasp()) for _ in range(2)]
         request.grasps[1].g1.x = 1e160
         answer = call_service(PredictTouch, f"{namespace}/predict_touch", request, _ROS_PATIENCE_S)
-        found = [one.status for one in answer.touch.predictions]
+        statuses = [prediction.status for prediction in answer.touch.predictions]
         errors = graph.nodes["perception"].internal_errors.counts()
-        if found != [Status.OK, Status.BAD_GRASP] or errors:
-            raise ConfigError(f"predict_touch: statuses {found}, internal errors {dict(errors)}")
+        if statuses != [Status.OK, Status.BAD_GRASP] or errors:
+            raise ConfigError(f"predict_touch: statuses {statuses}, internal errors {dict(errors)}")
 
 
 if __name__ == "__main__":

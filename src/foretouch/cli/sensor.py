@@ -7,10 +7,11 @@ from typing import Any
 
 from foretouch.cli.descriptions import Descriptions
 from foretouch.cli.output import print_json, print_table
+from foretouch.cli.parser import CommandParser
 from foretouch.tactile.description import load_sensor, sensor_files
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add an action for each thing to do with a description."""
     about = "dataset to compare the description with: ranges, noise, drift, rate, and taxels that failed"
     _SENSORS.add_arguments(parser).add_argument("--against", type=Path, metavar="DS", help=about)
@@ -28,17 +29,20 @@ def _compare(arguments: argparse.Namespace) -> int:
     from foretouch.dataset.sensor_check import compare_sensor
 
     for name in arguments.descriptions:
-        found = compare_sensor(load_sensor(name), arguments.against)
+        comparison = compare_sensor(load_sensor(name), arguments.against)
         if arguments.json:
-            print_json({"input": name, "against": str(arguments.against), **found})
+            print_json({"input": name, "against": str(arguments.against), **comparison})
             continue
-        modalities = found["modalities"]
+        modalities = comparison["modalities"]
         columns = [key.replace("_", " ") for key in next(iter(modalities.values()))]
         rows = [
-            [key, *("" if one in (None, []) else str(one) for one in row.values())] for key, row in modalities.items()
+            [key, *("" if cell in (None, []) else str(cell) for cell in row.values())]
+            for key, row in modalities.items()
         ]
-        print_table(f"{name}: {found['readings']} readings of {found['grasps']} grasps", ["modality", *columns], rows)
-        print_table("corrections", ["setting", "stated", "recorded"], found["corrections"])
+        print_table(
+            f"{name}: {comparison['readings']} readings of {comparison['grasps']} grasps", ["modality", *columns], rows
+        )
+        print_table("corrections", ["setting", "stated", "recorded"], comparison["corrections"])
     return 0
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from foretouch.cli import inputs
 from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.output import progress_bar, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.record import DISCARDED, readings
 from foretouch.dataset.samples import SampleSet, has_points, sensor_of_samples
@@ -27,7 +28,7 @@ from foretouch.tactile.description import require_same
 from foretouch.types import Grasp, Sample, Touch
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the options."""
     parser.add_argument("path", metavar="PATH", help="a cloud, a folder of clouds, a dataset or a recording")
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="write a file for Rerun instead of opening a window")
@@ -131,8 +132,10 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
         shown["table"] = target.plane
     else:
         scene = view.pipeline.segment(cloud)
-        objects = {one.id: one.cloud for one in scene.targets[:1]}
-        objects |= {str(one.id): one.cloud for one in scene.segmentation.objects if str(one.id) not in objects}
+        objects = {shown_object.id: shown_object.cloud for shown_object in scene.targets[:1]}
+        objects |= {
+            str(object_.id): object_.cloud for object_ in scene.segmentation.objects if str(object_.id) not in objects
+        }
         shown |= {"table": scene.segmentation.plane, "objects": objects}
         if not scene.targets:
             return ViewStep(**shown, reason=f"{scene.status}: {scene.reason}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord, readings
 from foretouch.errors import DatasetError
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
@@ -88,7 +88,8 @@ class SampleSet:
         Raises:
             DatasetError: If there is no such split, or there are too few samples for it.
         """
-        make_folds = laboratory("learning.data.folds", "split").make_folds
+        with needs_laboratory("split"):
+            from foretouch_lab.learning.data.folds import make_folds
         labelled = [k for k in range(self.size) if _is_labelled(self.record(k))]
         folds = make_folds([self.record(k).sample for k in labelled], kind, seed)
         return [

@@ -103,7 +103,7 @@ class SessionCheck:
 
     def at_rest(self) -> list[CheckFinding]:
         """Return what the messages so far show, while nothing was to be touched."""
-        found = [
+        findings = [
             self._rate(
                 "hand",
                 HAND_SHARE * self._reader.sensor.config.update_rate,
@@ -117,16 +117,16 @@ class SessionCheck:
         if self._unreadable:
             counts = ", ".join(f"{count} of {topic}" for topic, count in self._unreadable.items())
             wrong = "do the types and the sensor's description fit?"
-            found.append(CheckFinding("messages", f"cannot be decoded: {counts}: {self._fault}", wrong))
+            findings.append(CheckFinding("messages", f"cannot be decoded: {counts}: {self._fault}", wrong))
         table = CheckFinding("table", "found")
         if self.table is None:
             fix = "is the graph running, and the table in the camera's view?"
             table = CheckFinding("table", "none in the clouds", fix)
-        return [*found, table, self._view()]
+        return [*findings, table, self._view()]
 
     def presses(self) -> list[CheckFinding]:
         """Return whether each pressed finger has answered."""
-        found = []
+        findings = []
         for finger, answers in self._answers.items():
             first, second = self._fingers.values()
             other = next(name for name in self._fingers if name != finger)
@@ -135,8 +135,8 @@ class SessionCheck:
                 fix = f"fingers are swapped: --thumb {second} --middle {first}"
             elif answers != (finger,):
                 fix = "press one finger alone, on its pad; else check its cable" if answers else "check its cable"
-            found.append(CheckFinding(f"press {finger_label(finger)}", text, fix))
-        return found
+            findings.append(CheckFinding(f"press {finger_label(finger)}", text, fix))
+        return findings
 
     def _rate(self, what: str, least_hz: float, fix: str) -> CheckFinding:
         times = [time for received in self._received.values() for time in received]
@@ -161,7 +161,7 @@ class SessionCheck:
         half = len(counts) // 2
         scores = contact_scores(counts[half:], counts[:half], channels) if half > 4 else np.zeros((1, 2))
         restless = np.median(scores, axis=0) > 1.0
-        found: list[CheckFinding] = []
+        findings: list[CheckFinding] = []
         for k, (finger, columns) in enumerate(channels.finger_columns.items()):
             state, fix = self._health.states[finger], "check cable and power of the finger"
             if not half and state in (ALIVE, NO_DATA):
@@ -171,8 +171,8 @@ class SessionCheck:
                 state = f"taxels {', '.join(map(str, still))} (the first is 0) never change"
             elif state == ALIVE and restless[k]:
                 state, fix = "is touched: no tare", "keep the fingers open and still"
-            found.append(CheckFinding(finger_label(finger), state, "" if state == ALIVE else fix))
-        return [*found, *self._temperatures()]
+            findings.append(CheckFinding(finger_label(finger), state, "" if state == ALIVE else fix))
+        return [*findings, *self._temperatures()]
 
     def _still(self, counts: Float64, columns: Index) -> Index:
         """Return the indices of the taxels of which no value has changed; forces at rest may be zero for any time."""
@@ -188,11 +188,11 @@ class SessionCheck:
                 continue
             tdc = float(np.median([reading.others[others.index(channel)] for reading in self._readings]))
             celsius = to_celsius(tdc) if is_tdc(np.array([tdc]))[0] else None
-            found = f"TDC is {tdc:g}: the driver sends none" if celsius is None else f"{celsius:.1f} °C"
+            text = f"TDC is {tdc:g}: the driver sends none" if celsius is None else f"{celsius:.1f} °C"
             low, high = CELSIUS
             odd = celsius is not None and not low <= celsius <= high
             fix = f"{low:g} to {high:g} are plausible: let it warm up or cool down, or check the finger" if odd else ""
-            yield CheckFinding(f"{finger_label(finger)} temperature", found, fix)
+            yield CheckFinding(f"{finger_label(finger)} temperature", text, fix)
 
     def _view(self) -> CheckFinding:
         """Return whether the hand, or another thing, stands where the object is."""

@@ -158,16 +158,16 @@ class CompletedObject:
         seen = (points.xyz - self._foot) @ self._basis.T
         eye = -self._foot @ self._basis.T
         self._horizontal = float(np.hypot(eye[0], eye[1]) / max(np.linalg.norm(eye), 1e-9)) if self._in_view else 1.0
-        n, shift, found = len(seen), self._basis @ shift, np.empty(3)
+        n, shift, result = len(seen), self._basis @ shift, np.empty(3)
         xyz, weights = np.empty((2 * n, 3)), np.empty(2 * n)
         heights = seen[points.inlier > 0.5, 2]
         top = _quantile(heights, 1.0 - _END_SHARE) if len(heights) else np.nan
-        _complete_object(seen, points.inlier, n, top, shift, *self._camera(), xyz, weights, found)
-        size = int(found[0])
+        _complete_object(seen, points.inlier, n, top, shift, *self._camera(), xyz, weights, result)
+        size = int(result[0])
         if size < 0:
             raise CloudError("xyz: the points of the object are too far apart")
         self.n_completed, self._xyz, self._weights = size - n, xyz[:size], weights[:size]
-        self._foot, self._shift_m = self._foot + np.append(found[1:], 0.0) @ self._basis, float(shift[2])
+        self._foot, self._shift_m = self._foot + np.append(result[1:], 0.0) @ self._basis, float(shift[2])
 
     @cached_property
     def _seen(self) -> tuple[Float64, Float32, Float32]:
@@ -200,20 +200,20 @@ class CompletedObject:
         settings = np.array([_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
         palm = hand.hand.palm if hand.hand.limits_depth else np.zeros(2)
         n_tilts = len(TILTS) if hand.hand.limits_depth else 0
-        found = np.empty((len(turns), n_lines, 8))
+        measured = np.empty((len(turns), n_lines, 8))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
-            *(others, len(others), palm, n_tilts, (len(palm) - 2) // 2 - n_tilts, found),
+            *(others, len(others), palm, n_tilts, (len(palm) - 2) // 2 - n_tilts, measured),
         )
-        return found
+        return measured
 
     def lines(self) -> ClosingLines:
         """All closing lines with their costs."""
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
-        found = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
-        low, high, height, _, blocker, solid, deeper, raised = found
-        slope, refused = _slopes(found[:2]), self._refused(found)
+        measured = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
+        low, high, height, _, blocker, solid, deeper, raised = measured
+        slope, refused = _slopes(measured[:2]), self._refused(measured)
         left = alone = np.isfinite(height)
         counts = {"n_lines": int(np.count_nonzero(left))}
         for name in REASONS:
@@ -229,9 +229,9 @@ class CompletedObject:
             lost = float(cost.min() - _final(every, alone, refused["n_too_wide"]).min())
         return ClosingLines(low, high, height, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost)
 
-    def _refused(self, found: Float64) -> dict[str, Bool]:
+    def _refused(self, measured: Float64) -> dict[str, Bool]:
         """Which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
-        low, high, height, top, blocker = found[:5]
+        low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
             "n_too_wide": high - low > self._hand.opening,
@@ -249,7 +249,7 @@ class CompletedObject:
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
-        values = (one[angle, line] for one in (lines.low, lines.high, lines.height))
+        values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
     def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
@@ -264,10 +264,10 @@ class CompletedObject:
         weight /= weight.sum()
         turn = np.pi * (angle + float((weight * _TURNS).sum())) / _ANGLES
         beside_m = _STEP_M * (line - _LINES // 2 + float((weight * _STEPS).sum()))
-        found = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
-        if any(one.any() for one in self._refused(found).values()):
+        measured = self._close(np.array([[turn, beside_m, float((around * heights).sum() / around.sum())]]), 1)[0, 0]
+        if any(refused.any() for refused in self._refused(measured).values()):
             return self.contacts(lines, angle, line)
-        return self._ends(turn, beside_m, *found[:3].tolist())
+        return self._ends(turn, beside_m, *measured[:3].tolist())
 
     def _ends(self, turn: float, beside_m: float, low: float, high: float, height: float) -> tuple[Float64, Float64]:
         along = np.cos(turn) * self._basis[0] + np.sin(turn) * self._basis[1]
@@ -285,6 +285,11 @@ class CompletedObject:
         if self._obstacles is not None:
             others = np.asarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         return own, others
+
+    @property
+    def has_thumb(self) -> bool:
+        """Whether the hand is described, so that a contact is the thumb's."""
+        return self._hand.hand.limits_depth
 
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
@@ -395,7 +400,8 @@ def best_grasps(
 ) -> list[tuple[tuple[Float64, Float64], WayIn, float]]:
     """Choose lines to which the hand can come, best first; each differs from all better ones by a contact.
 
-    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`.
+    Lines to which it cannot are added to the counts `n_too_deep` and `n_blocked`. The contact of the thumb of a described hand
+    is g1, where touch models expect it.
 
     Args:
         completed: The object.
@@ -421,8 +427,15 @@ def best_grasps(
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
         else:
+            if way.thumb_at == "g2" and completed.has_thumb:
+                ends, way = ends[::-1], way.with_contacts_swapped()
             chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen
+
+
+def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
+    """Order the contacts of a grasp as `HandConfig.thumb_at` names them: g1 is left in the image."""
+    return (grasp.g1, grasp.g2) if (grasp.g2 - grasp.g1) @ PREFERRED >= 0.0 else (grasp.g2, grasp.g1)
 
 
 def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:
@@ -444,5 +457,5 @@ def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | No
         "n_blocked": f"blocked by object {', '.join(map(str, blocking_objects(lines, obstacles)))}",
         "n_too_deep": f"without a way in for hand.name {hand.name}: the object is deeper than its fingers",
     }
-    found = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
-    return f"none of {counts['n_lines']} grasps can be executed: {'; '.join(found)}"
+    parts = [f"{counts[name]} are {reason}" for name, reason in reasons.items() if counts[name]]
+    return f"none of {counts['n_lines']} grasps can be executed: {'; '.join(parts)}"

@@ -70,7 +70,7 @@ class HandConfig(Settings):
     )
     thumb_at: Literal["either", "g1", "g2"] = setting(
         "either",
-        "Contact that the thumb takes: g1 is left in the image; where the arm stands decides",
+        "Side on which the thumb touches, by where the arm stands: g1 is left in the image, g2 right. A planned grasp has its thumb at g1",
         choices=("either", "g1", "g2"),
     )
     opening_m: float | None = setting(

@@ -27,6 +27,7 @@ from foretouch.grasp.completed import (
     SCORE_OF_NONE,
     CompletedObject,
     Obstacles,
+    as_in_image,
     best_grasps,
     blocking_objects,
     why_no_line,
@@ -147,22 +148,22 @@ def _plan_original(
         xyz = downsampled.without_flying(config, counts).without_outliers(config)
         counts["n_filtered"] = len(xyz)
     with timed(plan.ms, "axis"):
-        found = find_axis(xyz, plane, config)
-        plan.axis, plan.centroid = found.direction, found.centroid
-        counts["n_voxel"] = len(found.cells[1])
+        axis = find_axis(xyz, plane, config)
+        plan.axis, plan.centroid = axis.direction, axis.centroid
+        counts["n_voxel"] = len(axis.cells[1])
         counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with timed(plan.ms, "slab"):
         if rng is not None:
-            plan.slide_m = _random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
-        centre = found.centroid + plan.slide_m * found.direction
-        grasp_plane = find_grasp_plane(xyz, centre, found.direction, found.side, config.slab_half_width_m)
+            plan.slide_m = _random_slide(xyz, axis.centroid, axis.direction, config.slide_fraction, rng)
+        centre = axis.centroid + plan.slide_m * axis.direction
+        grasp_plane = find_grasp_plane(xyz, centre, axis.direction, axis.side, config.slab_half_width_m)
         counts["n_plane"] = grasp_plane.n_points
         plan.initial_points = xyz[[grasp_plane.first, grasp_plane.second]].astype(np.float64)
     with timed(plan.ms, "candidates"):
         sides = contact_sides(xyz, grasp_plane, config)
         counts["n_first"], counts["n_second"] = (side.n_points for side in sides)
         counts["n_fv"], counts["n_sv"] = (len(side.candidates.xyz) for side in sides)
-    _best_grasps(plan, sides, grasp_plane, found.centroid, config.count)
+    _best_grasps(plan, sides, grasp_plane, axis.centroid, config.count)
 
 
 def _best_grasps(
@@ -225,15 +226,15 @@ def _plan_completed(
         counts |= lines.counts
         plan.lost, plan.blocked_by = lines.lost, blocking_objects(lines, obstacles)
     with timed(plan.ms, "ranking"):
-        found = best_grasps(completed, lines, config.count)
+        best = best_grasps(completed, lines, config.count)
         counts |= lines.counts
         plan.grasps = Grasps.of(
-            [Grasp(g1, g2, hand_rotation(g1, g2, axis), SCORE_OF_NONE - cost, way=way) for (g1, g2), way, cost in found]
+            [Grasp(g1, g2, hand_rotation(g1, g2, axis), SCORE_OF_NONE - cost, way=way) for (g1, g2), way, cost in best]
         )
         if held is not None and plan.grasps:
             last, margin = held
             cost = float(lines.cost[completed.nearest_line(last[0])])
-            if completed.way_in(last[0].g1, last[0].g2)[0] is None:
+            if completed.way_in(*as_in_image(last[0]))[0] is None:
                 cost = np.inf
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
             first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)

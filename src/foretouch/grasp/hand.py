@@ -120,18 +120,20 @@ class HandDescription(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        widths = [one.width_m for one in self.postures]
+        widths = [posture.width_m for posture in self.postures]
         if not widths or sorted(set(widths)) != widths:
             raise ConfigError(f"postures: widths {widths} do not ascend")
-        for number, one in enumerate(self.postures):
+        for number, posture in enumerate(self.postures):
             where = f"postures[{number}]"
-            if len(one.angles) != len(self.joints):
-                raise ConfigError(f"{where}.angles: {len(one.angles)} of {len(self.joints)} joints; give one for each")
-            for joint, angle in zip(self.joints, one.angles, strict=True):
+            if len(posture.angles) != len(self.joints):
+                raise ConfigError(
+                    f"{where}.angles: {len(posture.angles)} of {len(self.joints)} joints; give one for each"
+                )
+            for joint, angle in zip(self.joints, posture.angles, strict=True):
                 if not joint.lower <= angle <= joint.upper:
                     limits = f"{joint.lower:g} to {joint.upper:g} rad"
                     raise ConfigError(f"{where}.angles: {joint.name} {angle:g} is outside of its limits, {limits}")
-            if [box.name for box in one.boxes] != [box.name for box in self.postures[0].boxes]:
+            if [box.name for box in posture.boxes] != [box.name for box in self.postures[0].boxes]:
                 raise ConfigError(f"{where}.boxes: are not those of postures[0], in their order")
         if any(box.part != PALM for box in self.boxes):
             raise ConfigError("boxes: hold the palm; those of fingers stand in `postures`")
@@ -161,12 +163,14 @@ class Hand:
 
     def __init__(self, config: HandDescription) -> None:
         self.config, first = config, config.postures[0]
-        self.widths = np.array([one.width_m for one in config.postures])
-        self.depths = np.array([[one.depth_m, one.middle_m or one.depth_m] for one in config.postures]).T
+        self.widths = np.array([posture.width_m for posture in config.postures])
+        self.depths = np.array(
+            [[posture.depth_m, posture.middle_m or posture.depth_m] for posture in config.postures]
+        ).T
         self.parts = [box.part for box in (*config.boxes, *first.boxes)]
         self.names = [box.name for box in (*config.boxes, *first.boxes)]
         self._sides = np.array([_SIDES[part] for part in self.parts])
-        self._rows = np.array([_flat(config, one) for one in config.postures])
+        self._rows = np.array([_flat(config, posture) for posture in config.postures])
         for number, width in enumerate(self.widths):
             free = min(map(_ahead, self.at(float(width)).corners[: len(config.boxes)]), default=UNLIMITED_M)
             for name, depth in zip(("depth_m", "middle_m"), self.depths[:, number].tolist(), strict=True):
@@ -248,9 +252,9 @@ class Hand:
                 _raise_to((palm if part == PALM else fingers)[1], corners)
             if share == 1.0:
                 palm[0], fingers[0] = palm[1], fingers[1]
-        found = np.maximum(_spread(palm, _PALM_CELLS), _spread(fingers, _FINGER_CELLS)).astype(np.float32)
-        found[:, [0, -1]] = found[:, :, [0, -1]] = -np.inf
-        return found
+        fronts = np.maximum(_spread(palm, _PALM_CELLS), _spread(fingers, _FINGER_CELLS)).astype(np.float32)
+        fronts[:, [0, -1]] = fronts[:, :, [0, -1]] = -np.inf
+        return fronts
 
     def clearance(self, width_m: float, own: Float64, others: Float64, height_m: float) -> tuple[Float64, Float64]:
         """How much further the hand could go along each of `TILTS` before it meets something [m], negative where it is blocked.
@@ -277,7 +281,7 @@ class Hand:
         free_m = np.where(np.abs(x[:split]) <= width_m / 4.0, middle, depth)
         between_m = np.where(between, z[:, :split] + free_m, UNLIMITED_M).min(axis=1, initial=UNLIMITED_M)
         cells = (_CELLS + 2) * _cell(x) + _cell(y)
-        found, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
+        clear_m, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
         opened, closing = self._fronts(number)
         met = np.empty_like(z)
         for row in (0, 1):
@@ -285,8 +289,8 @@ class Hand:
             free = (z - met).min(axis=1, initial=UNLIMITED_M)
             cells = opened.size - 1 - cells  # half a turn about z: the thumb is at the line's beginning
             above = height_m + lowest[row]  # the table is where it was seen: there is no tolerance
-            found[row] = np.where(above < 0.0, -UNLIMITED_M, np.minimum(np.minimum(free, between_m), above))
-        return found, behind
+            clear_m[row] = np.where(above < 0.0, -UNLIMITED_M, np.minimum(np.minimum(free, between_m), above))
+        return clear_m, behind
 
     def at(self, width_m: float) -> HandAt:
         """The hand at a width of a grasp [m], by linear interpolation."""
@@ -345,8 +349,8 @@ def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
     turned = rotation_of(posture.rpy)
     palm = [posture.xyz + box.corners @ turned.T for box in config.boxes]
     corners = [*palm, *(box.corners for box in posture.boxes)]
-    parts = [[posture.depth_m], posture.xyz, turned.ravel(), *(one.ravel() for one in corners), posture.angles]
-    return np.concatenate([np.asarray(one, np.float64) for one in parts])
+    parts = [[posture.depth_m], posture.xyz, turned.ravel(), *(corner.ravel() for corner in corners), posture.angles]
+    return np.concatenate([np.asarray(part, np.float64) for part in parts])
 
 
 def rotation_of(rpy: Sequence[float]) -> Float64:

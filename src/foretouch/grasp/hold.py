@@ -36,8 +36,8 @@ class GraspHold:
 
     def find(self, cloud: Cloud) -> HeldGrasp | None:
         """The grasp that was planned on this object, if the object is still the same."""
-        found = self._find(self._measure(cloud))
-        return None if found is None else found[1]
+        held = self._find(self._measure(cloud))
+        return None if held is None else held[1]
 
     def remember(self, cloud: Cloud, best: HeldGrasp) -> None:
         """Keep the best grasp of an object for the next cloud."""

@@ -127,8 +127,8 @@ def closing_faults(grasps: Grasps) -> list[str]:
 
 def joined_faults(*parts: list[str]) -> list[str]:
     """The first fault of each of K grasps in several lists of K; "" if there is none."""
-    found = [part for part in parts if any(part)]
-    return [next(filter(None, row), "") for row in zip(*found, strict=True)] if found else parts[0]
+    faulty = [part for part in parts if any(part)]
+    return [next(filter(None, row), "") for row in zip(*faulty, strict=True)] if faulty else parts[0]
 
 
 def require_none(faults: list[str]) -> None:
@@ -174,7 +174,7 @@ def taxels_at(layout: Layout, grasp: Grasp, contact: Float64, lift_m: float = 0.
 
 
 def _unit(vector: Float64, name: str) -> Float64:
-    sizes = [abs(one) for one in vector.tolist()]  # plain floats take a fifth of NumPy's time
+    sizes = [abs(size) for size in vector.tolist()]  # plain floats take a fifth of NumPy's time
     largest = max(sizes)
     if not all(map(math.isfinite, sizes)) or largest == 0.0:
         raise GraspError(f"{name}: {np.asarray(vector).tolist()} has no direction")

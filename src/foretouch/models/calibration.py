@@ -104,16 +104,16 @@ class Calibration:
         ratio = new.half_width / np.sqrt(new.spread)
         try:
             with np.errstate(all="ignore"):  # what is not finite is refused below
-                found = TrackerParameters.from_calibration(
+                parameters = TrackerParameters.from_calibration(
                     self.channels,
                     (new.between, known.between),
                     (new.within, known.within),
                     (new.difference_shrinkage, known.difference_shrinkage),
                     np.array([ratio[own].mean() for own in self.channels.modality_columns.values()]),
                 )
-            sensors = found.object.min(axis=0)
-            found = replace(found, slow=sensors, object=found.object - sensors)
-            return TrackerParameters.from_tensors(found.to_tensors(), channels=self.channels)
+            sensors = parameters.object.min(axis=0)
+            parameters = replace(parameters, slow=sensors, object=parameters.object - sensors)
+            return TrackerParameters.from_tensors(parameters.to_tensors(), channels=self.channels)
         except (ModelError, np.linalg.LinAlgError) as err:
             raise ModelError(f"between, within: no tracker can be made of them: {err}") from err
 
@@ -134,8 +134,8 @@ class Calibration:
             count = np.count_nonzero(moved > 3.0 * deviation[where])
             if channel.size == 1 and count:
                 k = where[0]
-                found, rest, spread = map(channel.text, (tare.values[k], self.rest[k], deviation[k]))
-                signs.append(f"{name}: {found} is {side} the rest level, {rest} ± {spread}")
+                read, rest, spread = map(channel.text, (tare.values[k], self.rest[k], deviation[k]))
+                signs.append(f"{name}: {read} is {side} the rest level, {rest} ± {spread}")
             elif count >= 3:
                 signs.append(f"{name}: {count} values are {side} their rest level")
         return tuple(signs)

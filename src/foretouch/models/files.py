@@ -54,9 +54,9 @@ def read_tensors(
     except FileError as err:
         missing = isinstance(err.__cause__, FileNotFoundError)
         raise ModelError(f"{shown(path)}: no such weights; {named_by} names them" if missing else str(err)) from err
-    found = hashlib.sha256(content).hexdigest()
-    if found != sha256:
-        raise ModelError(f"{path}: sha256: {found} is not {shown(sha256)} of {named_by}; damaged or replaced")
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != sha256:
+        raise ModelError(f"{path}: sha256: {digest} is not {shown(sha256)} of {named_by}; damaged or replaced")
     try:
         return load(content)
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:  # or an unknown dtype
@@ -80,7 +80,7 @@ class TensorRecord:
 
     def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
-        names = (one.name for one in fields(self) if one.name != "channels")  # type: ignore[arg-type]
+        names = (member.name for member in fields(self) if member.name != "channels")  # type: ignore[arg-type]
         return {name: np.asarray(getattr(self, name)) for name in names}
 
     @classmethod
@@ -90,10 +90,10 @@ class TensorRecord:
         Raises:
             ModelError: Names the array that is missing, or breaks a rule of `_check`.
         """
-        known = [one for one in fields(cls) if one.name not in stated]  # type: ignore[arg-type]
-        if missing := next((one.name for one in known if one.name not in tensors), None):
+        known = [member for member in fields(cls) if member.name not in stated]  # type: ignore[arg-type]
+        if missing := next((member.name for member in known if member.name not in tensors), None):
             raise ModelError(f"{missing}: is missing")
-        record = cls(**{one.name: tensors[one.name] for one in known}, **stated)
+        record = cls(**{member.name: tensors[member.name] for member in known}, **stated)
         record._check()
         return record
 
@@ -105,8 +105,8 @@ class TensorRecord:
         for name, rule in self._rules().items():
             letters, low, high = (rule, -1e12, 1e12) if isinstance(rule, str) else rule
             array = getattr(self, name)
-            sizes |= {one: n for one, n in zip(letters, array.shape, strict=False) if one not in sizes}
-            wanted = tuple(sizes.get(one, -1) for one in letters)
+            sizes |= {letter: n for letter, n in zip(letters, array.shape, strict=False) if letter not in sizes}
+            wanted = tuple(sizes.get(letter, -1) for letter in letters)
             if array.shape != wanted:
                 raise ModelError(f"{name}: shape {array.shape} is not {wanted}")
             if not ((array >= low) & (array <= high)).all():  # NaN fails too

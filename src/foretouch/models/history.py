@@ -363,8 +363,8 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Hist
         tensors = load(read_bytes(path, _LARGEST))
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(path, f"damaged: {' '.join(str(err).split())}") from err
-    found = tensors.pop("sha256", None)
-    if found is None or bytes(found) != hashlib.sha256(packed(tensors)[0]).digest():
+    digest = tensors.pop("sha256", None)
+    if digest is None or bytes(digest) != hashlib.sha256(packed(tensors)[0]).digest():
         raise FileError(path, "damaged: its content has another hash")
     version = tensors.get("version", np.array([-1]))
     if version.shape != (1,) or version.dtype.kind not in "iu" or int(version[0]) != VERSION:

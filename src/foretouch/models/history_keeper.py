@@ -60,11 +60,11 @@ class HistoryKeeper:
         """Entries for /diagnostics."""
         read = self.history.tracker.evidence(self._now_ns())
         age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
-        found = {"history.readings": str(read.readings), "history.age_s": age}
-        found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
+        values = {"history.readings": str(read.readings), "history.age_s": age}
+        values |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
         kept = self.fault or "none: hand is empty, so that readings are forgotten when the node ends"
-        found["history.file"] = str(self._file.path) if self._file else kept
-        return found | ({"history.fault": self.fault} if self.fault else {})
+        values["history.file"] = str(self._file.path) if self._file else kept
+        return values | ({"history.fault": self.fault} if self.fault else {})
 
     def close(self) -> None:
         """Write what is not written yet, and let other processes use the file."""

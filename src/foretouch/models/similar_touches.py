@@ -64,9 +64,9 @@ class SimilarTouches:
         vectors, gain = self._solved
         near = (self._kernel(where)[:, None] @ vectors)[:, 0]  # (K, n): one product a grasp
         owner, ratio = self.parameters.channels.modality_of_value, self.parameters.where_ratio
-        found = (near[:, None] @ (gain[owner].T * (vectors.T @ (self.readings - level))))[:, 0]
+        change = (near[:, None] @ (gain[owner].T * (vectors.T @ (self.readings - level))))[:, 0]
         explained = ((near * near)[:, None] @ gain.T)[:, 0] * (ratio / (1.0 + ratio))
-        return found, 1.0 - explained
+        return change, 1.0 - explained
 
     def _kernel(self, where: Float64) -> Float64:
         """(K, n) k of eq. 1."""

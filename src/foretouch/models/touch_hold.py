@@ -25,8 +25,8 @@ OUTSIDE: Final = 0.05
 def patterns(readings: Float64) -> Float64:
     """(S, D) patterns of (S, F, N) electrodes of the fingers, in the order of the card [counts]; D = F x N."""
     apart = readings - readings.mean(axis=-1, keepdims=True)
-    found: Float64 = (apart / np.maximum(apart.std(axis=-1, keepdims=True), 1.0)).reshape(len(readings), -1)
-    return found
+    pattern: Float64 = (apart / np.maximum(apart.std(axis=-1, keepdims=True), 1.0)).reshape(len(readings), -1)
+    return pattern
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,19 +44,19 @@ class TouchHold(TensorRecord):
     def chance(self, readings: Float64) -> Float64:
         """(S,) probabilities that grasps hold, of (S, F, N) electrodes [counts]."""
         slope, offset = self.calibration
-        found: Float64 = 1.0 / (1.0 + np.exp(-slope * self.logits(readings) - offset))
-        return found
+        probability: Float64 = 1.0 / (1.0 + np.exp(-slope * self.logits(readings) - offset))
+        return probability
 
     def logits(self, readings: Float64) -> Float64:
         """(S,) means of the networks, not calibrated."""
         units = np.tanh(np.einsum("sd,kdh->skh", patterns(readings), self.hidden) + self.hidden_bias)
-        found: Float64 = (np.einsum("skh,kh->sk", units, self.out) + self.out_bias).mean(axis=1)
-        return found
+        logit: Float64 = (np.einsum("skh,kh->sk", units, self.out) + self.out_bias).mean(axis=1)
+        return logit
 
     def outside(self, readings: Float64) -> Float64:
         """(S,) share of each pattern that is out of the range of training; see `OUTSIDE`."""
-        found = patterns(readings)
-        share: Float64 = ((found < self.low) | (found > self.high)).mean(axis=1)
+        pattern = patterns(readings)
+        share: Float64 = ((pattern < self.low) | (pattern > self.high)).mean(axis=1)
         return share
 
     RULES = {  # noqa: RUF012

@@ -127,7 +127,7 @@ class SensorTracker:
         if now_ns <= 0 or self._newest_ns - now_ns <= _AHEAD_NS:
             return False
         self._newest_ns, self._object_ns, self._tdc_ns = (
-            min(one, now_ns) for one in (self._newest_ns, self._object_ns, self._tdc_ns)
+            min(stamp_ns, now_ns) for stamp_ns in (self._newest_ns, self._object_ns, self._tdc_ns)
         )
         return True
 
@@ -323,9 +323,9 @@ class SensorTracker:
         if not unread.any():
             return innovation
         precision = (self._inverse[:, unread] / variance[:, None]).T @ self._inverse  # rows of that of the innovations
-        found = innovation.copy()
-        found[unread] = -np.linalg.solve(precision[:, unread], precision[:, ~unread] @ innovation[~unread])
-        return found
+        completed = innovation.copy()
+        completed[unread] = -np.linalg.solve(precision[:, unread], precision[:, ~unread] @ innovation[~unread])
+        return completed
 
     def _adapt_factor(self, outside: Float64) -> None:
         """Widen or narrow the intervals by whether the last ones contained the reading."""
@@ -346,13 +346,13 @@ class SensorTracker:
     def _coordinates_of(self, fingers: Bool) -> Bool:
         """(D,) which coordinates the chosen fingers' values depend on."""
         chosen = np.zeros(self._channels.size, np.bool_)
-        for own, one in zip(self._coordinates, fingers, strict=True):
-            if one:
+        for own, finger in zip(self._coordinates, fingers, strict=True):
+            if finger:
                 chosen |= own
         return chosen
 
     def _names(self, fingers: Bool) -> tuple[str, ...]:
-        return tuple(name for name, one in zip(self._channels.fingers, fingers, strict=True) if one)
+        return tuple(name for name, finger in zip(self._channels.fingers, fingers, strict=True) if finger)
 
     def _restart(self, fingers: Bool) -> None:
         if fingers.any():

@@ -7,21 +7,14 @@ Threads: one takes messages and serves requests and timers (rclpy's `SingleThrea
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts
-from foretouch.ros.graph import NODES, Graph, node_class
+from foretouch.ros.graph import Graph, node_class
 from foretouch.ros.runtime.environment import prepare_environment
-
-
-def __getattr__(name: str) -> Callable[[], int]:
-    """Return the entry point of a node, such as `foretouch.ros.executables:camera`, which is installed as `foretouch_camera`."""
-    if name not in NODES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return partial(run, name)
 
 
 def run(*names: str, args: Sequence[str] | None = None) -> int:
@@ -63,3 +56,14 @@ def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
     options = "-p NAME:=VALUE, --params-file FILE, -r __ns:=/NAMESPACE, -r TOPIC:=OTHER, --log-level LEVEL"
     parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], metavar="…", help=options)
     return parser
+
+
+camera = partial(run, "camera")
+perception = partial(run, "perception")
+segmentation = partial(run, "segmentation")
+grasp = partial(run, "grasp")
+touch_predictor = partial(run, "touch_predictor")
+replay = partial(run, "replay")
+hand = partial(run, "hand")
+recorder = partial(run, "recorder")
+bridge = partial(run, "bridge")

@@ -9,10 +9,10 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, Final, Self, cast
 
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
@@ -26,19 +26,6 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
-
-NODES = {
-    "camera": "foretouch.ros.nodes.camera:CameraNode",
-    "perception": "foretouch.ros.nodes.perception:PerceptionNode",
-    "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNode",
-    "grasp": "foretouch.ros.nodes.grasp:GraspNode",
-    "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
-    "replay": "foretouch.ros.nodes.replay:ReplayNode",
-    "hand": "foretouch_lab.ros.hand:HandNode",
-    "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
-    "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
-}
-"""Module and class of each node by name; that of the simulated hand is in the laboratory."""
 
 _INPUTS = {
     "sensor_msgs/msg/Image": "depth",
@@ -95,8 +82,8 @@ class Graph:
                 served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
                 self._errors = served[0].internal_errors
                 self._executor = SingleThreadedExecutor()
-                for one in served:
-                    self._executor.add_node(one)
+                for served_node in served:
+                    self._executor.add_node(served_node)
             for node in self.nodes.values():
                 with uninterrupted():
                     node.autostart()
@@ -211,13 +198,71 @@ def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMES
 
 
 def node_class(name: str) -> "type[ForetouchNode[Any]]":
-    """The class of a node by its name; raises as `needs_laboratory`.
+    """Return the class of a node, which is imported now.
 
     To make a node of it, `rclpy.init` must have been called; a `ConfigError` if a parameter breaks a rule. It is not configured yet.
+
+    Raises:
+        MissingDependencyError: If it is of the laboratory, which is not installed.
+        KeyError: If there is no such node.
     """
-    module, _, class_name = NODES[name].partition(":")
     with needs_laboratory(f"node {name}"):
-        return cast("type[ForetouchNode[Any]]", getattr(import_module(module), class_name))
+        match name:
+            case "camera":
+                from foretouch.ros.nodes.camera import CameraNode
+
+                return CameraNode
+            case "perception":
+                from foretouch.ros.nodes.perception import PerceptionNode
+
+                return PerceptionNode
+            case "segmentation":
+                from foretouch.ros.nodes.segmentation import SegmentationNode
+
+                return SegmentationNode
+            case "grasp":
+                from foretouch.ros.nodes.grasp import GraspNode
+
+                return GraspNode
+            case "touch_predictor":
+                from foretouch.ros.nodes.touch_predictor import TouchPredictorNode
+
+                return TouchPredictorNode
+            case "replay":
+                from foretouch.ros.nodes.replay import ReplayNode
+
+                return ReplayNode
+            case "hand":
+                from foretouch_lab.ros.hand import HandNode
+
+                return HandNode
+            case "recorder":
+                from foretouch.ros.nodes.recorder import RecorderNode
+
+                return RecorderNode
+            case "bridge":
+                from foretouch.ros.nodes.bridge import BridgeNode
+
+                return BridgeNode
+            case _:
+                raise KeyError(name)
+
+
+NODES: Final = {
+    name: partial(node_class, name)
+    for name in (
+        "camera",
+        "perception",
+        "segmentation",
+        "grasp",
+        "touch_predictor",
+        "replay",
+        "hand",
+        "recorder",
+        "bridge",
+    )
+}
+"""What gives the class of each node, by name."""
 
 
 def input_of(topic: str, wait_s: float) -> str:

@@ -2,7 +2,7 @@
 """Grasps: two contacts and the orientation of the hand, one or K of them as columns."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Self, overload
 
 import numpy as np
@@ -27,6 +27,10 @@ class WayIn:
     posture: Float64  # (J,) float64 [rad], angles of `joints`
     joints: tuple[str, ...] = ()  # names of J joints
     hand: str = ""  # its description: a name of the package, or the path of a YAML file
+
+    def with_contacts_swapped(self) -> Self:
+        """The same way to a grasp whose contacts have each other's names."""
+        return replace(self, thumb_at="g1" if self.thumb_at == "g2" else "g2", approaches=self.approaches[::-1, ::-1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.tactile.description import named_taxels
 from foretouch_lab.learning.data import load_dataset
 from foretouch_lab.learning.evaluation.evaluate import evaluate_model
@@ -18,7 +19,7 @@ _SCORED: Final = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Model, dataset, and the split for the baselines."""
     parser.add_argument("model", metavar="MODEL", help="name of a model, or path of its card, weights or model folder")
     parser.add_argument("dataset", metavar="DATASET", help="recorded dataset, training store or vision2tactile folders")

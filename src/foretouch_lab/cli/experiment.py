@@ -10,6 +10,7 @@ from typing import Any
 
 from foretouch.cli.inputs import ADDRESS_HELP, positive_number
 from foretouch.cli.output import print_json, print_table, print_text, progress_bar, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
 from foretouch_lab.experiments import Experiment, find_experiment, list_experiments, run_sweep
@@ -19,7 +20,7 @@ from foretouch_lab.experiments.framework.manifest import SUMMARY_FILE, read_resu
 ENVIRONMENT = "FORETOUCH_DATA"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
         "name",
@@ -29,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sweep_arguments(parser, "full", "full (default), smoke, or another preset of the experiment")
 
 
-def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: str) -> None:
+def add_sweep_arguments(parser: CommandParser, preset: str, presets: str) -> None:
     """Arguments on the settings, data and output of a sweep, with the default preset and the help on presets."""
     parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
     parser.add_argument(

@@ -9,6 +9,7 @@ from pathlib import Path
 from foretouch import __version__
 from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
+from foretouch.cli.parser import CommandParser
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import ConfigError, FileError
 from foretouch.types import Sample
@@ -20,7 +21,7 @@ SHEET = "contact_sheet.png"
 _SHEET_SAMPLES = 12
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """The scene, how many samples, and where to."""
     parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
     parser.add_argument(

@@ -3,11 +3,12 @@
 
 import argparse
 
+from foretouch.cli.parser import CommandParser
 from foretouch_lab.cli.experiment import add_sweep_arguments, print_list, run_experiment
 from foretouch_lab.experiments.framework.tradeoff import find_area, list_areas
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Arguments of the command."""
     parser.add_argument("area", metavar="AREA", help="model, or another area; `list` prints all")
     add_sweep_arguments(parser, "small", "small (default): within 3 minutes, trains no network; full: all settings")

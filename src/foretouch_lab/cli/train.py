@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
+from foretouch.cli.parser import CommandParser
 from foretouch.errors import ConfigError
 from foretouch.tactile.description import named_taxels
 from foretouch_lab.cli.evaluate import show_scores
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from foretouch_lab.learning.training.run_config import RunConfig
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Configuration, overrides, and where the run is written."""
     parser.add_argument(
         "config",
@@ -34,10 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="settings that differ from CONFIG: data=DATASET, train.epochs=5, calibrate=true (intervals for a network), "
         "release=true (scores on three splits in the card)",
     )
-    target = parser.add_mutually_exclusive_group(required=True)
-    target.add_argument("-o", "--out", type=Path, metavar="MODEL", help="model folder to create")
-    target.add_argument(
+    target = parser.headings["what is written"].add_mutually_exclusive_group(required=True)
+    parser.add_argument("-o", "--out", group=target, type=Path, metavar="MODEL", help="model folder to create")
+    parser.add_argument(
         "--compare",
+        group=target,
         metavar="SPLITS",
         help="write no model: score the method and the baselines on splits such as random,time,object",
     )

@@ -63,7 +63,7 @@ def ply_files(draw: Any) -> tuple[bytes, Any, Any]:
 
     def lists(kind: str) -> None:
         entries = draw(st.lists(st.integers(0, 9), max_size=3))
-        numbers.extend([("uchar", len(entries)), *((kind, one) for one in entries)])
+        numbers.extend([("uchar", len(entries)), *((kind, entry) for entry in entries)])
 
     lines = [
         f"format {dict(zip(['ascii', '<', '>'], ['ascii', 'binary_little_endian', 'binary_big_endian'], strict=True))[order]} 1.0"
@@ -159,9 +159,11 @@ def pcd_files(draw: Any) -> tuple[bytes, Any]:
     version, counted, counts, viewpoint = (draw(st.booleans()) for _ in range(4))
     text = draw(st.booleans())
     lines = ["# .PCD v0.7"] * version + [f"VERSION {'0.7' if version else '.5'}"]
-    lines += [f"{name} {' '.join(str(one[k]) for one in fields)}" for k, name in enumerate(["FIELDS", "TYPE", "SIZE"])]
-    if counts or any(one[3] > 1 for one in fields):
-        lines.append(f"COUNT {' '.join(str(one[3]) for one in fields)}")
+    lines += [
+        f"{name} {' '.join(str(field[k]) for field in fields)}" for k, name in enumerate(["FIELDS", "TYPE", "SIZE"])
+    ]
+    if counts or any(field[3] > 1 for field in fields):
+        lines.append(f"COUNT {' '.join(str(field[3]) for field in fields)}")
     lines += (
         [f"WIDTH {width}", f"HEIGHT {height}"]
         + ["VIEWPOINT 0 0 0 1 0 0 0"] * viewpoint

@@ -37,7 +37,7 @@ def room(*boxes, tilt_deg: float = 40.0, distance_m: float = 0.8, noise_m: float
 
 def labelled(found: Segmentation, labels: np.ndarray) -> list[int]:
     """The true label of most pixels of each object, sorted."""
-    return sorted(int(np.bincount(labels.ravel()[one.pixels]).argmax()) for one in found.objects)
+    return sorted(int(np.bincount(labels.ravel()[object_.pixels]).argmax()) for object_ in found.objects)
 
 
 def reasons(found: Segmentation, labels: np.ndarray) -> dict[int, str]:
@@ -63,7 +63,7 @@ def test_an_arm_from_the_border_enters_the_view_and_is_an_obstacle_not_a_target(
     assert labelled(found, labels) == [3, 4]
     assert reasons(found, labels) == {5: "enters_view"}
     assert found.counts["n_enters_view"] == len(found.background) == found.counts["n_background"]
-    assert all(str(target.id) in {str(one.id) for one in found.objects} for target in scene.targets)
+    assert all(str(target.id) in {str(object_.id) for object_ in found.objects} for target in scene.targets)
     assert scene.obstacles is not None
     on_arm = scene.obstacles.xyz[scene.obstacles.object_ids == 0]
     assert len(on_arm) > 50

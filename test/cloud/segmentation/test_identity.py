@@ -39,7 +39,7 @@ def test_noisy_clouds_of_a_still_scene_keep_their_ids_though_the_order_by_distan
         kept = identity.keep(raw)
         orders.add((_place(raw, 80, 80), _place(raw, 80, 240)))
         ids.add((_place(kept, 80, 80), _place(kept, 80, 240), _place(kept, 160, 160)))
-        assert {one.id for one in kept.objects} == set(np.unique(kept.labels)) - {0}
+        assert {object_.id for object_ in kept.objects} == set(np.unique(kept.labels)) - {0}
     assert len(orders) == 2  # the test is one: without identity, ids change
     assert len(ids) == 1
 

@@ -32,15 +32,15 @@ def test_the_labels_are_the_objects_with_their_ids_and_the_table_is_that_of_the_
     for mask in (labels, 250 * labels.astype(np.int64), np.where(labels == 0, -1, labels), labels > 0):
         found = segment_mask(cloud, mask, CONFIG)
         wanted = np.unique(np.asarray(mask)[np.asarray(mask) > 0]).tolist()
-        assert (found.status, sorted(one.id for one in found.objects)) == ("ok", [int(one) for one in wanted])
+        assert (found.status, sorted(object_.id for object_ in found.objects)) == ("ok", [int(one) for one in wanted])
         truth = segment(cloud, CONFIG).plane
         assert found.plane.normal @ truth.normal > np.cos(np.radians(0.5))
         counts = found.counts
         parts = ("mask_no_depth", "mask_table", "mask_apart", "mask_rejected", "objects")
         assert counts["mask"] == np.count_nonzero(np.asarray(mask) > 0) == sum(counts[name] for name in parts)
-        for one in found.objects:
-            assert (found.labels.ravel()[one.pixels] == one.id).all()
-            np.testing.assert_array_equal(one.cloud.xyz, cloud.xyz.reshape(-1, 3)[one.pixels])
+        for object_ in found.objects:
+            assert (found.labels.ravel()[object_.pixels] == object_.id).all()
+            np.testing.assert_array_equal(object_.cloud.xyz, cloud.xyz.reshape(-1, 3)[object_.pixels])
 
 
 def test_what_bleeds_onto_the_table_and_behind_is_taken_out_and_counted(cloud, labels):
@@ -109,12 +109,12 @@ def test_real_images_have_as_many_objects_as_labels_and_grasps_only_on_them(real
         with np.load(path) as image:
             cloud, mask = Cloud.from_depth(image["depth_mm"], image["K"]), image["label"]
         scene = pipeline.segment(cloud, mask=mask)
-        assert {one.id for one in scene.objects} == {str(label) for label in np.unique(mask[mask > 0])}
-        for one in scene.targets:
-            assert (mask.ravel()[one.pixels] == int(one.id)).all()
-            for grasp in pipeline.plan(one).grasps:
-                away = np.linalg.norm(one.cloud.xyz.astype(float) - grasp.midpoint, axis=1).min()
+        assert {object_.id for object_ in scene.objects} == {str(label) for label in np.unique(mask[mask > 0])}
+        for target in scene.targets:
+            assert (mask.ravel()[target.pixels] == int(target.id)).all()
+            for grasp in pipeline.plan(target).grasps:
+                away = np.linalg.norm(target.cloud.xyz.astype(float) - grasp.midpoint, axis=1).min()
                 assert away < 0.08
-                assert grasp.object_id == one.id
+                assert grasp.object_id == target.id
 
     every_case([(path,) for path in images], check)

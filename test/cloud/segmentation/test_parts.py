@@ -173,7 +173,7 @@ def test_without_a_table_or_with_two_or_its_edge_before_the_objects() -> None:
     ):
         xyz, truth = _scene(*solids, table=table)
         found = segment(Cloud(xyz))
-        assert all(np.isfinite(one.cloud.xyz).all() for one in found.objects), name
+        assert all(np.isfinite(object_.cloud.xyz).all() for object_ in found.objects), name
         if count is None:
             assert found.status == "ok" or found.reason, name
         else:
@@ -202,7 +202,7 @@ def test_the_kernel_finds_the_parts_of_its_reference(angle_deg: float, monkeypat
         assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
         least = 0.95 if name == "two balls" else 0.98  # a tiny fragment between two equal balls may be of either
         assert min(_iou(one, other.labels)) > least, name
-    rules = {rule: sum(one.counts[rule] for one in ours.values()) for rule in SPLIT_COUNTS[2:]}
+    rules = {rule: sum(our.counts[rule] for our in ours.values()) for rule in SPLIT_COUNTS[2:]}
     assert all(rules.values()), rules
 
 
@@ -226,7 +226,7 @@ def test_hard_images_give_finite_parts_in_time() -> None:
         found = segment(Cloud(np.ascontiguousarray(image, np.float32)))
         assert time.process_time() - start < 1.0, name
         assert count is None or len(found.objects) == count, name
-        assert all(np.isfinite(one.cloud.xyz).all() for one in found.objects)
+        assert all(np.isfinite(object_.cloud.xyz).all() for object_ in found.objects)
         used = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")
         assert found.counts["received"] == sum(found.counts[one] for one in used)
 

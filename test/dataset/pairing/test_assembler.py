@@ -66,9 +66,9 @@ class Session:
     def reasons(self) -> list[str]:
         """Of the executed grasps."""
         return [
-            one.reason if isinstance(one, RejectedGrasp) else "recorded"
-            for one in self.results()
-            if isinstance(one, RejectedGrasp) or one.cut is not None
+            result.reason if isinstance(result, RejectedGrasp) else "recorded"
+            for result in self.results()
+            if isinstance(result, RejectedGrasp) or result.cut is not None
         ]
 
 
@@ -88,8 +88,8 @@ def test_reasons_of_messages_that_cannot_become_samples() -> None:
     results = session.results()
     note = results[0].record.note
     assert note.startswith("candidate bad left out: rotation: "), note
-    assert [one.id for one in results[0].record.candidates] == []
-    reasons = [getattr(one, "reason", "recorded") for one in results[1:]]
+    assert [candidate.id for candidate in results[0].record.candidates] == []
+    reasons = [getattr(result, "reason", "recorded") for result in results[1:]]
     assert reasons == ["frame_differs", "bad_grasp", "recorded", "recorded", "object_unknown", "grasp_failed"]
 
 
@@ -117,8 +117,8 @@ def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> 
     session.look(9, interval(9).start)  # without grasps
     touched, *others = session.results()
     assert touched.record.sample.grasp.id == "g-1"
-    assert [one.record.sample.grasp.id for one in others] == ["g-0", "g-2"]  # 6 s apart
-    assert all(one.record.sample.touch is None for one in others)
+    assert [other.record.sample.grasp.id for other in others] == ["g-0", "g-2"]  # 6 s apart
+    assert all(other.record.sample.touch is None for other in others)
     assert session.assembler.clouds_without_grasps == 1
 
 

@@ -12,7 +12,7 @@ Array = np.ndarray[Any, Any]
 def mean_neighbour_distance(xyz, k: int, query=None) -> Array:
     k = min(k, len(xyz) - 1)
     blocks = _squared(xyz if query is None else xyz[query], xyz)
-    means = [np.sqrt(np.partition(one, k)[:, : k + 1]).sum(axis=1, dtype=np.float64) / k for one in blocks]
+    means = [np.sqrt(np.partition(block, k)[:, : k + 1]).sum(axis=1, dtype=np.float64) / k for block in blocks]
     return np.concatenate(means).astype(np.float32)
 
 

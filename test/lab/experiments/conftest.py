@@ -31,4 +31,4 @@ def scenes() -> Path:
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of sweeps run in the process of the test, which saves the start of others."""
-    monkeypatch.setattr(sweep, "in_processes", lambda run, cells, _: ((one, *outcome(run, one)) for one in cells))
+    monkeypatch.setattr(sweep, "in_processes", lambda run, cells, _: ((cell, *outcome(run, cell)) for cell in cells))

@@ -35,9 +35,9 @@ def test_a_module_of_ones_own_or_in_the_package(tmp_path: Path, capsys, numbers:
 
 
 def test_every_experiment_is_found_by_its_name_without_matplotlib() -> None:
-    for one in list_experiments():
-        assert find_experiment(one.name) is one
-        assert find_experiment(f"{one.module}:{one.name}") is one
+    for experiment in list_experiments():
+        assert find_experiment(experiment.name) is experiment
+        assert find_experiment(f"{experiment.module}:{experiment.name}") is experiment
     for name in ("framework", "shared"):
         with pytest.raises(ConfigError, match=f"{name!r} is not one of cross_validation, label_ratio"):
             find_experiment(name)

@@ -58,9 +58,9 @@ def test_the_printed_recipe_is_that_of_p2(data: Dataset) -> None:
     assert len(networks) == 5 * 5 * 4 * 5
     assert (settings.model.n_points, settings.model.feature_size, settings.model.head_size) == (750, 1024, 1039)
     found = {}
-    for one in networks:
-        config = configured(settings.training, one["model"], one["trial"], 320, settings.updates, 0)
-        found[one["trial"]] = config
+    for network in networks:
+        config = configured(settings.training, network["model"], network["trial"], 320, settings.updates, 0)
+        found[network["trial"]] = config
         assert (config.optimiser, config.learning_rate, config.schedule) == ("adam", 0.01, "constant")
         assert (config.weight_decay, config.target_scaling) == (0.0, "ranges")
     pointnet = found.pop("P2")

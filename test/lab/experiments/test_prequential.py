@@ -41,8 +41,8 @@ def test_tares_and_temperatures_give_further_sources_and_a_missing_cell_leaves_i
     data = make_collection(3, 4)
     tare = biotac_touch(labels_of(data.samples).mean(axis=0))
     samples = tuple(
-        replace(one, tare=tare if k % 4 == 0 else None, extra={"TDC_TH": 2400.0 + k} if k % 2 else {})
-        for k, one in enumerate(data.samples)
+        replace(sample, tare=tare if k % 4 == 0 else None, extra={"TDC_TH": 2400.0 + k} if k % 2 else {})
+        for k, sample in enumerate(data.samples)
     )
     recording = recording_without(samples, "campbells", MEAN)
     assert_array_equal(np.isfinite(recording.tares).all(axis=1), np.arange(12) % 4 == 0)

@@ -201,5 +201,5 @@ def test_ray_gives_the_same_bits_and_outlives_a_node(ray_cluster, tmp_path, swee
 
 def test_no_cluster_is_told_at_once(ray, sweep) -> None:
     addresses = ("127.0.0.1:1", "ray://127.0.0.1:1", "localhost:no")
-    cases = [(f"--address: {one}: no cluster answers", one) for one in addresses]
+    cases = [(f"--address: {addresse}: no cluster answers", addresse) for addresse in addresses]
     every_refusal(ConfigError, cases, lambda address: sweep(address=address, resume=True))

@@ -129,15 +129,15 @@ def test_areas_of_the_package_and_their_committed_tables(capsys: pytest.CaptureF
 
     def check(area: Area) -> None:
         assert find_area(area.area) is area
-        names = [one.name for one in area.variants]
+        names = [variant.name for variant in area.variants]
         assert len(set(names)) == len(names)
-        assert [one for one in area.variants if one.factor == "shipped"]
+        assert [variant for variant in area.variants if variant.factor == "shipped"]
         folder = ROOT / "docs/results/tradeoff" / area.area
         rows = read_results(folder / "tradeoff.csv")
         summary = (folder / "summary.md").read_text()
-        for one in area.tables(rows):
-            assert all(" | ".join(line) in summary for line in one.rows)
-            assert all(note in summary for note in one.notes)
+        for table in area.tables(rows):
+            assert all(" | ".join(line) in summary for line in table.rows)
+            assert all(note in summary for note in table.notes)
         assert area.draw(rows, tmp_path)[0].stat().st_size > 10_000
 
     every_case({one.area: one for one in areas}, check)
@@ -176,12 +176,12 @@ def test_models_are_measured_on_each_split_and_timed() -> None:
     settings = TradeoffSettings(requests=(1, 2), bootstrap=QUICK)
     rows = area.run(area.cells(settings, GRASPS)[1], settings, GRASPS)
     found = {row["variant"]: row for row in rows}
-    assert found.keys() == {one.name for one in area.variants} - {"mean of the object", "papers' four networks"}
+    assert found.keys() == {variant.name for variant in area.variants} - {"mean of the object", "papers' four networks"}
     assert found["mean of labels + readings"]["object"] > 0.1
     assert found["mean of labels"]["object"] == 0.0
     assert found["contact-v3"]["object_rmse_PDC_TH"] > 0.0
     assert found["10 trees"]["object"] != found["contact-v3"]["object"]
-    made = {one.name: area.timed(one, settings, GRASPS)[0] for one in area.variants}
+    made = {variant.name: area.timed(variant, settings, GRASPS)[0] for variant in area.variants}
     for name, answer in made.items():
         assert answer(2).shape == (2, 50), name
     assert not np.array_equal(made["contact-v3 + readings"](1), made["contact-v3"](1))
@@ -194,16 +194,16 @@ def test_a_coarser_grid_loses_masks_and_both_steps_are_timed() -> None:
     area, settings = tradeoff_perception.EXPERIMENT, tradeoff_perception.PerceptionSettings(scenes=2)
     data = area.load(settings, Path("no recordings"))
     found = {row["variant"]: row for cell in area.cells(settings, data) for row in area.run(cell, settings, data)}
-    assert found.keys() == {one.name for one in area.variants}
+    assert found.keys() == {variant.name for variant in area.variants}
     shipped = found["segmentation as shipped"]
     assert found["grid rows 60"]["iou"] < shipped["iou"]
     assert shipped["iou_low"] <= shipped["iou"] <= shipped["iou_high"]
     assert found["GeoGrasp as shipped"]["score"] > found["max points 500"]["score"]
     original = Pipeline().config.updated({"grasp.method": "original", "target.mode": "all"})
-    for one in area.variants:
-        assert (tradeoff_perception._pipeline(one).config == original) == (not one.values["changes"])
-    for one in area.variants[:2]:
-        answer, _ = area.timed(one, settings, data)
+    for variant in area.variants:
+        assert (tradeoff_perception._pipeline(variant).config == original) == (not variant.values["changes"])
+    for variant in area.variants[:2]:
+        answer, _ = area.timed(variant, settings, data)
         assert answer(1) is not answer(1)
 
 
@@ -213,9 +213,9 @@ def test_springs_are_nearly_right_on_rigid_objects_and_effects_can_be_left_out(t
         tradeoff_simulation.SimulationSettings(compared=4, train=10, trees=2),
     )
     data = area.load(settings, ROOT / "config/scenes")
-    every_case({one.name: (one,) for one in area.variants}, data.changed)
+    every_case({variant.name: (variant,) for variant in area.variants}, data.changed)
     shown = ("finest", "winkler 12", "everything as shipped", "without noise")
-    fewer = tuple(one for one in area.variants if any(text in one.name for text in shown))
+    fewer = tuple(variant for variant in area.variants if any(text in variant.name for text in shown))
     monkeypatch.setattr(tradeoff_simulation, "VARIANTS", fewer)
     found: dict[str, Row] = {}
     for cell in area.cells(settings, data):
@@ -237,7 +237,7 @@ def test_springs_are_nearly_right_on_rigid_objects_and_effects_can_be_left_out(t
 def test_more_grasps_are_more_skilful_and_take_the_robot_longer(monkeypatch) -> None:
     area, settings = tradeoff_training.EXPERIMENT, tradeoff_training.TrainingSettings(trees=2, bootstrap=QUICK)
     wanted = ("contact model as shipped", "mean of labels", "5 grasps an object", "2 objects", "network as shipped")
-    variants = {one.name: one for one in area.variants if one.name in wanted}
+    variants = {variant.name: variant for variant in area.variants if variant.name in wanted}
     monkeypatch.setattr(tradeoff_training, "VARIANTS", tuple(variants.values()))
     cells = area.cells(settings, GRASPS)
     assert [cell.key for cell in cells] == ["known", "new", "one_block"]

@@ -135,9 +135,11 @@ def test_random_objects_stand_on_the_table_apart_and_inside_the_image(monkeypatc
             assert 0 < rows.min() <= rows.max() < 239
             assert 0 < columns.min() <= columns.max() < 423
             assert solid.corners()[:, 2].min() == pytest.approx(0.0, abs=1e-12)
-        for i, one in enumerate(scene.objects):
+        for i, object_ in enumerate(scene.objects):
             for other in scene.objects[:i]:
-                gap = np.linalg.norm((one.position - other.position)[:2]) - footprint_m(one) - footprint_m(other)
+                gap = (
+                    np.linalg.norm((object_.position - other.position)[:2]) - footprint_m(object_) - footprint_m(other)
+                )
                 assert gap > 0.03
 
     every_case([(view, seed) for view in ("oblique", "top") for seed in range(12)], check)

@@ -58,7 +58,7 @@ def test_a_hand_with_taxels_reads_what_the_data_set_says_and_a_press_moves_only_
     sample, found = run(quiet), executed(quiet)
     columns = sample.touch.channels.finger_columns.values()
     for row, expected in ((0, sample.tare), (found.contact, sample.touch), (-1, sample.tare)):
-        np.testing.assert_array_equal(found.counts[row], [expected.values[one] for one in columns])
+        np.testing.assert_array_equal(found.counts[row], [expected.values[column] for column in columns])
     hand = SimulatedHand(quiet, TIMING)
     assert hand.sensor.config.name == "xela_uskin_4x4"
     np.testing.assert_array_equal(hand.rest(3)[2], found.counts[0])

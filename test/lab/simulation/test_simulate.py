@@ -30,8 +30,8 @@ LOADED = [CAN | {"mass_kg": 0.05, "colour": [200, 30, 30], "surface": {}}, SPONG
 
 def digest(samples: list[Sample]) -> str:
     content = hashlib.sha256()
-    for one in samples:
-        content.update(sample_digest(one))
+    for sample in samples:
+        content.update(sample_digest(sample))
     return content.hexdigest()
 
 
@@ -39,12 +39,12 @@ def test_samples_are_whole_and_come_in_order_with_their_objects_in_turn() -> Non
     samples = made(scene(CAN, SPONGE), 3)
     assert [s.id for s in samples] == ["can/000000", "sponge/000001", "can/000002"]
     assert [s.extra["slot"] for s in samples] == [0, 1, 2]
-    for one in samples:
-        assert touch_faults(one.touch) == touch_faults(one.tare) == ()
-        assert one.touch["PDC_TH"][0] > one.tare["PDC_TH"][0]  # pressure rises
-        assert (one.tare["E_TH"] - one.touch["E_TH"]).max() > 20  # and electrodes fall
-        assert one.extra["force_th_n"] == pytest.approx(one.extra["target_th"], rel=1e-3)
-        assert one.extra["force_th_n"] == pytest.approx(one.extra["force_mf_n"], rel=1e-3)
+    for sample in samples:
+        assert touch_faults(sample.touch) == touch_faults(sample.tare) == ()
+        assert sample.touch["PDC_TH"][0] > sample.tare["PDC_TH"][0]  # pressure rises
+        assert (sample.tare["E_TH"] - sample.touch["E_TH"]).max() > 20  # and electrodes fall
+        assert sample.extra["force_th_n"] == pytest.approx(sample.extra["target_th"], rel=1e-3)
+        assert sample.extra["force_th_n"] == pytest.approx(sample.extra["force_mf_n"], rel=1e-3)
 
 
 def test_the_same_samples_on_one_worker_and_on_two_and_in_a_longer_run() -> None:

@@ -33,7 +33,7 @@ def forces(config: SceneConfig, state: SampleState) -> dict[str, Float64]:
     assert array is not None
     newton = (state.readings[1] - array.rest) / array.gain
     size, fingers = array.sensor.size, array.sensor.channels.fingers
-    names = [one.name for one in array.sensor.channels.channels]
+    names = [channel.name for channel in array.sensor.channels.channels]
     return {
         f"{name}_{finger}": newton[k, c * size : (c + 1) * size]
         for k, finger in enumerate(fingers)
@@ -214,8 +214,8 @@ def test_groups_of_another_sensor_are_refused_by_name(tmp_path: Path) -> None:
         "volume": {"name": "V", "field": "v", "dtype": "uint8"},
         "open": {"name": "X", "field": "x", "dtype": "float32", "unit": "T"},
     }
-    for name, one in channels.items():
-        values = [one, {"name": "Z", "field": "z", "dtype": "uint8"}]
+    for name, channel in channels.items():
+        values = [channel, {"name": "Z", "field": "z", "dtype": "uint8"}]
         (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(described | {"values": values}))
     fingers = [described["fingers"][0] | {"dead": list(range(8))}, described["fingers"][1]]
     (tmp_path / "dead.yaml").write_text(yaml.safe_dump(described | {"fingers": fingers}))

@@ -88,17 +88,17 @@ def turned_by(degrees: float, one) -> tuple[Cloud, list]:
 
 def test_what_training_never_covered_is_unfamiliar(estimator) -> None:
     flagged = {"half the range": 0, "far away": 0, "few points": 0, "another approach": 0, "as trained": 0}
-    for one in SAMPLES[::5]:
-        xyz = one.cloud.xyz.reshape(-1, 3)
+    for sample in SAMPLES[::5]:
+        xyz = sample.cloud.xyz.reshape(-1, 3)
         centre = xyz.mean(axis=0)
         places = {"half the range": -0.55 * centre, "far away": 1.5 * centre}
         for name, shift in places.items():
-            grasp = moved(one.grasp, np.eye(3), shift.astype(np.float64))
+            grasp = moved(sample.grasp, np.eye(3), shift.astype(np.float64))
             flagged[name] += not estimator.estimate(Cloud(xyz + shift), [grasp]).in_distribution[0]
         few = Cloud(xyz[np.random.default_rng(0).permutation(len(xyz))[: len(xyz) // 10]])
-        flagged["few points"] += not estimator.estimate(few, [one.grasp]).in_distribution[0]
-        flagged["another approach"] += not estimator.estimate(*turned_by(80.0, one)).in_distribution[0]
-        flagged["as trained"] += not estimator.estimate(one.cloud, [one.grasp]).in_distribution[0]
+        flagged["few points"] += not estimator.estimate(few, [sample.grasp]).in_distribution[0]
+        flagged["another approach"] += not estimator.estimate(*turned_by(80.0, sample)).in_distribution[0]
+        flagged["as trained"] += not estimator.estimate(sample.cloud, [sample.grasp]).in_distribution[0]
     assert flagged.pop("as trained") <= 2
     assert (
         flagged.pop("half the range") + flagged.pop("far away") <= 4

@@ -131,7 +131,7 @@ def test_without_a_model_every_grasp_has_the_reason_and_no_numbers():
     grasps = answer(packaged_sensor("biotac_sp"), 2).grasps
     none = TouchAnswer(header_to_msg("cam", 5), grasps, refusal("no_model", "absent", NO_CHANNELS, 2))
     message = sent(none.message)
-    assert [(one.status, one.reason, len(one.values)) for one in message.predictions] == [
+    assert [(prediction.status, prediction.reason, len(prediction.values)) for prediction in message.predictions] == [
         (Status.NO_MODEL, "absent", 0)
     ] * 2
     assert (message.status, message.reason) == (Status.NO_MODEL, "absent")

@@ -38,7 +38,7 @@ def use_types(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, package, ModuleType(package))
         monkeypatch.setitem(sys.modules, f"{package}.msg", module)
         fields = dict(reversed(line.split()) for line in text.splitlines())
-        types = {key: f"sequence<{one[:-2]}>" if one.endswith("[]") else one for key, one in fields.items()}
+        types = {key: f"sequence<{field[:-2]}>" if field.endswith("[]") else field for key, field in fields.items()}
         monkeypatch.setattr(module, kind, _class(kind, types), raising=False)
 
 

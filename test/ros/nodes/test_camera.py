@@ -112,7 +112,7 @@ def test_a_stalled_or_unplugged_camera_is_named_in_diagnostics_and_comes_back(gr
         graph.until(lambda: heard and is_streaming(reports))
         fault()
         for text in texts:
-            graph.until(lambda text=text: any(text in one.message for one in reports))
+            graph.until(lambda text=text: any(text in report.message for report in reports))
         assert reports[-1].level == DiagnosticStatus.ERROR
         end()
         del heard[:], reports[:]
@@ -138,6 +138,6 @@ def test_a_recording_is_played_once_and_the_node_ends_and_what_is_none_is_named(
     graph.remove(node)
     (tmp_path / "bad.db3").write_bytes(b"no recording")
     _, _, reports = start(str(tmp_path / "bad.db3"))
-    graph.until(lambda: any("bad.db3: not a RealSense recording" in one.message for one in reports))
+    graph.until(lambda: any("bad.db3: not a RealSense recording" in report.message for report in reports))
     with pytest.raises(ConfigError, match="exclude each other"):
         graph.add("camera", camera__file="a.db3", camera__serial="1")

@@ -110,7 +110,10 @@ def test_on_request_only(graph, start):
     time.sleep(0.2)
     assert node.phase == "idle"
     answers = [execute() for _ in range(2)]
-    assert [(one.success, one.message) for one in answers] == [(True, "asked for"), (False, "the hand is busy")]
+    assert [(answer.success, answer.message) for answer in answers] == [
+        (True, "asked for"),
+        (False, "the hand is busy"),
+    ]
     graph.until(lambda: reports)
     assert execute().message == "there is no new grasp"
 

@@ -50,7 +50,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     graph.matched("markers", "touch")
     send(9)
     graph.until(lambda: markers and monitor.view().answers)
-    spheres = {one.ns: len(one.points) for one in markers[0].markers if one.type == one.SPHERE_LIST}
+    spheres = {marker.ns: len(marker.points) for marker in markers[0].markers if marker.type == marker.SPHERE_LIST}
     assert spheres == {"thumb": 16, "FF": 16}
     assert dict(monitor.view().answers) == {"ok": 1}
     (one,) = monitor.view().last.predictions
@@ -80,7 +80,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
 def test_another_sensor_is_predicted_by_the_service_and_the_action(graph, uskin):
     graph.add("touch_predictor")
     (target, *_) = Pipeline().segment(_scene()).targets
-    grasps = [grasp_to_msg(one) for one in Pipeline().plan(target).grasps]
+    grasps = [grasp_to_msg(grasp) for grasp in Pipeline().plan(target).grasps]
     cloud, table = objects_to_msg([target], "cam", 5), [plane_to_msg(target.plane)]
     request = PredictTouch.Request(cloud=cloud, grasps=grasps, table=table)
     expected = dict(zip(uskin.sensor.channels.modalities, counted(uskin.sensor).reshape(6, 16), strict=True))

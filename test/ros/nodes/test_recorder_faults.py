@@ -118,7 +118,9 @@ def test_an_override_of_qos_takes_effect_outlives_what_publishers_offer_and_may_
     graph.remove(node)
     (node,) = graph.add("recorder", **{"qos_overrides./foretouch/grasps.subscription.reliability": "sometimes"})
     assert (node.state_name, node.autostart()) == ("unconfigured", False)
-    assert not [one for one in node.subscriptions if one.topic_name.startswith(("/rh", "/foretouch"))]
+    assert not [
+        subscription for subscription in node.subscriptions if subscription.topic_name.startswith(("/rh", "/foretouch"))
+    ]
 
 
 def test_a_removed_folder_is_named_within_a_second_and_its_loss_counted(graph, tmp_path, capfd):

@@ -47,7 +47,7 @@ def test_grasps_are_labelled_relabelled_noted_dropped_and_undone_by_services(gra
     assert edit(grasp_id="g-7", outcome=SUCCESS)[1].startswith("grasp g-7: is not one of the recorded grasps")
     assert edit() == (False, "the request changes nothing: set object, outcome, note or discard")
     assert "is not a plain name" in edit(object="../x")[1]
-    assert [(one.sample.id, one.outcome, one.note, one.flags) for one in samples(tmp_path / "set")] == [
+    assert [(sample.sample.id, sample.outcome, sample.note, sample.flags) for sample in samples(tmp_path / "set")] == [
         ("cup/000001", "success", "tilted", ()),
         ("can/000002", "success", "", ("discarded",)),
         ("can/000003", "failure", "", ()),
@@ -59,7 +59,7 @@ def test_grasps_are_labelled_relabelled_noted_dropped_and_undone_by_services(gra
     nothing = graph.call(Trigger, "undo_edit")
     assert (nothing.success, nothing.message) == (False, "nothing to undo in this session")
     node.end()
-    assert [(one.sample.id, one.outcome, one.flags) for one in samples(tmp_path / "set")] == [
+    assert [(sample.sample.id, sample.outcome, sample.flags) for sample in samples(tmp_path / "set")] == [
         (f"can/00000{number}", "success", ()) for number in (1, 2, 3)
     ]
     assert all(stamped.stamp_ns > 0 for stamped in read_edits(tmp_path / "set").edits)
@@ -83,7 +83,7 @@ def test_the_next_object_names_the_grasps_that_begin_after_it_and_undoing_it_ren
     time.sleep(0.8)
     robot.record("g-2", 2)
     node.end()
-    assert [one.sample.id for one in samples(tmp_path / "set")] == ["can/000001", "can/000002", "can/000003"]
+    assert [sample.sample.id for sample in samples(tmp_path / "set")] == ["can/000001", "can/000002", "can/000003"]
     assert RecordedDataset(tmp_path / "set").as_recorded(1).record.sample.id == "cup/000002"
 
 
@@ -101,10 +101,10 @@ def test_what_is_pressed_during_a_grasp_is_for_that_grasp_and_is_told_if_it_make
     assert edit(note="odd") == (True, "note odd: waits for the grasp that is being recorded")
     assert graph.call(Trigger, "undo_edit").message == "undone: note odd"
     graph.until(lambda: sum(outcomes(node.status()).values()) == 2)  # without readings it is rejected
-    graph.until(lambda: [one.done for one in node.session_status().operator.replies][-1:] == [False])
+    graph.until(lambda: [reply.done for reply in node.session_status().operator.replies][-1:] == [False])
     assert node.session_status().operator.replies[-1].text.startswith("not done: failure: ")
     assert edit(grasp_id="g-1", outcome=SUCCESS)[1].startswith("grasp g-1: no sample: ")
-    assert [one.outcome for one in samples(tmp_path / "set")] == ["success"]
+    assert [sample.outcome for sample in samples(tmp_path / "set")] == ["success"]
     robot.now += 3_000 * MS
     times = robot.grasp("g-2", 2, tell=False)
     with node._session._assembler_lock:  # before the session gets to complete it
@@ -131,7 +131,7 @@ def test_a_pause_records_nothing_counts_what_it_leaves_out_and_ends(graph, tmp_p
     robot.record("g-2", 2)
     node.end()
     assert accounts(node.status())["/rh/tactile"].written == written + 75
-    assert [one.sample.grasp.id for one in samples(tmp_path / "set")] == ["g-0", "g-2"]
+    assert [sample.sample.grasp.id for sample in samples(tmp_path / "set")] == ["g-0", "g-2"]
     (report,) = verify_dataset(tmp_path / "set")
     assert report.counts.topics["/rh/tactile"].dropped == {"paused": 75}
     for counts in report.counts.topics.values():
@@ -153,7 +153,7 @@ def test_an_action_on_a_full_disk_is_not_done_and_is_told_and_can_be_repeated_un
     monkeypatch.setattr(os, "fsync", fsync)
     done, text = edit(outcome=FAILURE)
     assert (done, text.endswith("edits.jsonl: No space left on device")) == (False, True)
-    graph.until(lambda: f"not done: {text}" in [one.text for one in node.session_status().operator.replies])
+    graph.until(lambda: f"not done: {text}" in [reply.text for reply in node.session_status().operator.replies])
     assert (node.recording, samples(tmp_path / "set")[0].outcome) == (True, "success")
     assert edit(outcome=SUCCESS)[0] is False
     full[0] = False

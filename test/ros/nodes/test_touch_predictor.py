@@ -53,17 +53,17 @@ def test_a_damaged_model_is_named_and_the_fallback_used(graph, model_card, tmp_p
 def test_costs_within_the_interval_of_the_lowest_are_equal_and_ordered_by_score(graph, target, grasps):
     planner = Planner(graph, target, grasps, model="default")
     result = planner.sample()
-    scores = [one.score for one in result.grasps]
+    scores = [grasp.score for grasp in result.grasps]
     assert (len(set(result.costs)), scores) == (1, sorted(scores, reverse=True))
-    assert all("equal_pressure" in one.flags for one in result.predictions)
-    pdc = np.array([reading(one)["PDC"].value for one in result.predictions])
+    assert all("equal_pressure" in prediction.flags for prediction in result.predictions)
+    pdc = np.array([reading(prediction)["PDC"].value for prediction in result.predictions])
     shares = ((pdc - (2500.0, 1600.0)) / (900.0, 700.0)).mean(axis=1)
     assert result.costs[0] == pytest.approx(shares.min())
     assert sorted(planner.feedback[0].costs) == pytest.approx(sorted(shares))  # as they are predicted
     request = planner.request(5)
     asked = planner.ask(request).predictions
     assert all("equal_pressure" in one.flags for one in asked)
-    contacts = np.array([[*one.g1, *one.g2] for one in planner.grasps[:5]]).ravel()
+    contacts = np.array([[*grasp.g1, *grasp.g2] for grasp in planner.grasps[:5]]).ravel()
     batch = planner.ask(PredictTouch.Request(cloud=request.cloud, table=request.table, contacts=contacts), "batch")
     assert np.reshape(batch.flagged, (5, -1))[:, batch.flags.index("equal_pressure")].all()
     assert "equal_pressure" not in planner.ask(planner.request(1)).predictions[0].flags
@@ -129,8 +129,8 @@ def test_each_of_many_requests_and_goals_at_once_is_answered_or_refused_and_coun
     client = graph.probe.create_client(PredictTouch, "predict_touch", qos_profile=REQUESTS)
     assert client.wait_for_service(10.0)
     answers = [client.call_async(planner.request()) for _ in range(asked["predict_touch"])]
-    graph.until(lambda: all(one.done() for one in answers))
-    touches = [one.result().touch for one in answers]
+    graph.until(lambda: all(answer.done() for answer in answers))
+    touches = [answer.result().touch for answer in answers]
     assert all(bool(touch.predictions) is (touch.reason == "") for touch in touches)
     assert all(touch.reason.startswith("busy: ") for touch in touches if touch.reason)
     actions = graph.action_client(
@@ -139,8 +139,8 @@ def test_each_of_many_requests_and_goals_at_once_is_answered_or_refused_and_coun
     sent = [actions.send_goal_async(planner.goal()) for _ in range(asked["sample_grasps"])]
     graph.until(lambda: all(one.done() for one in sent))
     ends = [one.result().get_result_async() for one in sent]
-    graph.until(lambda: all(one.done() for one in ends))
-    assert {one.result().status for one in ends} <= {GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED}
+    graph.until(lambda: all(end.done() for end in ends))
+    assert {end.result().status for end in ends} <= {GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED}
     counts = Counter()
     for name, count in planner.node.notes().items():
         if name.startswith("requests."):

@@ -106,8 +106,8 @@ def test_a_request_or_grasp_that_cannot_be_answered_is_refused_with_the_reason_a
 
 def arrays_of(request, *, oriented=True):
     """The same request with arrays."""
-    contacts = [value for one in request.grasps for p in (one.g1, one.g2) for value in (p.x, p.y, p.z)]
-    turned = np.concatenate([one.rotation for one in request.grasps]) if oriented else []
+    contacts = [value for grasp in request.grasps for p in (grasp.g1, grasp.g2) for value in (p.x, p.y, p.z)]
+    turned = np.concatenate([grasp.rotation for grasp in request.grasps]) if oriented else []
     return PredictTouch.Request(cloud=request.cloud, table=request.table, contacts=contacts, rotations=turned)
 
 
@@ -183,7 +183,9 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(planner):
     share = ((reading(first)["PDC"].value[0] - 2500) / 900 + (reading(first)["PDC"].value[1] - 1600) / 700) / 2
     assert result.costs[0] == pytest.approx(share, rel=1e-5)
     assert sorted(planner.feedback[0].costs) == list(result.costs)
-    assert not any("equal_pressure" in one.flags for one in result.predictions)  # this model has no intervals
+    assert not any(
+        "equal_pressure" in prediction.flags for prediction in result.predictions
+    )  # this model has no intervals
     by_score = planner.sample(planner.goal(cost=SampleGrasps.Goal.SCORE))
     plan = Pipeline(PipelineConfig(grasp=GeoGraspConfig(count=5))).plan(planner.target)
     np.testing.assert_allclose(by_score.costs, [-grasp.score for grasp in plan.grasps], rtol=1e-6)

@@ -75,7 +75,7 @@ def test_a_grasp_is_evaluated_once_when_it_has_settled() -> None:
             ]
         )
     ]
-    assert [k for k, one in enumerate(answers) if one is not None] == [4, 9]
+    assert [k for k, answer in enumerate(answers) if answer is not None] == [4, 9]
     found = answers[4]
     assert (found.status, found.reason, found.fingers, found.header.stamp.nanosec) == (Status.OK, "", FINGERS, 4)
     assert (found.model, found.model_sha256) == ("touch-hold", CARD["sha256"])

@@ -77,7 +77,9 @@ class Receiver:
 
     @property
     def qos(self):
-        (found,) = [one for one in self.node.subscriptions if one.topic_name == "/foretouch/other"]
+        (found,) = [
+            subscription for subscription in self.node.subscriptions if subscription.topic_name == "/foretouch/other"
+        ]
         return found.qos_profile.reliability.name, found.qos_profile.durability.name
 
 

@@ -78,7 +78,7 @@ class Camera:
 
 
 def readings(answer):
-    return np.array([[*one.scalars, *one.values] for one in answer.predictions])
+    return np.array([[*prediction.scalars, *prediction.values] for prediction in answer.predictions])
 
 
 def test_the_graph_answers_an_image_as_the_pipeline_does_whatever_its_encoding(graph, depth, model_card):
@@ -111,7 +111,7 @@ def test_compressed_depth_beside_its_info_is_decoded_by_a_remap_alone(graph, dep
         message = CompressedImage(header=header_to_msg(FRAME, stamp), format=given.format)
         message.data = array.array("B", given.data)
         answers.append(camera.send(message))
-    assert [one.status for one in answers] == [Status.OK] * 2
+    assert [answer.status for answer in answers] == [Status.OK] * 2
     np.testing.assert_array_equal(*map(readings, answers))
 
 

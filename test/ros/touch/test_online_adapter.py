@@ -155,7 +155,7 @@ class UskinHand(DirectHand):
 
     @staticmethod
     def content(message):
-        taxels = [[(one.x, one.y, one.z) for one in finger.taxels] for finger in message.sensors]
+        taxels = [[(taxel.x, taxel.y, taxel.z) for taxel in finger.taxels] for finger in message.sensors]
         counts = np.array(taxels, np.float32).transpose(2, 0, 1).ravel()
         time_s = message.sensors[0].time
         return int(time_s) * 10**9 + round(time_s % 1.0 * 1e9), counts

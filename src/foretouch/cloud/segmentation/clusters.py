@@ -120,15 +120,15 @@ def label_organised(
             *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
         ]
     )
-    patches, found = np.empty(grid, np.int32), np.empty(2, np.int64)
+    patches, sizes = np.empty(grid, np.int32), np.empty(2, np.int64)
     boxes = np.empty((patches.size // min_nodes + 1, 4), np.int64)
-    _grid_patches(coarse, *grid, stride, min_nodes, settings, patches, boxes, found)
-    if found[0] < 0:
+    _grid_patches(coarse, *grid, stride, min_nodes, settings, patches, boxes, sizes)
+    if sizes[0] < 0:
         raise MemoryError("grid_patches")
-    if found[1] and rays is not None:
+    if sizes[1] and rays is not None:
         rows, columns = np.nonzero(patches < 0)
         rays.dropped.append(stride * (rows * image[1] + columns))
-    spans = boxes[: found[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
+    spans = boxes[: sizes[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
     spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
     low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
     marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
@@ -138,12 +138,12 @@ def label_organised(
     for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
         labels = np.empty((bottom - top, right - left), np.int32)
         solid = np.empty(labels.shape, np.uint8)
-        rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, found)
+        rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, sizes)
         _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
-        if found[0] < 0:
+        if sizes[0] < 0:
             raise MemoryError("label_window")
-        beside += int(found[1])
-        windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), top, left))
+        beside += int(sizes[1])
+        windows.append(Clusters(labels, solid.view(np.bool_), int(sizes[0]), top, left))
     if beside and rays is not None:
         rows, columns = np.nonzero(marks & 2)
         rays.dropped.append((rows + low[0]) * image[1] + columns + low[2])

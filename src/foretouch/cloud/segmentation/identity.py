@@ -39,41 +39,50 @@ class ObjectIdentity:
         self._ids = count(1)
         self._clouds = 0
 
-    def keep(self, found: Segmentation) -> Segmentation:
+    def keep(self, segmentation: Segmentation) -> Segmentation:
         """The segmentation of the next cloud with the ids of the stream, in its objects and labels.
 
         Its counts get `new_ids`: objects that were not seen before.
         """
         self._clouds += 1
-        known = self._known(found)
-        names = np.zeros(len(found.objects) + 1, np.int32)
-        for one in found.objects:
-            names[one.id] = known.get(one.id) or next(self._ids) % _LAST
-        objects = tuple(replace(one, id=int(names[one.id])) for one in found.objects)
-        shape = found.labels.shape
-        self._seen |= {one.id: _Seen(one.pixels, one.centroid, shape, self._clouds) for one in objects}
-        self._seen = {id_: one for id_, one in self._seen.items() if self._clouds - one.at < _REMEMBERED}
+        known = self._known(segmentation)
+        names = np.zeros(len(segmentation.objects) + 1, np.int32)
+        for object_ in segmentation.objects:
+            names[object_.id] = known.get(object_.id) or next(self._ids) % _LAST
+        objects = tuple(replace(object_, id=int(names[object_.id])) for object_ in segmentation.objects)
+        shape = segmentation.labels.shape
+        self._seen |= {object_.id: _Seen(object_.pixels, object_.centroid, shape, self._clouds) for object_ in objects}
+        self._seen = {id_: sight for id_, sight in self._seen.items() if self._clouds - sight.at < _REMEMBERED}
         # A third of the time of names[labels].
-        labels = found.labels if np.array_equal(names, np.arange(len(names))) else names.take(found.labels, mode="clip")
+        labels = (
+            segmentation.labels
+            if np.array_equal(names, np.arange(len(names)))
+            else names.take(segmentation.labels, mode="clip")
+        )
         return replace(
-            found, objects=objects, labels=labels, counts=found.counts | {"new_ids": len(objects) - len(known)}
+            segmentation,
+            objects=objects,
+            labels=labels,
+            counts=segmentation.counts | {"new_ids": len(objects) - len(known)},
         )
 
-    def _known(self, found: Segmentation) -> dict[int, int]:
+    def _known(self, segmentation: Segmentation) -> dict[int, int]:
         """The id of the stream by that in this cloud: most pixels first, objects of the cloud before first."""
         known: dict[int, int] = {}
         by_age = sorted(self._seen.items(), key=lambda item: -item[1].at)
         for _, group in groupby(by_age, key=lambda item: item[1].at):
             pairs = [
-                (-share, id_, one.id)
+                (-share, id_, object_.id)
                 for id_, seen in group
-                for one, share in zip(found.objects, _shared(seen, found.labels, found.objects), strict=True)
+                for object_, share in zip(
+                    segmentation.objects, _shared(seen, segmentation.labels, segmentation.objects), strict=True
+                )
                 if share
             ]
-            for _, id_, one in sorted(pairs):
-                if one not in known and id_ not in known.values():
-                    known[one] = id_
-            if len(known) == len(found.objects):
+            for _, id_, label in sorted(pairs):
+                if label not in known and id_ not in known.values():
+                    known[label] = id_
+            if len(known) == len(segmentation.objects):
                 break
         return known
 
@@ -81,8 +90,8 @@ class ObjectIdentity:
 def _shared(seen: _Seen, labels: Int32, objects: Sequence[Segment]) -> list[float]:
     """How much each object of a cloud has in common with one seen before; 0 if it is another."""
     if labels.ndim == 1 or labels.shape != seen.shape:
-        apart = [float(np.linalg.norm(one.centroid - seen.centroid)) for one in objects]
-        return [max(0.0, _SAME_PLACE_M - one) for one in apart]
+        apart = [float(np.linalg.norm(object_.centroid - seen.centroid)) for object_ in objects]
+        return [max(0.0, _SAME_PLACE_M - distance) for distance in apart]
     shared = np.bincount(labels.reshape(-1).take(seen.pixels), minlength=len(objects) + 1)
-    sizes = [min(len(seen.pixels), one.n_points) for one in objects]
+    sizes = [min(len(seen.pixels), object_.n_points) for object_ in objects]
     return [float(n) if 2 * n > size else 0.0 for n, size in zip(shared[1:].tolist(), sizes, strict=True)]

@@ -69,11 +69,11 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
             continue
         objects.append(_object(label, pixels, cloud))
         counts["objects"] += len(pixels)
-    objects.sort(key=lambda one: one.distance_m)
+    objects.sort(key=lambda piece: piece.distance_m)
     counts["n_rejected"] = len(left_out)
     ids_of_pixels = np.zeros(labels.size, np.int32)
-    for one in objects:
-        ids_of_pixels[one.pixels] = one.id
+    for object_ in objects:
+        ids_of_pixels[object_.pixels] = object_.id
     more = f" and {len(left_out) - _NAMED} more" if len(left_out) > _NAMED else ""
     reason = f"mask: {'; '.join(left_out[:_NAMED])}{more}" if left_out else ""
     return replace(

@@ -207,7 +207,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
 
 def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -> RayFilter:
     """The rays of an image, from points of a coarse one by their flat indices in it."""
-    rows, columns = (stride * one for one in np.divmod(index, across))
+    rows, columns = (stride * position for position in np.divmod(index, across))
     rays = RayFilter(sample, rows, columns)
     rays.dropped.append((rows * width + columns)[rays.off_sample])
     return rays

@@ -83,9 +83,9 @@ class Operator:
         """The state; grasps are counted anew after each change."""
         known = (len(self._log.edits), len(self._grasps))
         if known != self._known:
-            found = edited(self._grasps, self._log)
+            grasps = edited(self._grasps, self._log)
             self._known = known
-            self._state = OperatorState(self._object, bool(self.paused), count_outcomes(found.values(), self._plan))
+            self._state = OperatorState(self._object, bool(self.paused), count_outcomes(grasps.values(), self._plan))
         return replace(self._state, replies=tuple(self._replies))
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
@@ -185,7 +185,7 @@ class Operator:
         following = plan[plan.index(before) + 1 :] if before in plan else plan
         known = {before, *self._writer.objects}
         numbered = (f"object-{number}" for number in count(1))
-        free = next(one for one in numbered if one not in known)
+        free = next(candidate for candidate in numbered if candidate not in known)
         name = check_name(name or next(iter(following), free), "object")
         if name == before:
             raise DatasetError(f"{name} is on the table already")
@@ -205,7 +205,7 @@ class Operator:
             return f"{''.join(f'{name}: ' for name in edit.ids)}undone: {_words(edit.action, edit.object or edit.text)}"
         # The object before is on the table, and was for all grasps since.
         before, first = self._assembler.objects[-2][1] or "unknown", self._visits[-1]
-        since = tuple(one for one in self._touched[first:] if self._grasps[one].object == edit.object)
+        since = tuple(grasp for grasp in self._touched[first:] if self._grasps[grasp].object == edit.object)
         self._write(Edit(action="undo", edit=number, ids=since, object=before if since else ""))
         self._assembler.objects.pop()
         self._visits.pop()
@@ -233,18 +233,18 @@ def summarise(record: SampleRecord) -> GraspSummary:
 
 def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, GraspSummary]:
     """The grasps with the edits applied; the keys stay the ids as recorded."""
-    found = {}
-    for recorded, one in grasps.items():
+    result = {}
+    for recorded, grasp in grasps.items():
         label, outcome, _, dropped = edits.changes(recorded)
-        changed = (label or one.object, DROPPED if dropped else outcome or one.outcome)
-        found[recorded] = one if changed == one[:2] else one._replace(object=changed[0], outcome=changed[1])
-    return found
+        changed = (label or grasp.object, DROPPED if dropped else outcome or grasp.outcome)
+        result[recorded] = grasp if changed == grasp[:2] else grasp._replace(object=changed[0], outcome=changed[1])
+    return result
 
 
 def count_outcomes(grasps: Iterable[GraspSummary], plan: Sequence[str] = ()) -> dict[str, Counter[str]]:
     """Executed grasps by object and outcome; those of the plan first."""
-    found: dict[str, Counter[str]] = {name: Counter() for name in plan}
-    for one in grasps:
-        if one.touched:
-            found.setdefault(one.object, Counter())[one.outcome] += 1
-    return found
+    counts: dict[str, Counter[str]] = {name: Counter() for name in plan}
+    for grasp in grasps:
+        if grasp.touched:
+            counts.setdefault(grasp.object, Counter())[grasp.outcome] += 1
+    return counts

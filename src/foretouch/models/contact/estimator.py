@@ -201,7 +201,9 @@ class ContactEstimator:
         """Arrays by name, for a file."""
         forests = {f"forest_{name}": forest for name, forest in self.forests.items()}
         parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty, **forests}
-        tensors = {f"{part}/{key}": value for part, one in parts.items() for key, value in one.to_tensors().items()}
+        tensors = {
+            f"{part}/{key}": value for part, member in parts.items() for key, value in member.to_tensors().items()
+        }
         return tensors | {name: getattr(self, name) for name in _ARRAYS}
 
     @classmethod

@@ -98,7 +98,9 @@ class HandFrameFeatures:
         self._centred = self._points - self._centre
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
-        extents = [end - start for start, end in (quantiles(one, _LOW_HIGH) for one in axes.T @ self._columns)]
+        extents = [
+            end - start for start, end in (quantiles(projected, _LOW_HIGH) for projected in axes.T @ self._columns)
+        ]
         low, high = quantiles(self._points[:, 2], _LOW_HIGH)
         self._top = low  # nearest to the camera
         self.object_features: Float64 = np.concatenate(
@@ -166,7 +168,7 @@ class HandFrameFeatures:
                 centre[:, 1] / np.maximum(spread[:, 1], _STEP),
                 centre,
                 spread,
-                *(one / np.trace(self._covariance) for one in oblique),
+                *(matrix / np.trace(self._covariance) for matrix in oblique),
                 g1[:, 2] - self._top,
                 g2[:, 2] - self._top,
             ]
@@ -196,18 +198,18 @@ class HandFrameFeatures:
         back = back.reshape(-1)
         near = self._tree.query_ball_point(unique, max(_RADII_M), return_sorted=True)
         pad, *patches = np.array(
-            [self._sums(at, one) for at, one in zip(unique - self._centre, near, strict=True)]
+            [self._sums(at, neighbours) for at, neighbours in zip(unique - self._centre, near, strict=True)]
         ).swapaxes(0, 1)
         share, mean, spreads, _ = _moments(pad, unique - self._centre)
-        found = [share[back], spreads[back, 0], *_into(fingers, mean[back]).T]
+        columns = [share[back], spreads[back, 0], *_into(fingers, mean[back]).T]
         for patch in patches:
             *_, spreads, axes = _moments(patch, unique - self._centre)
             normal = _into(fingers, axes[back][:, :, 0])
             flat = 1.0 - spreads[:, 0] / np.maximum(spreads[:, 1], _NOTHING)
             # Not the normal itself, whose sign turns where it is across the finger.
             slope = (flat[back] * np.abs(normal[:, 2]))[:, None] * normal * np.where(normal[:, 2:] > 0.0, -1.0, 1.0)
-            found += list(np.where(patch[back, -1:] < _FEWEST, 0.0, slope).T)
-        return np.column_stack(found)
+            columns += list(np.where(patch[back, -1:] < _FEWEST, 0.0, slope).T)
+        return np.column_stack(columns)
 
     def _sums(self, contact: Float64, index: list[int]) -> Float64:
         """(4, 11) of pad and patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz; number of points."""

@@ -105,14 +105,14 @@ def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, AnyArray
     return config, tensors, card
 
 
-def _check_tensors(path: Path, shapes: Mapping[str, tuple[int, ...]], found: Mapping[str, AnyArray]) -> None:
+def _check_tensors(path: Path, shapes: Mapping[str, tuple[int, ...]], tensors: Mapping[str, AnyArray]) -> None:
     """Check names, shapes, dtypes and finiteness, so that an error names the field."""
-    for key in sorted(shapes.keys() | found.keys()):
-        if key not in found:
+    for key in sorted(shapes.keys() | tensors.keys()):
+        if key not in tensors:
             raise ModelError(f"{path}: {key}: is missing; the card describes another architecture")
         if key not in shapes:
             raise ModelError(f"{path}: {key}: is not part of the card's architecture")
-        own, dtype = found[key], np.dtype(np.int64 if key.endswith("num_batches_tracked") else np.float32)
+        own, dtype = tensors[key], np.dtype(np.int64 if key.endswith("num_batches_tracked") else np.float32)
         if own.shape != shapes[key] or own.dtype != dtype:
             raise ModelError(
                 f"{path}: {key}: {own.dtype} {tuple(own.shape)} is not {dtype} {shapes[key]} of the card's architecture"

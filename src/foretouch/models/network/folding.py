@@ -35,25 +35,25 @@ _EPSILON = 1e-5  # that torch's batch norm adds to the variance
 
 def tensor_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
     """Shapes of all tensors of a network by name; all are float32 but `num_batches_tracked`, which are int64."""
-    found: dict[str, tuple[int, ...]] = dict.fromkeys(("target_mean", "target_scale"), (config.output_size,))
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("target_mean", "target_scale"), (config.output_size,))
 
     def add(prefix: str, widths: Sequence[int], *, norm: bool = True) -> None:
         for k, (inputs, outputs) in enumerate(pairwise(widths)):
-            found[f"{prefix}.{k}.linear.weight"], found[f"{prefix}.{k}.linear.bias"] = (outputs, inputs), (outputs,)
+            shapes[f"{prefix}.{k}.linear.weight"], shapes[f"{prefix}.{k}.linear.bias"] = (outputs, inputs), (outputs,)
             if norm:
-                found.update({f"{prefix}.{k}.norm.{name}": (outputs,) for name in _NORM})
-                found[f"{prefix}.{k}.norm.num_batches_tracked"] = ()
+                shapes.update({f"{prefix}.{k}.norm.{name}": (outputs,) for name in _NORM})
+                shapes[f"{prefix}.{k}.norm.num_batches_tracked"] = ()
 
     last = [config.head_size, *config.head_widths][-1]
-    found["output.weight"], found["output.bias"] = (config.output_size, last), (config.output_size,)
+    shapes["output.weight"], shapes["output.bias"] = (config.output_size, last), (config.output_size,)
     add("features.layers", [config.channel_count, *config.trunk_widths])
     add("head", [config.head_size, *config.head_widths], norm=config.head_norm)
     if config.tnet:
         add("features.transform.points", [config.channel_count, *config.tnet_widths[:3]])
         add("features.transform.cloud", config.tnet_widths[2:])
         matrix = "features.transform.matrix"
-        found[f"{matrix}.weight"], found[f"{matrix}.bias"] = (9, config.tnet_widths[-1]), (9,)
-    return found
+        shapes[f"{matrix}.weight"], shapes[f"{matrix}.bias"] = (9, config.tnet_widths[-1]), (9,)
+    return shapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,16 +141,16 @@ def fold(config: ModelConfig, tensors: Mapping[str, AnyArray]) -> FoldedNetwork:
 
 def _folded(tensors: Mapping[str, AnyArray], prefix: str) -> tuple[_Affine, ...]:
     """Consecutive layers, in float32, with their batch norms merged in double precision."""
-    found: list[_Affine] = []
-    while (name := f"{prefix}.{len(found)}.linear.weight") in tensors:
-        weight, bias = tensors[name], tensors[f"{prefix}.{len(found)}.linear.bias"]
-        norm = f"{prefix}.{len(found)}.norm."
+    layers: list[_Affine] = []
+    while (name := f"{prefix}.{len(layers)}.linear.weight") in tensors:
+        weight, bias = tensors[name], tensors[f"{prefix}.{len(layers)}.linear.bias"]
+        norm = f"{prefix}.{len(layers)}.norm."
         if f"{norm}weight" in tensors:
             gain, shift, mean, variance = (tensors[norm + part] for part in _NORM)
             scale = gain / np.sqrt(variance + _EPSILON)
             weight, bias = weight * scale[:, None], (bias - mean) * scale + shift
-        found.append(_affine(weight, bias))
-    return tuple(found)
+        layers.append(_affine(weight, bias))
+    return tuple(layers)
 
 
 def _affine(weight: AnyArray, bias: AnyArray) -> _Affine:

@@ -129,9 +129,9 @@ def _sensor_fields(sensor: Sensor) -> dict[str, Any]:
         "sensor": sensor.config.name,
         "sensor_sha256": sensor.sha256,
         "fingers": list(sensor.channels.fingers),
-        "channels": [one.name for one in sensor.taxel_channels],
+        "channels": [channel.name for channel in sensor.taxel_channels],
         "valid": array.array("B", sensor.valid.tobytes()),
-        "scalar_channels": [one.name for one in sensor.scalar_channels],
+        "scalar_channels": [channel.name for channel in sensor.scalar_channels],
     }
 
 

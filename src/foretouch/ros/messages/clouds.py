@@ -76,13 +76,15 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
 
     Frame and stamp [ns] are those of the scene's cloud.
     """
-    colours = [one.cloud.rgb for one in targets if one.cloud.rgb is not None]
+    colours = [target.cloud.rgb for target in targets if target.cloud.rgb is not None]
     pixels = [
-        np.divmod(one.pixels, one.image_shape[1]) for one in targets if one.pixels is not None and one.image_shape
+        np.divmod(target.pixels, target.image_shape[1])
+        for target in targets
+        if target.pixels is not None and target.image_shape
     ]
-    xyz = np.concatenate([one.cloud.xyz for one in targets] or [np.empty((0, 3), np.float32)])
+    xyz = np.concatenate([target.cloud.xyz for target in targets] or [np.empty((0, 3), np.float32)])
     rgb = np.concatenate(colours) if targets and len(colours) == len(targets) else None
-    ids, sizes = [int(one.id) for one in targets], [one.cloud.size for one in targets]
+    ids, sizes = [int(target.id) for target in targets], [target.cloud.size for target in targets]
     columns = {"label": np.repeat(np.array(ids, np.uint32), sizes or 1)}  # NumPy refuses an empty list of counts
     if pixels:
         rows, places = map(np.concatenate, zip(*pixels, strict=True))
@@ -106,4 +108,7 @@ def object_to_msg(segment: Segment, *, target: bool) -> ObjectMsg:
 
 def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[Object, ...]:
     """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
-    return tuple(Object(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))
+    return tuple(
+        Object(object_.id, object_.cloud, plane, object_.pixels, object_.image_shape)
+        for object_ in decode_objects(message)
+    )

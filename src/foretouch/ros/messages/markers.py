@@ -38,15 +38,15 @@ def object_markers(message: ObjectArray, table: TablePlane) -> MarkerArray:
     """Draw a translucent box around each object, green for targets, and its id; and the outline of the table."""
     line = _marker(message.header, "table", 0, Marker.LINE_STRIP, _WHITE)
     corners = np.asarray(table.outline, np.float64).reshape(-1, 3)
-    line.points, line.scale.x = [point_to_msg(one) for one in (*corners, *corners[:1])], _LINE_M
+    line.points, line.scale.x = [point_to_msg(corner) for corner in (*corners, *corners[:1])], _LINE_M
     markers = [line] if len(corners) else []
-    for number, one in enumerate(message.objects):
-        box = _marker(message.header, "objects", number, Marker.CUBE, _TARGET if one.target else _OTHER)
-        low, high = (np.array([p.x, p.y, p.z]) for p in (one.minimum, one.maximum))
+    for number, object_ in enumerate(message.objects):
+        box = _marker(message.header, "objects", number, Marker.CUBE, _TARGET if object_.target else _OTHER)
+        low, high = (np.array([p.x, p.y, p.z]) for p in (object_.minimum, object_.maximum))
         box.pose.position = point_to_msg((low + high) / 2.0)
         box.scale = Vector3(**dict(zip("xyz", np.maximum(high - low, 1e-3).tolist(), strict=True)))
-        above = Point(x=one.centroid.x, y=one.minimum.y - 0.02, z=one.centroid.z)  # y points down
-        text = f"{one.id}: {one.n_points} points"
+        above = Point(x=object_.centroid.x, y=object_.minimum.y - 0.02, z=object_.centroid.z)  # y points down
+        text = f"{object_.id}: {object_.n_points} points"
         markers += [box, _label(message.header, "object_ids", number, above, 0.03, text)]
     return MarkerArray(markers=markers)
 
@@ -118,7 +118,7 @@ def _taxels(header: Header, view: TaxelView, finger: int, grasp: Grasp, contact:
     placed = taxels_at(view.sensor.layout, grasp, contact, 0.5 * _TAXEL_M)
     marker.points = [point_to_msg(point) for point in placed]
     marker.colors = [
-        _heat(one) if valid else _DEAD for one, valid in zip(shares, view.sensor.valid[finger], strict=True)
+        _heat(share) if valid else _DEAD for share, valid in zip(shares, view.sensor.valid[finger], strict=True)
     ]
     return marker
 

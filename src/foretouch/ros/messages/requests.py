@@ -87,7 +87,7 @@ def read_serialized(data: bytes, kind: type[_M]) -> _M:
 
 def read_arrays(request: Any) -> GraspArrays:
     """The grasps of a `PredictTouch.Request` that holds arrays; a `RefusalError`, BAD_REQUEST, if their sizes differ."""
-    contacts, rotations = (np.array(one, np.float64) for one in (request.contacts, request.rotations))
+    contacts, rotations = (np.array(values, np.float64) for values in (request.contacts, request.rotations))
     if len(request.grasps):
         raise RefusalError(Status.BAD_REQUEST, "contacts: grasps are given too")
     for name, array, size in (("contacts", contacts, 6), ("rotations", rotations, 9)):
@@ -169,7 +169,7 @@ def requested_targets(
     check_frames("cloud", cloud.header, latest.header)
     if not latest.targets:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
-    targets = latest.targets if plane is None else tuple(replace(one, plane=plane) for one in latest.targets)
+    targets = latest.targets if plane is None else tuple(replace(target, plane=plane) for target in latest.targets)
     return latest.header, targets, plane is not None or latest.refusal is None
 
 

@@ -20,7 +20,7 @@ from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.config import setting
 from foretouch.errors import CloudError, ForetouchError
-from foretouch.laboratory import laboratory
+from foretouch.laboratory import needs_laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 
@@ -56,8 +56,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
     def _setup(self) -> None:
         config = self.config
         if config.source == "scene":
-            simulation = laboratory("simulation.scene_camera", "source: scene")
-            self.synthetic = simulation.scheduled_camera(config.scene, config.camera.fps)
+            with needs_laboratory("source: scene"):
+                from foretouch_lab.simulation.scene_camera import scheduled_camera
+
+            self.synthetic = scheduled_camera(config.scene, config.camera.fps)
             self._size = dict(zip(("height", "width"), self.synthetic.shape, strict=True))
         self._image = self.advertise(Image, DEPTH_TOPIC)
         self._info = self.advertise(CameraInfo, info_topic(DEPTH_TOPIC))

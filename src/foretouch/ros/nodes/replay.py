@@ -55,15 +55,15 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
     prefix = namespace.rstrip("/") + "/"
     for topic in topics:
         if topic.name in {"/diagnostics", "/parameter_events", "/rosout"}:
-            found: type | str = "reports on running nodes"
+            kind: type | str = "reports on running nodes"
         elif topic.name.startswith(prefix) and topic.name != prefix + EXECUTED_TOPIC:  # which the robot publishes
-            found = f"this graph publishes under {namespace} itself"
+            kind = f"this graph publishes under {namespace} itself"
         else:
-            found = _message_class(topic)
-        if topic.count and isinstance(found, type):
-            classes[topic] = found
+            kind = _message_class(topic)
+        if topic.count and isinstance(kind, type):
+            classes[topic] = kind
         elif topic.count:
-            reasons[topic.name] = f"{found} ({topic.count} messages)"
+            reasons[topic.name] = f"{kind} ({topic.count} messages)"
     return classes, reasons
 
 
@@ -77,13 +77,13 @@ def _message_class(topic: Topic) -> type | str:
     if not has_resource("rosidl_interfaces", package):
         return absent
     try:
-        found: Any = getattr(importlib.import_module(f"{package}.msg"), name)
-        fields = tuple(found.get_fields_and_field_types())
+        message_class: Any = getattr(importlib.import_module(f"{package}.msg"), name)
+        fields = tuple(message_class.get_fields_and_field_types())
     except (ImportError, AttributeError):
         return absent
     if tuple(field.lower() for field in topic.fields) != fields:  # some names of ROS 1 had capitals
         return f"type {topic.type} had other fields when it was recorded"
-    return cast("type", found)
+    return cast("type", message_class)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,9 +292,9 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def _missing_ends(self, clouds: Any) -> str:
         """Which subscribers and publishers the first cloud waits for; "" if none."""
-        found, wanted, missing = clouds.get_subscription_count(), self.config.subscribers, []
-        if found < wanted:
-            count = f"{found} of {wanted} (is the graph running? --no-wait waits for none)"
+        subscribers, wanted, missing = clouds.get_subscription_count(), self.config.subscribers, []
+        if subscribers < wanted:
+            count = f"{subscribers} of {wanted} (is the graph running? --no-wait waits for none)"
             missing.append(f"subscribers of {clouds.topic_name}, {count}")
         if self.config.lockstep and not self.count_publishers("touch"):
             missing.append("a publisher of touch")
@@ -308,10 +308,10 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             nonlocal seen, since_s
             if (now := ends_of_topics(self)) != seen:
                 seen, since_s = now, time.monotonic()
-            found = [f"a subscriber of {topic}" for topic in self._wait_for if not is_heard_outside(self, topic)]
+            absent = [f"a subscriber of {topic}" for topic in self._wait_for if not is_heard_outside(self, topic)]
             if time.monotonic() - since_s < self.config.discovery_s:
-                found.append(f"{self.config.discovery_s:g} s in which no node comes or goes")
-            return " and ".join(found)
+                absent.append(f"{self.config.discovery_s:g} s in which no node comes or goes")
+            return " and ".join(absent)
 
         return missing
 
@@ -377,7 +377,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def _advertise_others(self, source: Source) -> None:
         classes, self._left_out = playable(source.others, self.get_namespace())
-        infos = [one for one in source.others if one.name == source.info_topic]
+        infos = [other for other in source.others if other.name == source.info_topic]
         classes |= dict.fromkeys(infos, CameraInfo)  # also where this package's camera node was recorded
         for topic, message in classes.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE

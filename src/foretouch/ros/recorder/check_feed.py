@@ -31,7 +31,7 @@ class CheckFeed:
     def __init__(self, check: SessionCheck, inputs: RecorderSubscriptions, reader: TactileReader) -> None:
         self._check, self._inputs, self._reader = check, inputs, reader
         self._clouds: OrderedDict[int, SerializedMessage] = OrderedDict()  # or depth images
-        images = (name for name, one in inputs.inputs.items() if one.topic.message in _IMAGES)
+        images = (name for name, stream in inputs.inputs.items() if stream.topic.message in _IMAGES)
         self._infos = CameraInfos(next(images, ""))
         self._queue = MessageQueue(_QUEUE_BYTES)
         inputs.open(self._queue)
@@ -67,7 +67,7 @@ class CheckFeed:
             objects = decode_objects(read_serialized(message.data, PointCloud2))
             if scene is not None and objects:
                 check.scene = self._scene(scene).xyz
-                check.targets = [one.cloud.xyz for one in objects]
+                check.targets = [object_.cloud.xyz for object_ in objects]
         elif topic.name == next(iter(self._inputs.inputs.values())).topic.name:  # the hand's is the first
             check.add_reading(self._reader.read(read_serialized(message.data, topic.message)), message.received_ns)
 

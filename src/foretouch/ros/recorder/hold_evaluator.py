@@ -31,7 +31,7 @@ class HoldEvaluator:
         self._rest = deque[Float32](maxlen=2)  # the older is surely from before the contact that is found
         self._rest_s = -math.inf
         self._reader: SensorReader | None = None
-        known = {one.name for one in sensor.config.fingers}
+        known = {finger.name for finger in sensor.config.fingers}
         if sensor.sha256 == self._card["sensor_sha256"] and known.issuperset(self._fingers):
             self._sensor = Sensor(sensor.config.replace(grasp=self._fingers), sensor.layout)
             self._reader = SensorReader(self._sensor)
@@ -66,19 +66,19 @@ class HoldEvaluator:
         """The chance that the grasp holds; a `TactileError` says why there is none."""
         if self._reader is None:
             raise TactileError(f"the sensor is not {self._card['sensor_name']} on {', '.join(self._fingers)}")
-        found = self._reader.read(message)
-        if found.invalid:
-            counted = ", ".join(f"{count} {reason}" for reason, count in found.invalid.items())
+        reading = self._reader.read(message)
+        if reading.invalid:
+            counted = ", ".join(f"{count} {reason}" for reason, count in reading.invalid.items())
             raise TactileError(f"electrodes cannot be used: {counted}")
         if not self._rest or not np.isfinite(self._rest[0]).all():
             raise TactileError("there is no reading without contact that shows which fingers touch")
-        scores = contact_scores([found.counts], [self._rest[0]], self._sensor.channels)[0]
+        scores = contact_scores([reading.counts], [self._rest[0]], self._sensor.channels)[0]
         if apart := [finger for finger, score in zip(self._fingers, scores, strict=True) if score <= 1.0]:
             raise TactileError(
                 f"{', '.join(apart)} does not touch, and the model is of grasps with {', '.join(self._fingers)}"
             )
         # Pressures of the fingers come first, then the electrodes of each.
-        readings = found.counts[len(self._fingers) :].reshape(1, len(self._fingers), -1).astype(np.float64)
+        readings = reading.counts[len(self._fingers) :].reshape(1, len(self._fingers), -1).astype(np.float64)
         if (share := self._model.outside(readings)[0]) > OUTSIDE:
             raise TactileError(f"{share:.0%} of the pattern is out of the range of training")
         return float(self._model.chance(readings)[0])

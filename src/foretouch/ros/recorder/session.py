@@ -99,12 +99,12 @@ class RecordingSession:
             "touch": "touch",
         }
         self._inputs = {
-            name: (roles[one.topic.name], one.topic.message)
-            for name, one in topics.inputs.items()
-            if one.topic.name in roles
+            name: (roles[stream.topic.name], stream.topic.message)
+            for name, stream in topics.inputs.items()
+            if stream.topic.name in roles
         }
-        for name, one in topics.inputs.items():
-            writer.add_topic(name, type_name(one.topic.message))
+        for name, stream in topics.inputs.items():
+            writer.add_topic(name, type_name(stream.topic.message))
         self._warn = warn
         self._hold, self._publish = HoldEvaluator(writer.sensor), publish
         self._unreadable: Counter[str] = Counter()
@@ -165,7 +165,7 @@ class RecordingSession:
         """Close the queue and count its messages as dropped; the writer calls this before it writes the last counts."""
         self._queue.close()
         left, refused = self._queue.take(0.0)
-        for topic, count in (Counter(one.topic for one in left) + refused).items():
+        for topic, count in (Counter(message.topic for message in left) + refused).items():
             self.writer.receive(topic, count)
             self.writer.drop(topic, "session ended", count)
         self._account_for_losses()
@@ -179,18 +179,18 @@ class RecordingSession:
             self.writer.receive(topic, count)
             self.writer.drop(topic, "queue full", count)
         self._account_for_losses()
-        for one in messages:  # counted before anything can fail
-            self.writer.receive(one.topic)
+        for message in messages:  # counted before anything can fail
+            self.writer.receive(message.topic)
         messages = self._without_pause(messages)
-        for one in messages:
+        for message in messages:
             self.writer.write(
-                one.topic,
-                one.data,
-                one.received_ns,
-                publish_time_ns=max(0, one.sent_ns),
-                sequence=None if one.sequence is None else one.sequence % 2**32,
+                message.topic,
+                message.data,
+                message.received_ns,
+                publish_time_ns=max(0, message.sent_ns),
+                sequence=None if message.sequence is None else message.sequence % 2**32,
             )
-            self._assemble(one)
+            self._assemble(message)
         if not messages:
             self.writer.flush()  # it checks its own timer only when something is written
         with self._assembler_lock:
@@ -219,45 +219,45 @@ class RecordingSession:
                 self._operator.end_wait("no grasp came")
         if not self._dropping:
             return messages
-        for one in messages:
-            self.writer.drop(one.topic, "paused")
+        for message in messages:
+            self.writer.drop(message.topic, "paused")
         return []
 
     def _prediction(self, sample: Sample) -> TouchPrediction | None:
         """What was predicted for the grasp of a sample, if that was received."""
         data = self._predictions.get(sample.cloud.stamp_ns)
-        found: Sequence[Any] = () if data is None else read_serialized(data, TouchPredictionArray).predictions
+        predictions: Sequence[Any] = () if data is None else read_serialized(data, TouchPredictionArray).predictions
         sha256 = self.writer.sensor.sha256  # a model of another sensor may predict
-        own = (one for one in found if one.sensor_sha256 == sha256)
-        return next((one for one in own if one.grasp.id == sample.grasp.id), None)
+        own = (prediction for prediction in predictions if prediction.sensor_sha256 == sha256)
+        return next((prediction for prediction in own if prediction.grasp.id == sample.grasp.id), None)
 
-    def _assemble(self, one: SerializedMessage) -> None:
+    def _assemble(self, serialized: SerializedMessage) -> None:
         """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
-        role, message_class = self._inputs.get(one.topic, (None, object))
+        role, message_class = self._inputs.get(serialized.topic, (None, object))
         if role is None:
             return
-        decode = partial(read_serialized, one.data, message_class)
+        decode = partial(read_serialized, serialized.data, message_class)
         try:
             if role == "touch":
-                self._predictions[read_header(one.data)[0]] = one.data
+                self._predictions[read_header(serialized.data)[0]] = serialized.data
                 if len(self._predictions) > _PREDICTIONS:
                     self._predictions.popitem(last=False)
                 return
-            message = SerializedCloud(one.data, decode) if role == "cloud" else decode()
+            message = SerializedCloud(serialized.data, decode) if role == "cloud" else decode()
             with self._assembler_lock:
-                self._assembler.add(role, message, received_ns=one.received_ns, now_s=time.monotonic())
+                self._assembler.add(role, message, received_ns=serialized.received_ns, now_s=time.monotonic())
             if role == "tactile":
                 held_ns, now_s = self._assembler.held_ns, time.monotonic()
-                stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else one.received_ns
+                stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else serialized.received_ns
                 if (evaluated := self._hold.update(message, stamp, held_ns, now_s)) is not None:
                     self._publish(evaluated)
         except FileError:
             raise
         except ForetouchError as err:
-            name = f"unreadable {one.topic}"
+            name = f"unreadable {serialized.topic}"
             self._unreadable[name] += 1
             if self._unreadable[name] == 1:
-                self._warn(f"{one.topic}: {err}")
+                self._warn(f"{serialized.topic}: {err}")
 
     def _update_status(self) -> None:
         now, size = time.monotonic(), self.writer.output.size
@@ -287,11 +287,11 @@ class RecordingSession:
                 touch_hold=self._hold.last,
                 disk_left=writer.free_bytes / rate if flowing else math.inf,
             )
-            found = assembler.readings.anomalies + assembler.rejected_clouds + assembler.invalid + self._unreadable
+            anomalies = assembler.readings.anomalies + assembler.rejected_clouds + assembler.invalid + self._unreadable
             self.status = SessionStatus(
                 message=message,
                 accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
-                anomalies=found,
+                anomalies=anomalies,
                 operator=self._operator.state(),
                 last=self._last,
             )
@@ -308,14 +308,14 @@ def status_to_msg(
     received = {name: account for name, account in state.accounts.items() if name != SAMPLE_TOPIC}
     accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
-    drops = _counts("drop_reasons", "drop_counts", sum((one.dropped for one in accounts.values()), Counter()))
+    drops = _counts("drop_reasons", "drop_counts", sum((account.dropped for account in accounts.values()), Counter()))
     message = copy(state.message)
     if session is not None:
         message.recording = not session.ended.is_set()
         message.duration = duration_to_msg((session.ended_s or time.monotonic()) - session.began_s)
     message.header, message.topics = header_to_msg("", now_ns), topics
-    message.received, message.used = sum(one.received for one in topics), sum(one.written for one in topics)
-    message.lost, message.drop_reasons, message.drop_counts = sum(one.lost for one in topics), *drops.values()
+    message.received, message.used = sum(topic.received for topic in topics), sum(topic.written for topic in topics)
+    message.lost, message.drop_reasons, message.drop_counts = sum(topic.lost for topic in topics), *drops.values()
     return message
 
 

@@ -124,7 +124,7 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
     """
 
     def __init__(self, most_bytes: int) -> None:
-        super().__init__(most_bytes, when_full="reject", size_of=lambda one: len(one.data), on_drop=self._count)
+        super().__init__(most_bytes, when_full="reject", size_of=lambda stream: len(stream.data), on_drop=self._count)
         self._refused: Counter[str] = Counter()
 
     def take(self, timeout_s: float) -> tuple[list[SerializedMessage], Counter[str]]:
@@ -137,7 +137,7 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
     def waiting(self) -> Counter[str]:
         """Messages that wait, and those rejected since the last `take`, by topic."""
         with self._changed:
-            return Counter(one.topic for one in self._items) + self._refused
+            return Counter(item.topic for item in self._items) + self._refused
 
     def _count(self, message: SerializedMessage, _reason: str) -> None:
         if not self.closed:  # else it came after the end of the session
@@ -170,16 +170,16 @@ class RecorderSubscriptions:
         self._ticks = deque([(time.monotonic(), Counter[str]())], maxlen=11)
         try:
             for topic in topics:
-                one = SerializedInput(node, topic, partial(self._receive, latched=topic.latched))
-                self.inputs[one.name] = one
+                stream = SerializedInput(node, topic, partial(self._receive, latched=topic.latched))
+                self.inputs[stream.name] = stream
         except BaseException:  # such as an override that names no policy
             self.destroy()
             raise
 
     def open(self, queue: MessageQueue) -> None:
         """Begin a session: restart the counts, and put messages into its queue, first the latched ones of before."""
-        for one in self.inputs.values():
-            one.losses.count = 0
+        for stream in self.inputs.values():
+            stream.losses.count = 0
         with self._lock:
             for message in self._latched:
                 queue.put(replace(message, received_ns=time.time_ns()))
@@ -191,17 +191,17 @@ class RecorderSubscriptions:
 
     def lost(self) -> dict[str, int]:
         """Messages that the middleware has lost since `open`, by topic."""
-        return {name: one.losses.count for name, one in self.inputs.items()}
+        return {name: stream.losses.count for name, stream in self.inputs.items()}
 
     def tick(self) -> list[str]:
         """Update the rates and adapt to the publishers; gives a line for each replaced subscription and new `excluded` type."""
         self._ticks.append((time.monotonic(), Counter(self._arrived)))
         before = self.excluded
-        self.excluded = tuple(text for one in self.inputs.values() for text in one.excluded())
+        self.excluded = tuple(text for stream in self.inputs.values() for text in stream.excluded())
         return [text for text in self.excluded if text not in before] + [
-            f"{one.name}: subscribed with {'reliable' if one.reliable else 'best effort'} QoS, as its publishers offer"
-            for one in self.inputs.values()
-            if one.follow()
+            f"{stream.name}: subscribed with {'reliable' if stream.reliable else 'best effort'} QoS, as its publishers offer"
+            for stream in self.inputs.values()
+            if stream.follow()
         ]
 
     def statistics(self) -> dict[str, TopicStatistics]:
@@ -212,22 +212,22 @@ class RecorderSubscriptions:
         return {
             name: TopicStatistics(
                 waiting=waiting[name],
-                reliable=one.reliable,
+                reliable=stream.reliable,
                 rate_hz=(last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0,
             )
-            for name, one in self.inputs.items()
-            if self._arrived[name] or not one.topic.optional
+            for name, stream in self.inputs.items()
+            if self._arrived[name] or not stream.topic.optional
         }
 
     def destroy(self) -> None:
         """End all subscriptions."""
-        for one in self.inputs.values():
-            one.destroy()
+        for stream in self.inputs.values():
+            stream.destroy()
 
     def _receive(self, message: SerializedMessage, *, latched: bool) -> None:
         self._arrived[message.topic] += 1
         with self._lock:
-            if latched and all(message.data != one.data for one in self._latched):
+            if latched and all(message.data != kept.data for kept in self._latched):
                 self._latched.append(message)
             if (queue := self._queue) is not None:
                 queue.put(message)

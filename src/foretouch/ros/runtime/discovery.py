@@ -21,13 +21,13 @@ def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
     Each of the topics should have one publisher at most. To look takes less than 0.1 ms a topic.
     """
     own = node.get_fully_qualified_name()
-    count = sum(_full_name(*one) == own for one in node.get_node_names_and_namespaces())
-    found = [f"{count} nodes are named {own}"] if count > 1 else []
+    count = sum(_full_name(*namespace) == own for namespace in node.get_node_names_and_namespaces())
+    conflicts = [f"{count} nodes are named {own}"] if count > 1 else []
     for topic in map(node.resolve_topic_name, topics):
         names = publishers_of(node, topic)
         if len(names) > 1 and set(names) != {own}:
-            found.append(f"{topic} has {len(names)} publishers: {', '.join(names)}")
-    return tuple(found)
+            conflicts.append(f"{topic} has {len(names)} publishers: {', '.join(names)}")
+    return tuple(conflicts)
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:

@@ -49,7 +49,7 @@ def profile_variable() -> str:
     """The environment variable that names the profile: Fast DDS 2 (Jazzy) ignores that of 3, and 3 warns of that of 2."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix).split(os.pathsep)
     return _PROFILE_VARIABLES[
-        "fastrtps" if any(Path(one, "share", "fastrtps").is_dir() for one in prefixes) else "fastdds"
+        "fastrtps" if any(Path(prefix, "share", "fastrtps").is_dir() for prefix in prefixes) else "fastdds"
     ]
 
 
@@ -95,12 +95,12 @@ def large_clouds(rmw: str, folder: Path = _FOLDER) -> tuple[str, bool]:
     except OSError:
         return f"{rmw}: there is no {folder}: clouds go by UDP, and large ones are lost", False
     free_mb, stale_mb = usage.free / 1e6, stale_bytes(folder) / 1e6
-    found = f"{rmw}: {free_mb:.0f} of {usage.total / 1e6:.0f} MB of {folder} are free"
+    state = f"{rmw}: {free_mb:.0f} of {usage.total / 1e6:.0f} MB of {folder} are free"
     if stale_mb > 0.0:
-        found += f"; {stale_mb:.0f} MB of processes that were killed, which the next node frees"
+        state += f"; {stale_mb:.0f} MB of processes that were killed, which the next node frees"
     if free_mb + stale_mb >= _NEEDED_MB:
-        return found, True
-    return f"{found}, {_NEEDED_MB:g} are needed: clouds go by UDP, and large ones are lost", False
+        return state, True
+    return f"{state}, {_NEEDED_MB:g} are needed: clouds go by UDP, and large ones are lost", False
 
 
 def stale_bytes(folder: Path = _FOLDER, *, free: bool = False) -> int:
@@ -123,8 +123,8 @@ def _unlocked(lock: Path) -> Iterator[None]:
     # Without waiting: anyone may put a FIFO there.
     descriptor = os.open(lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        found = os.fstat(descriptor)
-        if found.st_uid != os.getuid() or not stat.S_ISREG(found.st_mode):
+        status = os.fstat(descriptor)
+        if status.st_uid != os.getuid() or not stat.S_ISREG(status.st_mode):
             raise PermissionError(f"{lock}: is of another user, or no regular file")
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield

@@ -142,11 +142,11 @@ def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool
 
 def _with_known_types(callback: Callable[..., Any], request: Any, response: Any) -> Any:
     """Call rclpy's parameter service, or refuse a type that rclpy does not know, and would raise for."""
-    for one in request.parameters:
-        if one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
+    for parameter in request.parameters:
+        if parameter.value.type > ParameterType.PARAMETER_STRING_ARRAY:
             return _failed_service(
                 (request, response),
-                f"{shown(one.name)}: type {one.value.type} is not one of rcl_interfaces/ParameterType",
+                f"{shown(parameter.name)}: type {parameter.value.type} is not one of rcl_interfaces/ParameterType",
             )
     return callback(request, response)
 

@@ -194,9 +194,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
-        found = find_conflicts(self, self.exclusive_topics)
-        fresh = [text for text in found if text not in self.conflicts]
-        self.conflicts = found
+        conflicts = find_conflicts(self, self.exclusive_topics)
+        fresh = [text for text in conflicts if text not in self.conflicts]
+        self.conflicts = conflicts
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
         if fresh:
             self.get_logger().warning(f"a second graph or source runs in {self.get_namespace()}: {'; '.join(fresh)}")
@@ -294,7 +294,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def _lost(self) -> dict[str, str]:
         """Messages that were lost on the way, by topic."""
-        counts = {topic: one.losses.count for topic, one in self._followed.items()}
+        counts = {topic: subscription.losses.count for topic, subscription in self._followed.items()}
         return {f"lost_on_the_way.{topic}": str(count) for topic, count in counts.items() if count}
 
     def _report(self) -> None:

@@ -105,7 +105,10 @@ class MatchingNode(ProcessingNode[_P]):
         super()._look()
         before_s = time.monotonic() - self.config.partner_timeout_s
         with self._lock:
-            overdue = [self._give_up() for _ in range(sum(one.arrived < before_s for one in self._incomplete.values()))]
+            overdue = [
+                self._give_up()
+                for _ in range(sum(incomplete.arrived < before_s for incomplete in self._incomplete.values()))
+            ]
         for item in overdue:
             self._answer_incomplete(item)
 

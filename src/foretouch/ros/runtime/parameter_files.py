@@ -7,9 +7,8 @@ may stand in the same file, outside of the namespace of the graph and with names
 
 import re
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from importlib import import_module
 from itertools import pairwise
 from typing import Any, Final
 
@@ -26,10 +25,13 @@ _CHANGED: Final = {  # in 0.4
     "latency_budget_ms": "was removed in 0.4: a prediction takes half a millisecond; see docs/accuracy_vs_time.md",
     "direct": "was removed in 0.4: perception is one node",
 }
+Nodes = Mapping[str, Callable[[], type[Any]]]
+"""What gives the class of each node, by name."""
+
 _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
 
 
-def check_parameters(arguments: Sequence[str], nodes: Mapping[str, str], own: Sequence[str], namespace: str) -> None:
+def check_parameters(arguments: Sequence[str], nodes: Nodes, own: Sequence[str], namespace: str) -> None:
     """Check the parameter files and parameters of a command line for the nodes `own` of this process, of all `nodes`.
 
     A `ConfigError` if a file is none, or names an unknown node or parameter, with the nearest known one. The command line
@@ -53,20 +55,20 @@ def nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
     def walk(name: str, value: Any) -> Iterator[tuple[str, dict[str, Any]]]:
         groups = value if isinstance(value, Mapping) else {}
         given = groups.get("ros__parameters")
-        inner = [(f"{name}/{str(key).strip('/')}", one) for key, one in groups.items() if key != "ros__parameters"]
+        inner = [(f"{name}/{str(key).strip('/')}", group) for key, group in groups.items() if key != "ros__parameters"]
         if (given is None and not inner) or not isinstance(given, Mapping | None):
             rule = "holds no ros__parameters; a parameter file is NODE: {ros__parameters: {NAME: VALUE}}"
             raise ConfigError(f"{path}: {name.lstrip('/')}: {rule}")
         if given is not None:
             yield name, flattened(given)
-        for key, one in inner:
-            yield from walk(key, one)
+        for key, entry in inner:
+            yield from walk(key, entry)
 
     for name, value in load_yaml(path).items():
         yield from walk(f"/{str(name).strip('/')}", value)
 
 
-def _check(path: str, name: str, given: Mapping[str, Any], nodes: Mapping[str, str], namespace: str) -> None:
+def _check(path: str, name: str, given: Mapping[str, Any], nodes: Nodes, namespace: str) -> None:
     place, _, short = name.rpartition("/")
     place = place or "/"
     if short in nodes and (place in {namespace, NAMESPACE} or "*" in place or not _taken_for(place, ("/", NAMESPACE))):
@@ -93,9 +95,9 @@ def _taken_for(name: str, known: typing.Iterable[str]) -> bool:
     return bool(get_close_matches(name, list(known), 1, _ALIKE))
 
 
-def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], nodes: Mapping[str, str]) -> None:
+def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], nodes: Nodes) -> None:
     """Refuse a parameter that none of some nodes has, or that has no value."""
-    known = [info for name in names for info in _parameters_of(nodes[name])]
+    known = [info for name in names for info in _parameters_of(nodes[name]())]
     for parameter, value in given.items():
         if parameter not in known and parameter.partition(".")[0] not in _SHARED:
             rule = _CHANGED.get(parameter, f"unknown parameter{nearest(parameter, known)}")
@@ -104,7 +106,6 @@ def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], n
             raise ConfigError(f"{place}: {parameter}: is empty")
 
 
-def _parameters_of(node: str) -> list[str]:
-    module, _, name = node.partition(":")
-    (config,) = typing.get_args(getattr(import_module(module), name).__orig_bases__[0])
+def _parameters_of(node: type[Any]) -> list[str]:
+    (config,) = typing.get_args(node.__orig_bases__[0])
     return [info.name for info in setting_infos(config)]

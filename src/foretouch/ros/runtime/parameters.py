@@ -42,7 +42,7 @@ class NodeSettings(Generic[_S]):
 
     def _as_declared(self, parameters: "list[Parameter[Any]]") -> "list[Parameter[Any]]":
         """Whole numbers as floats where these are declared, such as 10 for 10.0."""
-        return [_as_float(one) if one.name in self._floats else one for one in parameters]
+        return [_as_float(parameter) if parameter.name in self._floats else parameter for parameter in parameters]
 
     def _changed(self, parameters: Sequence["Parameter[Any]"]) -> _S | None:
         changes = {p.name: _plain(p.value) for p in parameters if p.name in self._names}

@@ -116,11 +116,11 @@ class ProcessingNode(ForetouchNode[_P]):
 
     def notes(self) -> dict[str, str]:
         """Numbers of answers by status, why the last was empty, and what the steps note."""
-        found = {f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())}
-        found["last_reason"] = self._last_reason
+        values = {f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())}
+        values["last_reason"] = self._last_reason
         for step in self.steps:
-            found |= step.notes()
-        return found
+            values |= step.notes()
+        return values
 
     def _receive(self, message: Any) -> None:
         """Take a message that is an input by itself."""

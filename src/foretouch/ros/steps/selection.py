@@ -110,7 +110,7 @@ class Selection:
             self._take(click, scene)
         if not self._id:
             return scene
-        chosen = next((one for one in scene.objects if one.id == self._id), None)
+        chosen = next((object_ for object_ in scene.objects if object_.id == self._id), None)
         if chosen is not None:
             self._missing = 0
             flagged = replace(chosen, flags=(SELECTED,))

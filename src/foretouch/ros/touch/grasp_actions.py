@@ -105,20 +105,20 @@ def sample_grasps(
 
 
 def _candidate(rule: str, grasp: Grasp, touch: TouchPrediction, pressed: Float64) -> _Candidate:
-    cost, lower, upper = (cost_of(rule, grasp, one) for one in pressed)
+    cost, lower, upper = (cost_of(rule, grasp, bound) for bound in pressed)
     return _Candidate(cost, abs(upper - lower) / 2.0, grasp, touch)
 
 
 def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Candidates by group of equal costs, which get the lowest of their group, then by score; the first group is flagged."""
-    groups = equal_groups([one.cost for one in candidates], [one.half for one in candidates])
+    groups = equal_groups([candidate.cost for candidate in candidates], [candidate.half for candidate in candidates])
     lowest = np.full(len(candidates), math.inf)
-    np.minimum.at(lowest, groups, [one.cost for one in candidates])
+    np.minimum.at(lowest, groups, [candidate.cost for candidate in candidates])
     alike = np.count_nonzero(groups == 0) > 1
-    for one, group in zip(candidates, groups, strict=True):  # flags were given in batches
-        others = [flag for flag in one.prediction.flags if flag != EQUAL_PRESSURE]
-        one.prediction.flags = [*others, *(EQUAL_PRESSURE,) * bool(alike and group == 0)]
-    scores = np.nan_to_num([one.grasp.score for one in candidates], nan=-math.inf)
+    for candidate, group in zip(candidates, groups, strict=True):  # flags were given in batches
+        others = [flag for flag in candidate.prediction.flags if flag != EQUAL_PRESSURE]
+        candidate.prediction.flags = [*others, *(EQUAL_PRESSURE,) * bool(alike and group == 0)]
+    scores = np.nan_to_num([candidate.grasp.score for candidate in candidates], nan=-math.inf)
     return [candidates[k]._replace(cost=float(lowest[groups[k]])) for k in np.lexsort((-scores, groups))]
 
 

@@ -183,9 +183,9 @@ class OnlineAdapter:
                 return None
             self._tare_refused = False
             same = self._history.is_current(cloud, config.same_object_m)
-            found = self._history.snapshot(now_ns, same_object=same, tare=tare is not None, tdc=tdc)
+            snapshot = self._history.snapshot(now_ns, same_object=same, tare=tare is not None, tdc=tdc)
         self._keeper.changed()
-        return found
+        return snapshot
 
     def process_touches(self) -> None:
         """Add the touches that are complete by now to the history, and forget an object that was touched too long ago."""

@@ -79,17 +79,17 @@ def time_calls(
         functions[name](size)
         times[keys[k]].append((time.perf_counter() - start, time.process_time() - start_cpu))
         progress(done + 1, len(order))
-    return {key: np.array(found) for key, found in times.items()}
+    return {key: np.array(measured) for key, measured in times.items()}
 
 
 def _first_calls(call: Callable[[int], object], sizes: Sequence[int]) -> dict[int, float]:
     """Warm up, and estimate the time of one call by size [s]; sizes that would take too long are left out."""
-    found: dict[int, float] = {}
+    seconds_of: dict[int, float] = {}
     for size in sizes:
-        if found and (last := max(found)) and found[last] * size / last > 3.0:
+        if seconds_of and (last := max(seconds_of)) and seconds_of[last] * size / last > 3.0:
             break
         call(size)
         start = time.perf_counter()
         call(size)
-        found[size] = max(time.perf_counter() - start, 1e-7)
-    return found
+        seconds_of[size] = max(time.perf_counter() - start, 1e-7)
+    return seconds_of

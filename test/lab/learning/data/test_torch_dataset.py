@@ -16,10 +16,10 @@ def test_samples_are_tensors_of_fixed_sizes_that_a_loader_stacks():
     data = TouchDataset([*samples, replace(samples[0], touch=None)], points=64)
     points, grasp, touch = next(iter(DataLoader(data, batch_size=6)))
     assert (points.shape, grasp.shape, touch.shape) == ((6, 64, 3), (6, 15), (6, 50))
-    for k, one in enumerate(samples):
-        np.testing.assert_array_equal(touch[k], one.touch.values.astype(np.float32))
-        np.testing.assert_array_equal(grasp[k, :3], one.grasp.g1.astype(np.float32))
-        assert {tuple(row) for row in points[k].tolist()} <= {tuple(row) for row in one.cloud.xyz.tolist()}
+    for k, sample in enumerate(samples):
+        np.testing.assert_array_equal(touch[k], sample.touch.values.astype(np.float32))
+        np.testing.assert_array_equal(grasp[k, :3], sample.grasp.g1.astype(np.float32))
+        assert {tuple(row) for row in points[k].tolist()} <= {tuple(row) for row in sample.cloud.xyz.tolist()}
 
 
 def test_what_cannot_be_used_is_named():

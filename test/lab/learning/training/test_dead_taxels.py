@@ -60,8 +60,10 @@ def test_the_card_names_it_and_its_predictions_are_not_valid(broken: Dataset, ca
 def test_it_is_left_out_of_scores_and_others_score_as_without_it(broken: Dataset, card: Path) -> None:
     scores = evaluate_model(card, broken, "random", training_scores=True)
     assert scores["not_scored"] == {"TH": [5]}
-    other = replace(broken, samples=tuple(damaged(damaged(one), ELEVENTH, 0.0) for one in broken.samples))
-    other = replace(other, sensor=with_dead_taxels(other.sensor, np.array([one.touch.values for one in other.samples])))
+    other = replace(broken, samples=tuple(damaged(damaged(sample), ELEVENTH, 0.0) for sample in broken.samples))
+    other = replace(
+        other, sensor=with_dead_taxels(other.sensor, np.array([sample.touch.values for sample in other.samples]))
+    )
     assert other.sensor.dead == {"TH": [5, 11]}
     result = evaluate_model(card, other, "random", training_scores=True)
     assert result["not_scored"] == {"TH": [5, 11]}

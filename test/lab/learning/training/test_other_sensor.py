@@ -66,7 +66,7 @@ def test_a_rest_level_that_was_not_read_is_on_the_side_that_contact_leaves(sampl
     shares = {"rise": 0.01, "fall": 0.95, "both": 0.5}
     values = [{"name": one, "field": one, "contact": one, "rest": "tare", "dtype": "int16"} for one in shares]
     channels = changed_sensor(tmp_path, values=values).channels
-    bare = [replace(one, tare=None) for one in readings(list(samples), channels)]
+    bare = [replace(reading, tare=None) for reading in readings(list(samples), channels)]
     (rest, recorded), labels = rest_level(bare), np.array([one.touch.values for one in bare])
     assert not recorded
     for name, share in shares.items():

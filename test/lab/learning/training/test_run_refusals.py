@@ -62,7 +62,7 @@ def test_labels_that_do_not_vary_and_a_model_that_cannot_be_read_are_refused(
     data, tmp_path, monkeypatch, method
 ) -> None:
     touch = data.samples[0].touch
-    same = replace(data, samples=tuple(replace(one, touch=touch) for one in data.samples), sha256="same")
+    same = replace(data, samples=tuple(replace(sample, touch=touch) for sample in data.samples), sha256="same")
     run = run_config(**{**CONTACT, "method": method})
     with pytest.raises(DatasetError, match=r"labels: PDC_TH.* the same in all 60 samples.*one reading"):
         train_run(run, same, tmp_path / "run", quiet)

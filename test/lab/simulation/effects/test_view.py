@@ -78,7 +78,7 @@ def test_clutter_hides_a_part_and_is_no_part_of_the_cloud_and_may_touch() -> Non
     assert _free_path(*balls, -way) == np.inf
     for slot in range(4):
         bodies = run(scene(FLAT, clutter={"count": 4, "touching": {}}), "clutter", slot=slot).bodies
-        surfaces = [one.position + (one.mesh.vertices * one.size) @ one.rotation.T for one in bodies]
+        surfaces = [body.position + (body.mesh.vertices * body.size) @ body.rotation.T for body in bodies]
         for k, surface in enumerate(surfaces[1:], 1):
             distance, _ = cKDTree(np.concatenate(surfaces[:k])).query(surface)
             assert distance.min() < 5e-3  # between vertices, which are up to 8 mm apart on a box

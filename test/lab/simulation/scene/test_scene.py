@@ -36,7 +36,7 @@ def test_the_hash_covers_every_setting_and_a_scene_survives_the_way_through_plai
     others = [scene(CAN, **{name: group}) for name, group in groups.items()]
     others.append(scene(CAN, fingers={"thumb": {"pdc_span": 620.0}}))
     others += [random, scene(CAN | {"shape": "random", "first_variant": 1})]
-    assert len({one.sha256() for one in (plain, *others)}) == 1 + len(others)
+    assert len({other.sha256() for other in (plain, *others)}) == 1 + len(others)
     fingers = {"timeline": {"hold_s": 1.0}, "scan": {}, "thumb": {"electrode_rest": 3000}}
     config = scene(CAN, SPONGE, camera={"noise": {}}, fingers=fingers)
     again = SceneConfig.from_mapping(config.to_mapping())
