@@ -193,8 +193,10 @@ def draw(path: Path) -> None:
                 axes.set_title(hand)
     panels[0, 0].set_ylabel("mean skill")
     panels[0, 0].set_yscale("symlog", linthresh=1.0)
+    panels[0, 0].set_ylim(-30.0, 1.0)  # the bars of three hands end beyond what a skill or a share can be
+    panels[1, 0].set_ylim(0.0, 1.0)
     panels[1, 0].set_ylabel("coverage of 90 % intervals")
-    panels[0, 0].legend(loc="lower right")
+    panels[1, 0].legend(loc="lower right")
     figure.savefig(path, dpi=110, metadata={"Software": None})
 
 
