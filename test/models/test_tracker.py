@@ -123,6 +123,15 @@ def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(rng) -> 
     assert_allclose(tracker.level(START + DAY).offset[26:], 400.0, rtol=0.1)
 
 
+def test_a_hand_far_from_the_rest_level_of_the_model_is_restarted_once(rng) -> None:
+    """What is a hundred times as far as the sensors of the training is believed from the first tare on."""
+    tracker, far = SensorTracker(drifting()), rng.normal(0.0, 5000.0, SIZE)
+    assert tracker.add_tare(START, far) == BIOTAC.fingers
+    assert_allclose(tracker.level(START).offset, far, rtol=0.02, atol=20.0)
+    for k in range(1, 20):
+        assert tracker.add_tare(START + 120 * k * S, far + rng.normal(0.0, 5.0, SIZE)) == ()
+
+
 def test_intervals_return_to_their_coverage_after_a_change(rng) -> None:
     tracker, restarts = SensorTracker(drifting(slow=0.0, fast=0.0, lasting=0.0)), 0
     for k in range(1000):  # readings as modelled restart a finger as rarely as stated

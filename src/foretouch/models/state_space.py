@@ -241,13 +241,20 @@ class StateFilter:
         self.covariance[:, 2] = 0.0
         self.covariance[2, 2] = variance
 
-    def restart(self, chosen: np.ndarray) -> None:
-        """Forget everything about some coordinates, given by their indices or a (K,) mask."""
+    def restart(self, chosen: np.ndarray, change: Float64 | None = None) -> None:
+        """Forget everything about some coordinates.
+
+        Args:
+            chosen: Their indices, or a (K,) mask.
+            change: (K,) change of the level [counts] that was seen, if any: the slow state may be as far from zero.
+        """
         self.mean[:3, chosen] = 0.0
         self.mean[3, chosen] = self._slope[chosen]
         self.covariance[:, :, chosen] = 0.0
         for part in range(4):
             self.covariance[part, part, chosen] = self.prior[part, chosen]
+        if change is not None:
+            self.covariance[0, 0, chosen] = np.maximum(self.prior[0], change**2)[chosen]
 
     def predicted(self, parts: int = 3, x: Float64 | None = None) -> tuple[Float64, Float64]:
         """(K,) mean and variance of the sum of the parts, with (K,) x also of the slope times x.

@@ -154,7 +154,7 @@ class SensorTracker:
         limits = np.maximum(self.parameters.alarm, [0.0, _COMMON_JUMP])
         innovation = self._completed(offset - self.parameters.basis @ mean, variance)
         failed, offset = self._failed(innovation, variance, limits), self.parameters.basis @ mean + innovation
-        self._restart(failed)
+        self._restart(failed, offset)
         self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1, x=x)
         self._newest_ns, self._readings = stamp, self._readings + 1
         self.revision += 1
@@ -190,7 +190,7 @@ class SensorTracker:
         reading = expected + self.parameters.basis @ mean + innovation
         failed = self._failed(innovation, variance + noise, limits)
         restarted = failed & self._suspect
-        self._restart(restarted)
+        self._restart(restarted, reading - expected)
         self._suspect = failed & ~restarted
         noise = np.where(self._coordinates_of(self._suspect), np.inf, noise)
         self._filter.observe(self._inverse @ (reading - expected), noise, x=x)
@@ -354,9 +354,10 @@ class SensorTracker:
     def _names(self, fingers: Bool) -> tuple[str, ...]:
         return tuple(name for name, finger in zip(self._channels.fingers, fingers, strict=True) if finger)
 
-    def _restart(self, fingers: Bool) -> None:
+    def _restart(self, fingers: Bool, level: Float64) -> None:
+        """Forget the state of some fingers, whose level (D,) is now far from the expected one [counts]."""
         if fingers.any():
-            self._filter.restart(self._coordinates_of(fingers))
+            self._filter.restart(self._coordinates_of(fingers), self._inverse @ level)
             self.similar = SimilarTouches.none(self.parameters)
             self._suspect = self._suspect & ~fingers
 
