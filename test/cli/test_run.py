@@ -147,7 +147,7 @@ def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_statu
     assert process.returncode == 3, rest
     assert "no RealSense device" in lines[-1], lines
     last = rest.splitlines()[-1]
-    assert "no cloud came from the camera: absent: camera: no RealSense device is connected" in last
+    assert "no cloud came from the camera: absent: no RealSense device is connected" in last
     assert "Traceback" not in "".join(lines) + rest
 
 

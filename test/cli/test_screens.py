@@ -82,7 +82,7 @@ def test_a_live_screen_leaves_one_table_behind(tmp_path, environment) -> None:
         left = whole(after, width)
         assert left.count("╭") == left.count("╰") == 1
         assert "waiting for the last answers" in left
-        assert "8 clouds played" in " ".join(left.replace("│", " ").split())
+        assert "8 of 8 clouds answered" in " ".join(left.replace("│", " ").split())
 
     every_case([60, 80], check)
 
