@@ -89,13 +89,15 @@ def _show_poses(hand: str, grasps: list[dict[str, Any]]) -> None:
     config = load_hand(hand).config
     if not config.tool:
         return
-    columns = ["rank", "depth [mm]", "position [m]", "quaternion x y z w", *["thumb"] * bool(config.joints)]
+    columns = ["rank", "depth [mm]", "position [m]", "quaternion x y z w"]
+    if config.joints:
+        columns.append("thumb")
     rows = []
     for rank, grasp in enumerate(grasps, 1):
         pose = grasp["pose_of_hand"]
         turn = " ".join(f"{value:.3f}" for value in pose["quaternion_xyzw"])
         row = [str(rank), f"{1e3 * grasp['depth_m']:.0f}", _point(pose["position"]), turn]
-        rows.append([*row, grasp["thumb_at"]][: len(columns)])
+        rows.append([*row, grasp["thumb_at"]] if config.joints else row)
     print_table(f"{config.name}: pose of {config.tool}, to which the arm is sent", columns, rows)
 
 

@@ -48,7 +48,8 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
         parts.append(_predictions(view.last.predictions, view.sensor))
     for name, (_, _, values) in view.nodes.items():
         dropped = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
-        parts += [Text(f"{_short(name)} dropped in total: {dropped}")] * bool(dropped)
+        if dropped:
+            parts.append(Text(f"{_short(name)} dropped in total: {dropped}"))
     parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
     return titled(title, parts)
 

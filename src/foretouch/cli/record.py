@@ -48,8 +48,10 @@ def record_panel(
 
     `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
     """
-    parts: list[RenderableType] = [_samples(status), *[Text(status.reason, "red")] * bool(status.reason), *keys]
-    parts.append(_objects(session.operator))
+    parts: list[RenderableType] = [_samples(status)]
+    if status.reason:
+        parts.append(Text(status.reason, "red"))
+    parts += [*keys, _objects(session.operator)]
     if session.last is not None:
         parts.append(executed_table(*session.last, sensor))
     outcomes = _counted(status.outcomes, status.outcome_counts) or "none yet"
@@ -63,7 +65,8 @@ def record_panel(
         ("not usable", _counted(odd, [session.anomalies[name] for name in odd]), "yellow"),
         ("dropped", _counted(status.drop_reasons, status.drop_counts), ""),
     ):
-        parts += [Text(f"{what}: {text}", style)] * bool(text)
+        if text:
+            parts.append(Text(f"{what}: {text}", style))
     return titled(title, [*parts, _topics(status.topics)])
 
 

@@ -20,7 +20,6 @@ from foretouch.dataset.recording.sample_codec import (
     SAMPLE_TYPE,
     Definitions,
     encode_sample,
-    sample_types,
     serialize_cloud,
 )
 from foretouch.dataset.samples import ExportResult, SampleSet
@@ -62,9 +61,8 @@ class BagWriter:
     def add_topic(self, topic: str, type_name: str) -> Connection:
         """Declare a topic; a `DatasetError` if its type has no definition, or the topic has another type."""
         if topic not in self._connections:
-            definitions = sample_types() if type_name == SAMPLE_TYPE else self.definitions
-            definitions.text(type_name)
-            self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=definitions.store)
+            self.definitions.text(type_name)
+            self._connections[topic] = self._writer.add_connection(topic, type_name, typestore=self.definitions.store)
         if self._connections[topic].msgtype != type_name:
             raise DatasetError(f"{self.path}: {topic}: holds {self._connections[topic].msgtype}, not {type_name}")
         return self._connections[topic]

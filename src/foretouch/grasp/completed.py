@@ -274,7 +274,7 @@ class CompletedObject:
         beside = np.cos(turn) * self._basis[1] - np.sin(turn) * self._basis[0]
         middle = self._foot + beside_m * beside + height * self._basis[2]
         ends = middle + low * along, middle + high * along
-        return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
+        return _in_image_order(ends, along)
 
     @cached_property
     def _around(self) -> tuple[Float64, Float64]:
@@ -435,7 +435,12 @@ def best_grasps(
 
 def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
     """Order the contacts of a grasp as `HandConfig.thumb_at` names them: g1 is left in the image."""
-    return (grasp.g1, grasp.g2) if (grasp.g2 - grasp.g1) @ PREFERRED >= 0.0 else (grasp.g2, grasp.g1)
+    return _in_image_order((grasp.g1, grasp.g2), grasp.g2 - grasp.g1)
+
+
+def _in_image_order(ends: tuple[Float64, Float64], along: Float64) -> tuple[Float64, Float64]:
+    """The ends of a line of direction `along`, that on the left of the image first."""
+    return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
 
 
 def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:

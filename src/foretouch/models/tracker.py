@@ -153,9 +153,10 @@ class SensorTracker:
         variance = variance + self.parameters.tare_noise
         limits = np.maximum(self.parameters.alarm, [0.0, _COMMON_JUMP])
         innovation = self._completed(offset - self.parameters.basis @ mean, variance)
-        failed, offset = self._failed(innovation, variance, limits), self.parameters.basis @ mean + innovation
-        self._restart(failed, offset)
-        self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1, x=x)
+        failed = self._failed(innovation, variance, limits)
+        level = self._inverse @ (self.parameters.basis @ mean + innovation)
+        self._restart(failed, level)
+        self._filter.observe(level, self.parameters.tare_noise, parts=1, x=x)
         self._newest_ns, self._readings = stamp, self._readings + 1
         self.revision += 1
         return self._names(failed)
@@ -190,10 +191,11 @@ class SensorTracker:
         reading = expected + self.parameters.basis @ mean + innovation
         failed = self._failed(innovation, variance + noise, limits)
         restarted = failed & self._suspect
-        self._restart(restarted, reading - expected)
+        observed = self._inverse @ (reading - expected)
+        self._restart(restarted, observed)
         self._suspect = failed & ~restarted
         noise = np.where(self._coordinates_of(self._suspect), np.inf, noise)
-        self._filter.observe(self._inverse @ (reading - expected), noise, x=x)
+        self._filter.observe(observed, noise, x=x)
         if where is not None and self.parameters.where_ratio.any() and not failed.any():
             seen = self.parameters.difference_shrinkage[self._kind] * expected + level.thermal
             self.similar = self.similar.added(where, reading - seen)
@@ -355,9 +357,9 @@ class SensorTracker:
         return tuple(name for name, finger in zip(self._channels.fingers, fingers, strict=True) if finger)
 
     def _restart(self, fingers: Bool, level: Float64) -> None:
-        """Forget the state of some fingers, whose level (D,) is now far from the expected one [counts]."""
+        """Forget the state of some fingers, whose level is now far from the expected one; (D,) in coordinates."""
         if fingers.any():
-            self._filter.restart(self._coordinates_of(fingers), self._inverse @ level)
+            self._filter.restart(self._coordinates_of(fingers), level)
             self.similar = SimilarTouches.none(self.parameters)
             self._suspect = self._suspect & ~fingers
 

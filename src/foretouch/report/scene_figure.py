@@ -240,7 +240,7 @@ def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
             half = "" if np.isnan(lower) else f" ± {channel.text((upper - lower) / 2.0)}"
             texts.append(f"{channel.name} {channel.text(value)}{half}")
     at = f" (g{finger + 1})" if finger < 2 else ""
-    return f"{name}{at}{': ' * bool(texts)}{', '.join(texts)}"
+    return f"{name}{at}: {', '.join(texts)}" if texts else f"{name}{at}"
 
 
 def _finite(cloud: Cloud) -> Float64:

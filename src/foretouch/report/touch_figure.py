@@ -152,7 +152,9 @@ def taxel_colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) ->
 
 def taxel_label(view: TaxelView, *, tared: bool, ringed: bool = False) -> str:
     """What stands at the scale of colours of a page."""
-    marks = "; ringed: outside of its 90 % interval" * ringed + "; hollow: dead" * bool(view.sensor.dead)
+    marks = "; ringed: outside of its 90 % interval" if ringed else ""
+    if view.sensor.dead:
+        marks += "; hollow: dead"
     return f"{view.label(from_rest=tared)}\nseen from outside, unrolled; up: towards the tip{marks}"
 
 

@@ -243,7 +243,7 @@ def select_free(
         least = min(blocked, key=lambda entry: entry[0])[1]
         return [least], f"no object is free: {'; '.join(notes)}; object {least.id} is hindered least"
     chosen, tie = select_targets(free, config.updated({"mode": "nearest"}), previous)
-    return chosen, "; ".join([tie] * bool(tie) + notes)
+    return chosen, "; ".join([tie, *notes] if tie else notes)
 
 
 def _one_of(

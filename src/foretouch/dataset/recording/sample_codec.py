@@ -7,8 +7,8 @@ version 1, whose touch is that of the BioTac SP and states no sensor; `dataset i
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 
 Definitions of message types are found without ROS, since a recording stores them beside the messages. Search order:
-ROS 2 Kilted as included in `rosbags`, then every installed message package on `AMENT_PREFIX_PATH` and in the Python
-environment. A stored sample has the fields in the folder `definitions`, whatever is added to the messages of `foretouch_msgs`.
+ROS 2 Kilted as included in `rosbags`, the folder `definitions` with the types of samples, whose fields never change, then
+every installed message package on `AMENT_PREFIX_PATH` and in the Python environment.
 """
 
 from __future__ import annotations
@@ -229,7 +229,7 @@ def parse_properties(text: str) -> dict[str, str]:
 @functools.cache
 def sample_types() -> Definitions:
     """Return the definitions of samples, of all types in them, and of those that were looked up since."""
-    definitions = Definitions(stored=True)
+    definitions = Definitions()
     definitions.text(SAMPLE_TYPE)
     return definitions
 
@@ -271,16 +271,11 @@ def _series_of(message: Any, sensor: Sensor) -> TouchSeries | None:
 
 
 class Definitions:
-    """Message types, looked up on request; `store` holds those found so far, and serialises their messages.
+    """Message types, looked up on request; `store` holds those found so far, and serialises their messages."""
 
-    Args:
-        stored: Whether `foretouch_msgs` are those of stored samples, whose fields never change, instead of those that are installed.
-    """
-
-    def __init__(self, *, stored: bool = False) -> None:
+    def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore
 
-        self._stored = stored
         self.store: Typestore = get_typestore(Stores.ROS2_KILTED)
 
     def register(self, type_name: str, text: str) -> None:
@@ -304,20 +299,14 @@ class Definitions:
         if type_name not in self.store.fielddefs:
             if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", type_name):
                 raise DatasetError(f"{type_name!r} is not a message type, such as std_msgs/msg/String")
-            self.register(type_name, _find(type_name, self._stored))
+            self.register(type_name, _find(type_name))
         for needed in types_in(self.store.fielddefs[type_name][1]):
             self._require(needed)
 
 
-@functools.cache
-def topic_types() -> Definitions:
-    """Return the definitions of messages on topics that were looked up so far."""
-    return Definitions()
-
-
-def _find(type_name: str, stored: bool) -> str:
+def _find(type_name: str) -> str:
     package, _, name = type_name.split("/")
-    if stored and package == "foretouch_msgs":
+    if package == "foretouch_msgs" and (_OWN / f"{name}.msg").is_file():
         return (_OWN / f"{name}.msg").read_text(encoding="utf-8")
     for prefix in [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]:
         file = Path(prefix) / "share" / package / "msg" / f"{name}.msg"

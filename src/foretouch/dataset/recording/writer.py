@@ -50,7 +50,6 @@ from foretouch.dataset.recording.sample_codec import (
     SCHEMA_VERSION,
     encode_sample,
     sample_types,
-    topic_types,
 )
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.tactile.channels import BIOTAC_SP
@@ -146,7 +145,7 @@ class RecordingWriter:
             known = self.output.types.get(topic)
             if known is None:
                 self._require_open()
-                self.output.declare(topic, type_name, topic_types().text(type_name))
+                self.output.declare(topic, type_name, sample_types().text(type_name))
             elif known != type_name:
                 raise DatasetError(f"{topic}: holds {known}, not {type_name}")
 

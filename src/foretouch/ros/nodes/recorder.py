@@ -211,7 +211,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def _running(self) -> RecordingSession:
         if self._session is None or self._session.ended.is_set():
-            raise ConfigError(f"nothing is being recorded{': ' * bool(self.reason)}{self.reason}")
+            raise ConfigError(": ".join(filter(None, ("nothing is being recorded", self.reason))))
         return self._session
 
     def begin(self, path: str, label: str = "", note: str = "") -> Path:

@@ -85,15 +85,17 @@ class SerializedInput(FollowingSubscription):
 
 def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[InputTopic]:
     """The topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
-    return [
+    topics = [
         InputTopic(config.tactile_topic, tactile_class(config.tactile.message_type), depth),
         InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
         InputTopic("table", TablePlane, depth),
         InputTopic(GRASPS_TOPIC, GraspArray, depth),
         InputTopic("touch", TouchPredictionArray, depth),
         InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
-        *[InputTopic("points", PointCloud2, points_depth)] * bool(points_depth),
     ]
+    if points_depth:
+        topics.append(InputTopic("points", PointCloud2, points_depth))
+    return topics
 
 
 def depth_topics(images: str, depth: int) -> list[InputTopic]:

@@ -116,8 +116,10 @@ def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     np.minimum.at(lowest, groups, [candidate.cost for candidate in candidates])
     alike = np.count_nonzero(groups == 0) > 1
     for candidate, group in zip(candidates, groups, strict=True):  # flags were given in batches
-        others = [flag for flag in candidate.prediction.flags if flag != EQUAL_PRESSURE]
-        candidate.prediction.flags = [*others, *(EQUAL_PRESSURE,) * bool(alike and group == 0)]
+        flags = [flag for flag in candidate.prediction.flags if flag != EQUAL_PRESSURE]
+        if alike and group == 0:
+            flags.append(EQUAL_PRESSURE)
+        candidate.prediction.flags = flags
     scores = np.nan_to_num([candidate.grasp.score for candidate in candidates], nan=-math.inf)
     return [candidates[k]._replace(cost=float(lowest[groups[k]])) for k in np.lexsort((-scores, groups))]
 
