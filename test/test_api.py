@@ -3,6 +3,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +190,11 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     np.testing.assert_allclose(bars.lines[0].get_ydata(), touch["E"].value[1, 0])
     assert len(ft.draw(scene).axes) == 1
     assert len(ft.draw(scene.objects[0], grasps).axes) == 2
+    table = scene.objects[0].plane
+    away = replace(scene.objects[0], plane=ft.Plane(-table.normal, -table.offset))  # as a user may state it
+    assert (
+        min(ft.draw(away, grasps).axes[1].collections[0].get_offsets()[:, 1]) > -10.0
+    )  # objects stand above the table
     refused = ft.Predictions.refused(grasps, touch.channels, "refused", "too wide")
     assert "too wide" in ft.draw(scene, grasps, refused).axes[-1].texts[0].get_text()
     with pytest.raises(ConfigError, match="number: 7 is not one of the 2 grasps"):

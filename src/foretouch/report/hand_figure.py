@@ -11,8 +11,8 @@ from foretouch.report.panels import new_figure, save
 from foretouch.types import Float64, Grasp
 
 _EDGES: Final = [(a, b) for a in range(8) for b in (a ^ 1, a ^ 2, a ^ 4) if a < b]  # of the corners of a box
-COLOURS: Final = {FINGER: "#d1762b", PALM: "#808080", THUMB: "#1f6fb4"}
-"""Of the parts of a hand."""
+COLOURS: Final = {FINGER: "#00798c", PALM: "#808080", THUMB: "#d1495b"}
+"""Of the parts of a hand; thumb and finger have the colours of their contacts, g1 and g2."""
 
 
 def hand_lines(grasp: Grasp) -> dict[str, Float64]:

@@ -14,7 +14,7 @@ from foretouch.pipeline import Object, Scene
 from foretouch.report.hand_figure import COLOURS, hand_lines
 from foretouch.report.panels import Axes, new_figure, save
 from foretouch.tactile.channels import FINGER_NAMES
-from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Plane, Prediction, Predictions
+from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Prediction, Predictions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -151,17 +151,18 @@ def _pixels(cloud: Cloud, points: Float64) -> Float64:
 
 def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object], grasp: Grasp | None) -> None:
     """An object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
-    points, up = _finite(target.cloud), target.plane.normal
+    points, table = _finite(target.cloud), target.plane.towards_camera  # a table that was stated may face away
+    up = table.normal
     along = grasp.g1 - grasp.g2 if grasp is not None else np.array([1.0, 0.0, 0.0])
     along = along - up * (along @ up)
     along = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else np.linalg.svd(up[None])[2][1]
     across = np.cross(up, along)
     centre = grasp.midpoint if grasp is not None else points.mean(axis=0)
 
-    def flat(xyz: Float64, plane: Plane = target.plane) -> Float64:
+    def flat(xyz: Float64) -> Float64:
         """(N, 3): along the closing line and across it from the midpoint, and height above the table [mm]."""
         moved = xyz - centre
-        return 1e3 * np.stack([moved @ along, moved @ across, xyz @ plane.normal + plane.offset], axis=1)
+        return 1e3 * np.stack([moved @ along, moved @ across, xyz @ up + table.offset], axis=1)
 
     own = flat(points)
     ends = np.empty((0, 3)) if grasp is None else flat(np.stack([grasp.g1, grasp.g2]))

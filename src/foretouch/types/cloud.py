@@ -146,6 +146,11 @@ class Plane:
         """(4,) float64: a, b, c, d."""
         return np.append(self.normal, self.offset)
 
+    @property
+    def towards_camera(self) -> "Plane":
+        """The same plane, its normal on the side of the origin, where the camera is."""
+        return Plane(-self.normal, -self.offset) if self.offset < 0.0 else self
+
     def height(self, xyz: Floating) -> Floating:
         """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)

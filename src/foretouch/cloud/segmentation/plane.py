@@ -233,7 +233,7 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, reach_m: float, min_
     scaled, wide = _residuals(points, points @ normal, offset, reach_m, float(origin[2]))
     inliers = len(scaled)
     reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, min_fraction)
-    plane = None if reason else _towards_camera(normal, offset - float(normal @ origin))
+    plane = None if reason else Plane(normal, offset - float(normal @ origin)).towards_camera
     return plane, math.sqrt(scaled @ scaled / max(inliers, 1)), reason
 
 
@@ -269,9 +269,3 @@ def _fault(fraction: float, peak: float, spread: float, least: float) -> str:
     if peak < _MIN_PEAK:
         return f"the largest plane holds {peak:.0%} of the points around it, less than {_MIN_PEAK:.0%}: a blob"
     return ""
-
-
-def _towards_camera(normal: Float64, offset: float) -> Plane:
-    """Orient the normal towards the origin, where the camera is."""
-    sign = -1.0 if offset < 0.0 else 1.0
-    return Plane(sign * normal, sign * offset)
