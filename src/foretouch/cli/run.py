@@ -334,7 +334,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 def _source_state(graph: Graph) -> str:
     """What the source does, or what keeps it from sending."""
     source = graph.nodes[next(name for name in ("replay", "camera", "perception") if name in graph.nodes)]
-    return "; ".join(source.errors()) or f"{source.get_name()} is {source.state_name}"
+    return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}"
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
@@ -366,7 +366,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
-    for cause in graph.nodes["camera"].warnings() if not predicted and "camera" in graph.nodes else ():
+    for cause in graph.nodes["camera"].reported().warnings if not predicted and "camera" in graph.nodes else ():
         warn(f"no prediction: {cause}")
     return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
 
