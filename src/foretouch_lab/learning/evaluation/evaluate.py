@@ -49,12 +49,11 @@ def evaluate_model(
         training_scores: Score the samples that the model was trained on, too.
 
     Returns:
-        `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None
-        without intervals). `split`. `samples`: how many were scored. `scored`: `held_out`, `training_samples` (among others) or
-        `cross_validation`. `unfamiliar`: how many of them the model flags as out of distribution, None of cross-validated ones. `excluded`: how many
-        were left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None
-        if its card does not list their hashes. `not_scored`: indices of the taxels that are dead in the training data or were not
-        read in all of these samples, by finger.
+        `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None without
+        intervals). `split`. `samples`: how many were scored. `scored`: `held_out`, `training_samples` (among others) or
+        `cross_validation`. `unfamiliar`: how many the model flags, None of cross-validated ones. `excluded`: how many were
+        left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None if its
+        card lists no hashes. `not_scored`: taxels by finger that are dead in the training data or were never read.
 
     Raises:
         DatasetError: If the split tests no sample, a sample is unlabelled, or none is held out.
