@@ -18,9 +18,9 @@ from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
-from foretouch.ros.touch import grasp_actions
-from foretouch.ros.touch.config import COSTS
-from foretouch.ros.touch.grasp_actions import cost_of, planner_feedback
+from foretouch.ros.steps import sampling
+from foretouch.ros.steps.sampling import cost_of, planner_feedback
+from foretouch.ros.steps.touch_settings import COSTS
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane
 
@@ -42,7 +42,7 @@ def send_latest(graph, node, target):
 
 
 def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card, scene_cloud, monkeypatch):
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
     (node,) = graph.add("touch_predictor", model=model_card, max_grasps=5, sample_cost="harder_finger")
     assert "sample_grasp_poses" in node.notes()
     status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
@@ -99,12 +99,12 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
 
 
 def test_a_package_that_cannot_be_loaded_is_told_from_one_that_is_absent(monkeypatch):
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("no_such_msgs", "SampleGraspPoses"))
-    assert grasp_actions.planner_action_class() == (None, "")
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "Absent"))
-    kind, fault = grasp_actions.planner_action_class()
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("no_such_msgs", "SampleGraspPoses"))
+    assert sampling.planner_action_class() == (None, "")
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("foretouch_msgs", "Absent"))
+    kind, fault = sampling.planner_action_class()
     assert kind is None
     assert "sample_grasp_poses: not offered: foretouch_msgs/Absent" in fault
     assert "AttributeError" in fault
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
-    assert grasp_actions.planner_action_class() == (SampleGrasps, "")
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    assert sampling.planner_action_class() == (SampleGrasps, "")

@@ -100,7 +100,7 @@ def test_an_internal_error_is_a_status_and_configuring_again_restores_service_an
         raise FloatingPointError("overflow")
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(planner.node._step.predictor), "answer", fail)
+        patch.setattr(type(planner.node._step.predictor), "predict", fail)
         answer = planner.ask()
         assert (answer.status, answer.reason) == (Status.FAILED, "FloatingPointError: overflow")
         assert answer.header.frame_id == "cam"

@@ -31,8 +31,8 @@ from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
-from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.ros.steps.online_adapter import OnlineAdapter
+from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
