@@ -288,16 +288,6 @@ def replay_fault(replay: ReplayNode | None) -> str:
     return f"failed: {replay.reason}" if failed else f"{replay.unreadable} entries could not be read"
 
 
-def report_conflicts(graph: Graph) -> list[str]:
-    """Print the signs of a second graph in the namespace, and return them."""
-    conflicts = graph.conflicts()
-    if conflicts:
-        warn(
-            f"a second graph or source runs in the namespace: {'; '.join(conflicts)}; end one, or set another --namespace or ROS_DOMAIN_ID"
-        )
-    return conflicts
-
-
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     """Draw until the end of the source, N answers, or Ctrl-C; False if answers are missing."""
     replay, count = graph.replay, arguments.count
@@ -342,7 +332,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     time.sleep(1.2)  # until every node has reported once more
     view = graph.monitor.close_view()
     answered, played = sum(view.answers.values()), graph.played()
-    conflicts = report_conflicts(graph)
+    conflicts = graph.conflicts()
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
         counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
@@ -351,8 +341,11 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         _print_end(arguments.lines, counts)
     else:
         answers = f"{answered} of {played} clouds answered"
-        unanswered = f", {played - answered} dropped or under way" if complete and played > answered else ""
-        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}{unanswered}"))
+        if conflicts:
+            answers = f"{answered} answers of more than one graph"
+        elif complete and played > answered:
+            answers += f", {played - answered} dropped or unfinished at the end"
+        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}"))
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:

@@ -175,7 +175,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.conflicts = conflicts
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
         if fresh:
-            self.get_logger().warning(f"a second graph or source runs in {self.get_namespace()}: {'; '.join(fresh)}")
+            cure = "end one, or set another namespace or ROS_DOMAIN_ID"
+            where = self.get_namespace()
+            self.get_logger().warning(f"a second graph or source runs in {where}: {'; '.join(fresh)}; {cure}")
 
     def age_s(self, stamp_ns: int) -> float:
         """Age of a stamp on the node's clock [s]."""
