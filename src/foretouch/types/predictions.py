@@ -3,7 +3,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal, NamedTuple, Self, overload
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -162,33 +162,21 @@ class Prediction:
 
     @classmethod
     def of(
-        cls,
-        grasp: Grasp,
-        value: Touch,
-        lower: Touch | None = None,
-        upper: Touch | None = None,
-        *,
-        reference: Reference = "none",
-        flags: Sequence[str] = (),
-        status: str = "ok",
-        reason: str = "",
-        evidence: Evidence = NO_EVIDENCE,
+        cls, grasp: Grasp, value: Touch, lower: Touch | None = None, upper: Touch | None = None, **others: Any
     ) -> Self:
-        """A prediction made of its parts; without bounds they are NaN."""
+        """Make a prediction of its parts.
+
+        Args:
+            grasp: The grasp.
+            value: The predicted reading.
+            lower: Lower bounds; NaN by default.
+            upper: Upper bounds; NaN by default.
+            others: Further columns of `Predictions` by name, such as `flags` and `reference`.
+        """
         lower, upper = (end or Touch.unknown(value.channels) for end in (lower, upper))
-        rows = Predictions(
-            value.values[None],
-            Grasps.of([grasp]),
-            value.channels,
-            lower.values[None],
-            upper.values[None],
-            flags=objects([tuple(flags)]),
-            status=objects([status]),
-            reason=objects([reason]),
-            reference=objects([reference]),
-            evidence=objects([evidence]),
-        )
-        return cls(rows)
+        columns = {name: objects([cell]) for name, cell in others.items()}
+        ends = {"lower": lower.values[None], "upper": upper.values[None]}
+        return cls(Predictions(value.values[None], Grasps.of([grasp]), value.channels, **ends, **columns))
 
     def __getitem__(self, name: str) -> Predicted:
         """Values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
