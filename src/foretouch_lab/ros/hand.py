@@ -128,7 +128,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._thread.start()
 
     def _stop(self) -> None:
-        """A grasp that is being executed is not reported."""
+        """Stop; a grasp that is being executed is not reported."""
         self._stopping.set()
         if self._thread is not None:
             self._solver.stop()
@@ -143,14 +143,14 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._faults.config = config.faults
 
     def warnings(self) -> tuple[str, ...]:
-        """Whether this computer keeps up: the stamps of late readings are older than the readings."""
+        """Return whether this computer keeps up: the stamps of late readings are older than the readings."""
         behind_s, self._behind_s = self._behind_s, 0.0
         if behind_s <= 0.25:  # the difference of stamps and reception that grasps are rejected for by default
             return ()
         return (f"readings were {behind_s:.1f} s late: the computer is overloaded",)
 
     def notes(self) -> dict[str, str]:
-        """Phase of the hand, and counts of grasps and messages."""
+        """Return the phase of the hand, and counts of grasps and messages."""
         return {
             "phase": self.phase,
             "tactile.sent": str(self._faults.passed),
@@ -269,7 +269,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         return sensor_to_msg(self._message_class, self._sensor, [counts[name] for name in _GRASPING], stamp)
 
     def _fingers(self, number: int) -> dict[str, Any]:
-        """Readings of each finger that has a sensor, the one at g1 as TH and that at g2 as MF."""
+        """Return readings of each finger that has a sensor, the one at g1 as TH and that at g2 as MF."""
         if self._current is None and self._ready is not None:
             self._current, self._ready = self._ready._replace(first=number), None
         elapsed_s = time.monotonic() - self._began
