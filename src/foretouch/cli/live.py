@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from math import dist
 from typing import TYPE_CHECKING
@@ -50,7 +51,10 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
         dropped = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
         if dropped:
             parts.append(Text(f"{_short(name)} dropped in total: {dropped}"))
-    parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
+    parts += [
+        Text(f"{count} x {_with_numbers(reason, view.numbers.get(reason, ()))}", "yellow")
+        for reason, count in view.reasons.most_common(3)
+    ]
     return titled(title, parts)
 
 
@@ -160,6 +164,12 @@ def _rounded(number: str) -> str:
     except ValueError:
         return number
     return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}"
+
+
+def _with_numbers(kind: str, ranges: Sequence[tuple[float, float]]) -> str:
+    """Write a kind of reason with its numbers, or their ranges, in place of each #."""
+    numbers = iter([f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ranges])
+    return "".join(next(numbers, part) if part == "#" else part for part in re.split("(#)", kind))
 
 
 def _short(name: str) -> str:

@@ -22,7 +22,6 @@ from foretouch.cli.inputs import add_options, positive_number, positive_value
 from foretouch.cli.live import executed_table, titled
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.parser import CommandParser
-from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import make_table, terminal, watch
 from foretouch.config import flattened, parse_overrides
 from foretouch.interrupts import uninterrupted
@@ -176,7 +175,6 @@ def run(arguments: argparse.Namespace) -> int:
         announce("writing what is left")
         with uninterrupted():
             node.end()
-        report_conflicts(graph)
         status = node.status()
         if arguments.json:
             print_json(_status_record(status, node.session_status()))

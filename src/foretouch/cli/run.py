@@ -288,16 +288,6 @@ def replay_fault(replay: ReplayNode | None) -> str:
     return f"failed: {replay.reason}" if failed else f"{replay.unreadable} entries could not be read"
 
 
-def report_conflicts(graph: Graph) -> list[str]:
-    """Print the signs of a second graph in the namespace, and return them."""
-    conflicts = graph.conflicts()
-    if conflicts:
-        warn(
-            f"a second graph or source runs in the namespace: {'; '.join(conflicts)}; end one, or set another --namespace or ROS_DOMAIN_ID"
-        )
-    return conflicts
-
-
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     """Draw until the end of the source, N answers, or Ctrl-C; False if answers are missing."""
     replay, count = graph.replay, arguments.count
@@ -334,7 +324,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 def _source_state(graph: Graph) -> str:
     """Return what the source does, or what keeps it from sending."""
     source = graph.nodes[next(name for name in ("replay", "camera", "perception") if name in graph.nodes)]
-    return "; ".join(source.errors()) or f"{source.get_name()} is {source.state_name}"
+    return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}"
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
@@ -342,7 +332,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     time.sleep(1.2)  # until every node has reported once more
     view = graph.monitor.close_view()
     answered, played = sum(view.answers.values()), graph.played()
-    conflicts = report_conflicts(graph)
+    conflicts = graph.conflicts()
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
         counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
@@ -351,8 +341,11 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         _print_end(arguments.lines, counts)
     else:
         answers = f"{answered} of {played} clouds answered"
-        unanswered = f", {played - answered} dropped or under way" if complete and played > answered else ""
-        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}{unanswered}"))
+        if conflicts:
+            answers = f"{answered} answers of more than one graph"
+        elif complete and played > answered:
+            answers += f", {played - answered} dropped or unfinished at the end"
+        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}"))
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
@@ -366,7 +359,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
-    for cause in graph.nodes["camera"].warnings() if not predicted and "camera" in graph.nodes else ():
+    for cause in graph.nodes["camera"].reported().warnings if not predicted and "camera" in graph.nodes else ():
         warn(f"no prediction: {cause}")
     return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
 

@@ -56,7 +56,7 @@ def _blob(rng: np.random.Generator) -> TriangleMesh:
 
 
 def _can() -> TriangleMesh:
-    """Return a tin: a straight wall between two bevelled rims, its lids sunk."""
+    """Make a tin: a straight wall between two bevelled rims, its lids sunk."""
     wall = np.linspace(0.045, 0.955, 9)
     profile = [(0.0, 0.02), (0.46, 0.02), (0.47, 0.0), (0.49, 0.0), (0.5, 0.015), (0.5, 0.03)]
     profile += [(0.495, z) for z in wall]
@@ -65,17 +65,17 @@ def _can() -> TriangleMesh:
 
 
 def _box() -> TriangleMesh:
-    """Return a carton."""
+    """Make a carton."""
     return _rounded_box(0.025)
 
 
 def _ball() -> TriangleMesh:
-    """Return a ball; an ellipsoid if the edges of the object differ."""
+    """Make a ball; an ellipsoid if the edges of the object differ."""
     return _star_shaped(np.full(len(_sphere_directions()), 0.5))
 
 
 def _flat_ball() -> TriangleMesh:
-    """Return a deflated ball: it bulges near the table, and its top has caved in."""
+    """Make a deflated ball: it bulges near the table, and its top has caved in."""
     d = _sphere_directions()
     cave = 0.30 * np.exp(-((np.arccos(np.clip(d[:, 2], -1.0, 1.0)) / 0.55) ** 2))
     folds = 0.015 * np.cos(5.0 * np.arctan2(d[:, 1], d[:, 0])) * (1.0 - d[:, 2] ** 2)
@@ -83,7 +83,7 @@ def _flat_ball() -> TriangleMesh:
 
 
 def _sponge() -> TriangleMesh:
-    """Return a block with soft edges and a waist, its surface wavy at the scale of a fingertip."""
+    """Make a block with soft edges and a waist, its surface wavy at the scale of a fingertip."""
     block = _rounded_box(0.12, cells=40)
     x, y, z = block.vertices.T
     waist = 1.0 - 0.10 * np.cos(np.pi * x) ** 2 * np.abs(2.0 * y) ** 3
@@ -92,7 +92,7 @@ def _sponge() -> TriangleMesh:
 
 
 def _minion() -> TriangleMesh:
-    """Return a stuffed figure: a capsule with a goggle, two arms and a seam around the trousers."""
+    """Make a stuffed figure: a capsule with a goggle, two arms and a seam around the trousers."""
     d = _sphere_directions()
     goggle = 0.07 * _bump(d, (1.0, 0.0, 0.45), 0.28)
     arms = 0.09 * (_bump(d, (0.1, 1.0, -0.1), 0.22) + _bump(d, (0.1, -1.0, -0.1), 0.22))
@@ -101,7 +101,7 @@ def _minion() -> TriangleMesh:
 
 
 def _volleyball() -> TriangleMesh:
-    """Return a stuffed ball of six panels: three seams along great circles, and two finer ones within each panel."""
+    """Make a stuffed ball of six panels: three seams along great circles, and two finer ones within each panel."""
     d = _sphere_directions()
     ordered = np.sort(np.abs(d), axis=1)
     between_panels = ordered[:, 2] - ordered[:, 1]
