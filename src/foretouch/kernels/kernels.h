@@ -52,6 +52,8 @@ void city_distances(const double *rows, int64_t count, int64_t columns, const do
     double *distances);
 void weighted_sums(const double *weights, int64_t count, int64_t size, const double *packed, int64_t outputs,
     double *sums);
+void hide_places(const double *points, int64_t n, const double *places, int64_t m, double pitch, double behind,
+    int64_t most, uint8_t *hidden, int64_t *found);
 
 /* crop.c */
 const char *sources(void);
