@@ -36,6 +36,7 @@ void collect_members(const int32_t *labels, const uint8_t *solid, int64_t h, int
     float *points, double *columns, float *bounds, float *tops);
 void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t column, const int32_t *ids,
     int64_t across, int32_t *image, int64_t *count);
+void count_labels(const int32_t *labels, const int64_t *pixels, int64_t n, int64_t last, int64_t *counts);
 void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double nearest, double farthest, float *coarse,
     int64_t *index, int64_t *count);
 
