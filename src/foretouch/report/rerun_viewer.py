@@ -85,7 +85,7 @@ def open_viewer(recording: Path) -> None:
 
 
 def _viewer(port: int | None = None) -> list[str | Path]:
-    """The command that starts Rerun's viewer, which else would listen on all addresses."""
+    """Return the command that starts Rerun's viewer, which else would listen on all addresses."""
     module = find_spec("rerun_cli")
     if module is None or module.origin is None:
         raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'")
@@ -94,7 +94,7 @@ def _viewer(port: int | None = None) -> list[str | Path]:
 
 @contextmanager
 def _viewer_environment() -> Iterator[dict[str, str]]:
-    """Variables with which Rerun sends no usage statistics; the settings of the user stay as they are."""
+    """Set variables with which Rerun sends no usage statistics; the settings of the user stay as they are."""
     with tempfile.TemporaryDirectory(prefix="foretouch-rerun-") as folder:
         environment = {**os.environ, "XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder, "RERUN_APP_ONLY": "true"}
         done = subprocess.run(  # noqa: S603  Rerun's own viewer

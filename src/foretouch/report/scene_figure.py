@@ -85,7 +85,7 @@ def draw_scene(
 
 
 def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
-    """The object of a grasp, or the first one that gets grasps."""
+    """Return the object of a grasp, or the first one that gets grasps."""
     known = {object_.id: object_ for object_ in scene.objects}
     if grasp is not None and grasp.object_id:
         if grasp.object_id not in known:
@@ -97,7 +97,7 @@ def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
 
 
 def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
-    """The image in colour, or its depth, with outline and id of each object, and the contacts."""
+    """Draw the image in colour, or its depth, with outline and id of each object, and the contacts."""
     depth = scene.cloud.xyz[..., 2]
     if scene.cloud.rgb is not None:
         axes.imshow(scene.cloud.rgb)
@@ -139,7 +139,7 @@ def _window(inside: Bool) -> tuple[int, int, int, int]:
 
 
 def _pixels(cloud: Cloud, points: Float64) -> Float64:
-    """(K, 2) columns and rows at which points (K, 3) are seen: those of the camera, fitted to the image where it is not known."""
+    """Return (K, 2) columns and rows at which points (K, 3) are seen: those of the camera, fitted to the image where it is not known."""
     rays = cloud.xyz[..., :2] / cloud.xyz[..., 2:]
     known = np.isfinite(rays).all(axis=2)
     places = []
@@ -150,7 +150,7 @@ def _pixels(cloud: Cloud, points: Float64) -> Float64:
 
 
 def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object], grasp: Grasp | None) -> None:
-    """An object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
+    """Draw an object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
     points, table = _finite(target.cloud), target.plane.towards_camera  # a table that was stated may face away
     up = table.normal
     along = grasp.g1 - grasp.g2 if grasp is not None else np.array([1.0, 0.0, 0.0])
@@ -160,7 +160,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
     centre = grasp.midpoint if grasp is not None else points.mean(axis=0)
 
     def flat(xyz: Float64) -> Float64:
-        """(N, 3): along the closing line and across it from the midpoint, and height above the table [mm]."""
+        """Return (N, 3): along the closing line and across it from the midpoint, and height above the table [mm]."""
         moved = xyz - centre
         return 1e3 * np.stack([moved @ along, moved @ across, xyz @ up + table.offset], axis=1)
 
@@ -203,7 +203,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
 
 
 def _draw_touch(axes: Axes, prediction: Prediction) -> None:
-    """The taxels of both fingers with their intervals, in the unit of their channel, and the scalars as text."""
+    """Draw the taxels of both fingers with their intervals, in the unit of their channel, and the scalars as text."""
     channels = prediction.channels
     if not prediction.ok:
         axes.set_axis_off()
@@ -234,7 +234,7 @@ def _draw_touch(axes: Axes, prediction: Prediction) -> None:
 
 
 def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
-    """Name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
+    """Return the name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
     texts = []
     for channel in prediction.channels.channels:
         if channel.size == 1:
@@ -246,7 +246,7 @@ def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
 
 
 def _finite(cloud: Cloud) -> Float64:
-    """At most some thousand finite points (N, 3) of a cloud, float64 [m]."""
+    """Return at most some thousand finite points (N, 3) of a cloud, float64 [m]."""
     points = cloud.xyz.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     return points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)

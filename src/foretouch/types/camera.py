@@ -180,7 +180,7 @@ class CameraModel:
 
 
 def as_number(name: str, value: Any) -> float:
-    """A number as float; a `CloudError` names the argument if it is none."""
+    """Return a number as float; a `CloudError` names the argument if it is none."""
     try:
         return float(value)
     except (TypeError, ValueError) as err:
@@ -188,7 +188,7 @@ def as_number(name: str, value: Any) -> float:
 
 
 def as_image(depth: Any) -> npt.NDArray[Any]:
-    """A depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
+    """Return a depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
     try:
         return np.asarray(np.ma.filled(depth, 0))
     except ValueError as err:
@@ -196,7 +196,7 @@ def as_image(depth: Any) -> npt.NDArray[Any]:
 
 
 def check_image(depth: npt.NDArray[Any]) -> tuple[int, int]:
-    """Rows and columns of a depth image; a `CloudError` if it is none."""
+    """Return rows and columns of a depth image; a `CloudError` if it is none."""
     if depth.ndim != 2:
         colour = " of a colour image" if depth.ndim == 3 and depth.shape[2] in (3, 4) else ""
         raise CloudError(f"depth: shape {depth.shape}{colour} is not (H, W)")
@@ -225,7 +225,7 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
 
 
 def _coefficients(given: Any) -> tuple[float, ...]:
-    """Distortion coefficients without zeros at the end."""
+    """Return distortion coefficients without zeros at the end."""
     try:
         numbers = np.asarray(given, np.float64).ravel().tolist()
     except (TypeError, ValueError) as err:
@@ -270,7 +270,7 @@ def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tup
     k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(distortion, (0, _COEFFICIENTS - len(distortion))).tolist()
 
     def radial(s: _Float64) -> tuple[_Float64, _Float64]:
-        """The factor of a ray at the square s of its radius, and its derivative by s."""
+        """Return the factor of a ray at the square s of its radius, and its derivative by s."""
         over, under = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))
         slope = (k1 + s * (2.0 * k2 + s * 3.0 * k3)) - over / under * (k4 + s * (2.0 * k5 + s * 3.0 * k6))
         return over / under, slope / under

@@ -95,7 +95,7 @@ class Cloud:
         return self.xyz.size // 3
 
     def take(self, index: Index | Bool) -> "Cloud":
-        """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
+        """Return selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
         # take() is four times as fast as indexing here.
@@ -103,7 +103,7 @@ class Cloud:
 
 
 def _as_float32(xyz: Any) -> Float32:
-    """Any array of numbers as float32; what float32 cannot hold becomes infinite, which is no point."""
+    """Convert an array of numbers to float32; what float32 cannot hold becomes infinite, which is no point."""
     try:
         numbers = np.asarray(xyz)
     except ValueError as err:
@@ -123,7 +123,7 @@ class Plane:
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
-        """A plane from (a, b, c, d) of any scale.
+        """Return a plane from (a, b, c, d) of any scale.
 
         A `CloudError` if they or the offset are not finite or (a, b, c) is zero.
         """
@@ -152,7 +152,7 @@ class Plane:
         return Plane(-self.normal, -self.offset) if self.offset < 0.0 else self
 
     def height(self, xyz: Floating) -> Floating:
-        """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
+        """Return signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
 
 
@@ -161,7 +161,7 @@ ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 
 
 def assumed_table(cloud: Cloud) -> Plane:
-    """The table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
+    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
     depths = cloud.xyz[..., 2]
     depths = depths[np.isfinite(depths)]
     return Plane(ASSUMED_TABLE.normal, -float(depths.max())) if depths.size else ASSUMED_TABLE

@@ -41,7 +41,7 @@ def decoded(client, topic, content):
 
 def subscribed(graph, node, client, *topics):
     client.subscribe(*topics)
-    graph.until(lambda: set(topics) <= set(node.notes()["topics"].split()))
+    graph.until(lambda: set(topics) <= set(node.reported().values["topics"].split()))
     for topic in topics:
         graph.until(lambda topic=topic: graph.probe.count_subscribers(topic) > 0)
 
@@ -86,7 +86,7 @@ def test_it_subscribes_only_to_what_a_client_asks_for(graph):
     with WebSocketClient(bridge.url) as client:
         client.learn(TOUCH, POINTS, "/diagnostics", "/rh/tactile")
         subscribed(graph, bridge, client, TOUCH)
-        assert bridge.notes()["topics"] == TOUCH
+        assert bridge.reported().values["topics"] == TOUCH
         client.unsubscribe_all()
         graph.until(lambda: graph.probe.count_subscribers(TOUCH) == 0)
         client.subscribe(POINTS)

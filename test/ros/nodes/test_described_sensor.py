@@ -73,8 +73,8 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     graph.until(lambda: hand.executed["success"] == 1)
     graph.until(lambda: recorder.status().samples == 1)
     for node in (recorder, predictor):
-        assert not any("unreadable" in key and value != "0" for key, value in node.notes().items())
+        assert not any("unreadable" in key and value != "0" for key, value in node.reported().values.items())
     recorder.end()
     (one,) = open_samples(tmp_path / "set").records()
     np.testing.assert_allclose(one.sample.touch.values, sample.touch.values, atol=400.0)  # noise and slow changes
-    assert predictor.notes()["tare_age_s"] != "none"
+    assert predictor.reported().values["tare_age_s"] != "none"

@@ -71,10 +71,10 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     target = Object("1", can_with_grasps(1)[0], ASSUMED_TABLE)
     _draw([(None, target, one, None)], str(tmp_path / "a.png"), sensor)
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    (warning,) = [text for text in node.warnings() if "adapt" in text]
+    (warning,) = [text for text in node.reported().warnings if "adapt" in text]
     assert "/rh/tactile: is of biotac_sp" in warning
     assert "not xela_uskin_4x4" in warning
-    assert node.notes()["regime"] == warning
+    assert node.reported().values["regime"] == warning
 
 
 def test_another_sensor_is_predicted_by_the_service_and_the_action(graph, uskin):

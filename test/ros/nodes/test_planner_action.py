@@ -44,7 +44,7 @@ def send_latest(graph, node, target):
 def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card, scene_cloud, monkeypatch):
     monkeypatch.setattr(sampling, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
     (node,) = graph.add("touch_predictor", model=model_card, max_grasps=5, sample_cost="harder_finger")
-    assert "sample_grasp_poses" in node.notes()
+    assert "sample_grasp_poses" in node.reported().values
     status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
     assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
@@ -78,7 +78,7 @@ def test_without_its_package_the_action_is_not_offered(graph, model_card, monkey
     for module in ("moveit_task_constructor_msgs", "moveit_task_constructor_msgs.action"):
         monkeypatch.setitem(sys.modules, module, None)
     (node,) = graph.add("touch_predictor", model=model_card)
-    assert "sample_grasp_poses" not in node.notes()
+    assert "sample_grasp_poses" not in node.reported().values
     graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
     assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
 

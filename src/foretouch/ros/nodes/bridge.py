@@ -24,6 +24,7 @@ from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.subscription import type_name
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
@@ -102,16 +103,13 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
     def _teardown(self) -> None:
         self._served.clear()
 
-    def notes(self) -> dict[str, str]:
-        """What clients ask for, for /diagnostics."""
+    def diagnose(self, report: Report) -> None:
+        """Report what clients ask for."""
         with self._lock:
             asked = dict(self._asked)
-        return {
-            "url": self.url,
-            "topics": " ".join(sorted(asked)),
-            "clouds_thinned": str(self._thinned),
-            "lost_on_the_way": str(sum(subscription.losses.count for subscription in asked.values())),
-        }
+        lost = sum(subscription.losses.count for subscription in asked.values())
+        report.values |= {"url": self.url, "topics": " ".join(sorted(asked))}
+        report.values |= {"clouds_thinned": str(self._thinned), "lost_on_the_way": str(lost)}
 
     def _follow_clients(self) -> None:
         """Subscribe to what clients ask for, and to nothing else."""

@@ -26,6 +26,7 @@ from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
 from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, depth_topics, robot_topics, sample_topics
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReader
@@ -156,33 +157,29 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def _teardown(self) -> None:
         self.input_topics = None
 
-    def errors(self) -> tuple[str, ...]:
-        """Why the last recording ended by itself."""
-        return (self.reason,) if self.reason else ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """Publishers that nothing is received from."""
-        return () if self.input_topics is None else self.input_topics.excluded
-
-    def notes(self) -> dict[str, str]:
-        """The counts, for /diagnostics."""
-        status = self.status()
-        return {
-            "phase": ("paused" if self.session_status().operator.paused else "recording")
-            if status.recording
-            else "idle",
-            "object": self.session_status().operator.object,
-            "received": str(status.received),
-            "used": str(status.used),
-            "dropped": str(sum(status.drop_counts)),
-            "lost_on_the_way": str(status.lost),
-            "rate_hz": f"{sum(topic.rate for topic in status.topics):.2f}",
-            "samples": str(status.samples),
-            "unlabelled": str(status.unlabelled),
-            **{f"executed.{r}": str(n) for r, n in zip(status.outcomes, status.outcome_counts, strict=True)},
-            **{f"tactile.{name}": str(count) for name, count in self.session_status().anomalies.items()},
-            **{f"sensor.{name}": s for name, s in zip(status.sensors, status.sensor_states, strict=True)},
+    def diagnose(self, report: Report) -> None:
+        """Report the counts, why the last recording ended by itself, and publishers that nothing is received from."""
+        status, session = self.status(), self.session_status()
+        if self.reason:
+            report.errors.append(self.reason)
+        if self.input_topics is not None:
+            report.warnings += self.input_topics.excluded
+        phase = "idle" if not status.recording else "paused" if session.operator.paused else "recording"
+        counts = {
+            "received": status.received,
+            "used": status.used,
+            "dropped": sum(status.drop_counts),
+            "lost_on_the_way": status.lost,
+            "samples": status.samples,
+            "unlabelled": status.unlabelled,
+            **{f"executed.{name}": count for name, count in zip(status.outcomes, status.outcome_counts, strict=True)},
+            **{f"tactile.{name}": count for name, count in session.anomalies.items()},
         }
+        report.values |= {"phase": phase, "object": session.operator.object}
+        report.values |= {key: str(count) for key, count in counts.items()}
+        report.values["rate_hz"] = f"{sum(topic.rate for topic in status.topics):.2f}"
+        sensors = zip(status.sensors, status.sensor_states, strict=True)
+        report.values |= {f"sensor.{name}": state for name, state in sensors}
 
     # Recording.
 

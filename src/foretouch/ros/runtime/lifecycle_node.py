@@ -9,7 +9,8 @@ late subscribers are transient local. All can be overridden (`qos_overrides.<top
 incompatible QoS.
 """
 
-from collections import Counter
+import inspect
+import os
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,7 +18,6 @@ from functools import partial
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
@@ -26,7 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError, shown
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
@@ -34,19 +34,6 @@ from foretouch.ros.runtime.subscription import FollowingSubscription
 from foretouch.topics import NAMESPACE
 
 _C = TypeVar("_C", bound="NodeConfig")
-_TRANSITIONS = {
-    "unconfigured": {
-        "configure": Transition.TRANSITION_CONFIGURE,
-        "shutdown": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
-    },
-    "inactive": {
-        "activate": Transition.TRANSITION_ACTIVATE,
-        "cleanup": Transition.TRANSITION_CLEANUP,
-        "shutdown": Transition.TRANSITION_INACTIVE_SHUTDOWN,
-    },
-    "active": {"deactivate": Transition.TRANSITION_DEACTIVATE, "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN},
-    "finalized": {},
-}  # that a state admits, by label
 REQUESTS = QoSProfile(depth=5000)
 """Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
 
@@ -87,12 +74,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
-        self._last: InputSummary | None = None
-        self._last_errors: Counter[str] = Counter()
         self._input_group = MutuallyExclusiveCallbackGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
+        self.create_timer(self.config.diagnostics_period_s, self._publish_report, callback_group=own_group)
         self.create_timer(0.5, self._look, callback_group=own_group)
 
     @property
@@ -121,17 +106,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Whether the node has nothing more to do; its process may then end."""
         return False
 
-    def errors(self) -> tuple[str, ...]:
-        """What keeps the node from working, for /diagnostics."""
-        return ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """What the operator should know although the node works, for /diagnostics."""
-        return ()
-
-    def notes(self) -> dict[str, str]:
-        """Further values for /diagnostics."""
-        return {}
+    def diagnose(self, report: Report) -> None:
+        """Add to a report for /diagnostics what is wrong, and further values."""
 
     # What a node uses.
 
@@ -181,8 +157,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.closing.callback(lambda: self._followed.pop(topic).destroy())
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
-        """Offer a service until the node is cleaned up."""
-        guarded = self.guarded_service(name, callback)
+        """Offer a service until the node is cleaned up; a coroutine function must not raise."""
+        guarded = callback if inspect.iscoroutinefunction(callback) else self.guarded_service(name, callback)
         service = self.create_service(kind, name, guarded, callback_group=group, qos_profile=REQUESTS)
         self.closing.callback(self.destroy_service, service)
 
@@ -210,16 +186,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     # Transitions.
 
     def _change_state(self, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-        """Refuse a transition that the state does not admit; rclpy raises an error for it."""
-        admitted, asked = _TRANSITIONS[self.state_name], request.transition
-        if asked.label in admitted if asked.label else asked.id in admitted.values():
+        """Change the state, or refuse a transition that the state does not admit; rclpy raises an error for it."""
+        try:
             return callback(request, response)
-        known = ", ".join(admitted) or "none"
-        self.get_logger().warning(
-            f"transition {shown(asked.label) or asked.id}: refused: {self.state_name} admits {known}"
-        )
-        response.success = False
-        return response
+        except Exception:  # noqa: BLE001  rclpy declares no type for it; errors of hooks are caught in `_attempt`
+            asked = shown(request.transition.label) or request.transition.id
+            self.get_logger().warning(f"transition {asked}: refused in the state {self.state_name}")
+            response.success = False
+            return response
 
     def autostart(self) -> bool:
         """Configure and activate, if the parameter `autostart` is set; False if a transition was refused."""
@@ -294,29 +268,23 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._attempt(self.closing.close)
         self._attempt(self._teardown)
 
-    def _lost(self) -> dict[str, str]:
-        """Messages that were lost on the way, by topic."""
-        counts = {topic: subscription.losses.count for topic, subscription in self._followed.items()}
-        return {f"lost_on_the_way.{topic}": str(count) for topic, count in counts.items() if count}
+    def reported(self) -> Report:
+        """Make a report of what `diagnose` adds now."""
+        report = Report()
+        self.diagnose(report)
+        return report
 
-    def _report(self) -> None:
-        now, errors = self.statistics.summary(), self.internal_errors.counts()
-        recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
-        status = diagnostic_status(
-            self.get_fully_qualified_name(),
-            self.state_name,
-            now,
-            self._last,
-            errors=self.errors(),
-            warnings=(*self.conflicts, *self.warnings(), *recent),
-            notes={
-                **self.notes(),
-                **self._lost(),
-                **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
-            },
-            silence_s=getattr(self.config, "silence_s", None),
-        )
-        self._last, self._last_errors = now, errors
-        report = DiagnosticArray(status=[status])
-        report.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(report)
+    def _publish_report(self) -> None:
+        report, rate_hz = Report(warnings=[*self.conflicts]), self.statistics.summary().rate_hz
+        report.values |= {"state": self.state_name, "pid": str(os.getpid())}
+        active = self.state_name == "active"
+        self.statistics.add_to(report, getattr(self.config, "silence_s", None) if active else None)
+        self.diagnose(report)
+        for topic, subscription in self._followed.items():
+            if subscription.losses.count:
+                report.values[f"lost_on_the_way.{topic}"] = str(subscription.losses.count)
+        self.internal_errors.add_to(report)
+        status = report.to_msg(self.get_fully_qualified_name(), f"{self.state_name}, {rate_hz:.1f} Hz")
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)

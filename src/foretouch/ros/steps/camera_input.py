@@ -17,6 +17,7 @@ from foretouch.cloud.io.depth_messages import CameraInfos, decode_depth, info_to
 from foretouch.config import Settings, setting
 from foretouch.errors import CalibrationError, CloudError
 from foretouch.ros.messages.requests import RefusalError, read_cloud
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.types import Cloud, stamp_ns
@@ -87,9 +88,10 @@ class CameraInput(Step):
         except CloudError as err:
             raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 
-    def notes(self) -> dict[str, str]:
-        """What was last reported about a camera info."""
-        return {"camera_info": self._last_report} if self._last_report else {}
+    def diagnose(self, report: Report) -> None:
+        """Repeat what was last logged about a camera info."""
+        if self._last_report:
+            report.values["camera_info"] = self._last_report
 
     def _camera(self, frame: str, shape: Any) -> Any:
         with self._changed:

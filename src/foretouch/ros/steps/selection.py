@@ -18,6 +18,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import CloudError
 from foretouch.pipeline import Scene
 from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.types import AnyArray, Cloud, stamp_ns
 from foretouch_msgs.msg import Status
@@ -65,9 +66,10 @@ class Selection:
             node.subscribe(Image, MASK_TOPIC, self._receive_mask, latched=None)
         node.subscribe(PointStamped, CLICK_TOPIC, self._receive_click)
 
-    def notes(self) -> dict[str, str]:
-        """What the last click selected, or why it was refused."""
-        return {CLICK_TOPIC: self._note} if self._note else {}
+    def diagnose(self, report: Report) -> None:
+        """Report what the last click selected, or why it was refused."""
+        if self._note:
+            report.values[CLICK_TOPIC] = self._note
 
     def forget(self) -> None:
         """Select nothing."""

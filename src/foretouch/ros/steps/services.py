@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from foretouch.errors import quoted
 from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, requested_targets, status_name
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import REQUESTS, ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.runtime.workers import ThreadPool
@@ -54,14 +55,13 @@ class TouchServices(Step):
         if self._planner_action is not None:
             self._offer(self._planner_action, PLANNER_ACTION, self._sample_poses)
 
-    def warnings(self) -> tuple[str, ...]:
-        """Why the action of MoveIt Task Constructor is not offered although its package is there."""
-        return (self._planner_fault,) if self._planner_fault else ()
-
-    def notes(self) -> dict[str, str]:
-        """Numbers of requests by name and status."""
-        counts = {f"requests.{name}": str(count) for name, count in dict(self._requests).items()}
-        return counts | ({PLANNER_ACTION: "/".join(PLANNER_TYPE)} if self._planner_action is not None else {})
+    def diagnose(self, report: Report) -> None:
+        """Report requests by name and status, and why the action of MoveIt is not offered although its package is there."""
+        report.values |= {f"requests.{name}": str(count) for name, count in dict(self._requests).items()}
+        if self._planner_action is not None:
+            report.values[PLANNER_ACTION] = "/".join(PLANNER_TYPE)
+        if self._planner_fault:
+            report.warnings.append(self._planner_fault)
 
     def _forget(self, forget: Callable[[OnlineAdapter], int], what: str, _request: Any, response: Any) -> Any:
         count = forget(self._step.adapter) if self._step.adapter else 0

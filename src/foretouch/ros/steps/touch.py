@@ -27,6 +27,7 @@ from foretouch.ros.messages.conversions import duration_to_msg
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RequestedGrasps, Targets
 from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
 from foretouch.ros.steps.online_adapter import OnlineAdapter
@@ -114,39 +115,27 @@ class TouchStep(Step):
         if self.adapter is not None:
             self.adapter.add_grasps(targets.header, targets.message, grasps, requested=True)
 
-    # /diagnostics.
-
-    def errors(self) -> tuple[str, ...]:
-        """Why the model could not be loaded."""
-        return (self.predictor.fault,) if self.predictor.fault else ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """Why the model does not adapt to readings, and whether it is made for another hand than they come from."""
-        model = self.predictor.model
-        texts: list[str] = []
-        if model is not None and model.calibration is None:
-            reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
-            texts.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+    def diagnose(self, report: Report) -> None:
+        """Report the model, the state of online adaptation, and why the model does not fit the hand."""
+        model, topic = self.predictor.model, self._node.resolve_topic_name(self._node.config.tactile_topic)
+        if self.predictor.fault:
+            report.errors.append(self.predictor.fault)
         if self._other_hand:
-            texts.append(self._other_hand)
-        if model is not None and model.simulated:
-            topic = self._node.resolve_topic_name(self._node.config.tactile_topic)
-            ends = self._node.get_publishers_info_by_topic(topic)
-            if senders := ", ".join(sorted({end.node_name for end in ends} - {"hand"})):
-                rule = f"made for the simulated hand only, but {topic} comes from {senders}"
-                texts.append(f"model {model.name} is {rule}")
-        return tuple(texts)
-
-    def notes(self) -> dict[str, str]:
-        """The model's name and hash, the state of online adaptation, and the requests."""
-        values: dict[str, str] = {}
-        if (model := self.predictor.model) is not None:
-            values |= {"model": model.name, "model_sha256": model.sha256}
-            if self.adapter is None:
-                values["regime"] = self._other_hand or "none: the model's card holds no calibration"
-        for part in (self.adapter, self._keeper):
-            values |= part.notes() if part is not None else {}
-        return values
+            report.warnings.append(self._other_hand)
+        if model is None:
+            return
+        report.values |= {"model": model.name, "model_sha256": model.sha256}
+        if model.calibration is None:
+            reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
+            report.warnings.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+        senders = {end.node_name for end in self._node.get_publishers_info_by_topic(topic)} - {"hand"}
+        if model.simulated and senders:
+            rule = f"made for the simulated hand only, but {topic} comes from {', '.join(sorted(senders))}"
+            report.warnings.append(f"model {model.name} is {rule}")
+        if self.adapter is None or self._keeper is None:
+            report.values["regime"] = self._other_hand or "none: the model's card holds no calibration"
+        else:
+            report.values |= self.adapter.notes() | self._keeper.notes()
 
     # Details.
 
