@@ -144,7 +144,7 @@ def _libraries() -> Iterator[_Finding]:
 
 
 def _own_parts() -> Iterator[_Finding]:
-    """The compiled kernels, the released models, which are compared with their cards, and the camera."""
+    """Check the compiled kernels, the released models, which are compared with their cards, and the camera."""
     try:
         from foretouch.models import available_models, load_model
     except (ForetouchError, ImportError) as err:

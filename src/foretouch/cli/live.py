@@ -59,7 +59,7 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
 
 
 def titled(title: str, parts: Sequence[RenderableType]) -> Panel:
-    """A panel of some parts, the most important first: a low terminal shows as many lines as it has."""
+    """Return a panel of some parts, the most important first: a low terminal shows as many lines as it has."""
     if len(title) > _LONGEST_TITLE:  # which rich would cut at the corner
         return Panel(Group(Text(title, "bold", overflow="fold"), *parts))
     return Panel(Group(*parts), title=title, title_align="left")
@@ -86,7 +86,7 @@ def _nodes(nodes: Mapping[str, tuple[int, str, dict[str, str]]]) -> Table:
 
 
 def _dropped(values: Mapping[str, str]) -> dict[str, int]:
-    """Numbers of dropped messages by reason."""
+    """Return numbers of dropped messages by reason."""
     counts = {key.removeprefix("dropped."): int(n) for key, n in values.items() if key.startswith("dropped.")}
     return {reason: count for reason, count in counts.items() if count}
 
@@ -120,7 +120,7 @@ def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Tabl
 
 
 def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequence[str]) -> list[str]:
-    """Values of some modalities with their half width."""
+    """Return values of some modalities with their half width."""
     from foretouch.ros.messages.conversions import prediction_from_msg
 
     decoded = prediction_from_msg(prediction, sensor)
@@ -158,7 +158,7 @@ def _inside(message: TouchPrediction, read: Touch, sensor: Sensor, modalities: S
 
 
 def _rounded(number: str) -> str:
-    """With three digits, or as it is where it is not a number."""
+    """Round a text to three digits; one that is no number stays as it is."""
     try:
         value = float(number)
     except ValueError:

@@ -21,7 +21,7 @@ ENVIRONMENT = "FORETOUCH_DATA"
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """Arguments of the command."""
+    """Declare the arguments of the command."""
     parser.add_argument(
         "name",
         metavar="NAME",
@@ -31,7 +31,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def add_sweep_arguments(parser: CommandParser, preset: str, presets: str) -> None:
-    """Arguments on the settings, data and output of a sweep, with the default preset and the help on presets."""
+    """Declare the arguments on settings, data and output of a sweep, with the default preset and the help on presets."""
     parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
     parser.add_argument(
         "-o",

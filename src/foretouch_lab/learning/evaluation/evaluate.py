@@ -123,7 +123,7 @@ def _scores(
 
 
 def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[str, Any]:
-    """The scores of a release by cross-validation, in place of those on its own training samples."""
+    """Return the scores of a release by cross-validation, in place of those on its own training samples."""
     kind = split.partition("/")[0]
     tables = {MODEL: card["skill"], **card["baselines"]}
     if any(kind not in table for table in tables.values()):
@@ -140,7 +140,7 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
 
 
 def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:
-    """(S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
+    """Return (S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
     text = card["data"].get("sample_hashes")
     if not isinstance(text, str):
         same = card["data"].get("sha256") in (data.sha256, *data.aliases) and card["split"].get("name") is None
