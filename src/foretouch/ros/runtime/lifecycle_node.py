@@ -5,21 +5,24 @@ A node implements four hooks, `_setup` and `_teardown` (configure, clean up) and
 deactivate). An error in `_setup` or `_start` refuses the transition and is logged in one line.
 
 Inputs follow the QoS of their publishers (see `FollowingSubscription`), outputs are published reliably. Outputs that are kept for
-late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). rclpy logs subscribers with
-incompatible QoS.
+late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). Subscribers with
+incompatible QoS are logged.
 """
 
 import inspect
 import os
+import threading
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -53,14 +56,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     `options` are for rclpy's `Node`; the namespace is `/foretouch` by default.
     """
 
+    default_name: ClassVar[str]
+    config_class: ClassVar[type[NodeConfig]]
     exclusive_topics: ClassVar[tuple[str, ...]] = ()
     """Topics that only one node of a graph publishes; another publisher is reported as a second graph."""
 
-    def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
-        super().__init__(name, **{"namespace": NAMESPACE, **options})
+    def __init__(self, **options: Any) -> None:
+        super().__init__(self.default_name, **{"namespace": NAMESPACE, **options})
         self.closing = ExitStack()  # of what `_setup` made, closed when the node is cleaned up
         try:
-            self._settings = NodeSettings(self, config_class, self._config_changed)
+            self._settings = NodeSettings(self, cast("type[_C]", self.config_class), self._config_changed)
         except ForetouchError:
             self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
@@ -69,9 +74,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
                 service.callback = partial(self._change_state, service.callback)
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
-        self.has_failed = False  # whether the process ends with exit status 1
-        self.last_failure = ""  # why the latest step that failed did
+        self.failure = ""  # why the node could not be configured or activated, or its thread has ended
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
+        self._outputs: list[LifecyclePublisher] = []
+        self._incompatible: set[tuple[str, str]] = set()  # topics and the nodes that receive nothing from them
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._input_group = MutuallyExclusiveCallbackGroup()
@@ -85,7 +91,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """The current settings; a change replaces the whole object."""
         return self._settings.value
 
-    # Hooks that a node implements.
+    # Hooks that a node implements; an error is logged, and is the `failure`.
 
     def _setup(self) -> None:
         """Configure: make publishers and subscriptions, and load what takes long."""
@@ -129,9 +135,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions(overridden),
+            # Each event would take as long as a subscription in every wait of rclpy's executor.
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
-        self.closing.callback(self.destroy_lifecycle_publisher, publisher)
+        self._outputs.append(publisher)
+        self.closing.callback(self._withdraw, publisher)
         return publisher
+
+    def _withdraw(self, publisher: LifecyclePublisher) -> None:
+        self._outputs.remove(publisher)
+        self.destroy_lifecycle_publisher(publisher)
 
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
         """Subscribe until the node is cleaned up (see `FollowingSubscription`); callbacks of a node never run at the same time."""
@@ -155,7 +168,21 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         for subscription in tuple(self._followed.values()):
             for line in subscription.follow():
                 self.get_logger().info(line)
+        self._look_for_incompatible_subscribers()
         self.look_for_second_graph()
+
+    def _look_for_incompatible_subscribers(self) -> None:
+        """Log subscribers that receive nothing, once each: they ask for reliable or latched messages where none are offered."""
+        for publisher in self._outputs:
+            offer, topic = publisher.qos_profile, publisher.topic_name
+            for end in self.get_subscriptions_info_by_topic(topic):
+                asked = end.qos_profile
+                unreliable = asked.reliability == ReliabilityPolicy.RELIABLE != offer.reliability
+                volatile = asked.durability == DurabilityPolicy.TRANSIENT_LOCAL != offer.durability
+                if (unreliable or volatile) and (topic, end.node_name) not in self._incompatible:
+                    self._incompatible.add((topic, end.node_name))
+                    policy = "reliability best_effort" if unreliable else "durability volatile"
+                    self.get_logger().warning(f"{topic}: {end.node_name} receives nothing: subscribe with {policy}")
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
@@ -195,6 +222,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Set up."""
+        self.failure = ""
         if not self._attempt(self._setup):
             self._release()
             return TransitionCallbackReturn.FAILURE
@@ -203,6 +231,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start."""
+        self.failure = ""
         if not self._attempt(self._start):
             self.stop()  # what it has started
             return TransitionCallbackReturn.FAILURE
@@ -244,12 +273,12 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         try:
             hook()
         except ForetouchError as err:
-            self.last_failure = str(err)
-            self.get_logger().error(self.last_failure)
+            self.failure = str(err)
+            self.get_logger().error(self.failure)
             return False
         except Exception as err:  # noqa: BLE001  rclpy would not report it
-            self.last_failure = f"{type(err).__name__}: {err}"
-            self.internal_errors.report(hook.__name__.strip("_"), err)
+            if self.context.ok():
+                self.failure = self.internal_errors.report(hook.__name__.strip("_"), err)
             return False
         return True
 
@@ -266,6 +295,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return report
 
     def _describe(self, report: Report) -> None:
+        if self.failure:
+            report.errors.append(self.failure)
         report.warnings += self.conflicts
         for name, subscription in tuple(self._followed.items()):
             report.warnings += subscription.excluded
@@ -284,3 +315,42 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+
+class ThreadNode(ForetouchNode[_C]):
+    """A node that works in a thread while it is active.
+
+    Attributes:
+        stopping: Set when the thread must end.
+        ended: Set when it has ended.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        self.stopping, self.ended = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        super().__init__(**options)
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Work until `stopping` is set."""
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start, and then the thread: what it published before would be lost."""
+        result = super().on_activate(state)
+        if result == TransitionCallbackReturn.SUCCESS:
+            self.stopping.clear()
+            self.ended.clear()
+            self._thread = threading.Thread(target=self._work, name=self.get_name(), daemon=True)
+            self._thread.start()
+        return result
+
+    def _stop(self) -> None:
+        """End the thread."""
+        self.stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _work(self) -> None:
+        self._attempt(self._run)
+        self.ended.set()
