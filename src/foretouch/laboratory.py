@@ -24,7 +24,7 @@ _NEEDED: Final = {
 
 @contextmanager
 def needs_laboratory(user: str) -> Iterator[None]:
-    """Report a missing library of the laboratory, or of ROS, as a `MissingDependencyError` that states how to install it."""
+    """Report a missing library of the laboratory, or of ROS, as a `MissingDependencyError` that names how to install it."""
     try:
         yield
     except ModuleNotFoundError as err:

@@ -64,7 +64,7 @@ def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
             state = client.get_state()
             if state.active_recording is not None and state.recordings[0].timelines and not state.loading:
                 client.set_time("step", sequence=0, play_state="paused")
-                time.sleep(1.0)  # until what was loaded is drawn
+                time.sleep(5.0)  # until all is drawn, and the viewer's note at its start is gone
                 client.save_screenshot(str(path))
                 return
         time.sleep(_POLL_S)

@@ -184,11 +184,12 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
             axes.plot(ends[:, 0], ends[:, row], color=_DARK, linewidth=1.2)
             for k, (finger, colour) in enumerate(zip(("g1", "g2"), _FINGERS, strict=False)):
                 outward = 1.0 if ends[k, 0] >= ends[1 - k, 0] else -1.0
-                axes.annotate("", (ends[k, 0], ends[k, row]), (ends[k, 0] + outward * 26.0, ends[k, row]),
-                              arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
+                tail = ends[k, 0] + outward * 26.0, ends[k, row]
+                axes.annotate("", (ends[k, 0], ends[k, row]), tail, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
                 axes.plot(ends[k, 0], ends[k, row], "o", color=colour, markeredgecolor="white", markersize=7, zorder=4)
-                axes.annotate(finger, (ends[k, 0] + outward * 16.0, ends[k, row]), (0, 6), textcoords="offset points",
-                              color=colour, fontsize=9, fontweight="bold", ha="center")  # fmt: skip
+                axes.annotate(finger, tail, (8.0 * outward, 0.0), textcoords="offset points", color=colour, fontsize=9,
+                              fontweight="bold", ha="center", va="center",
+                              bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
         middle = (low + high) / 2.0
         bottom = -0.08 * span if row == 2 else middle[1] - 0.5 * span
         axes.set(xlim=(middle[0] - 0.5 * span, middle[0] + 0.5 * span), ylim=(bottom, bottom + span), aspect="equal")

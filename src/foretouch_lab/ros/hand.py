@@ -30,6 +30,7 @@ from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rota
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.runtime.workers import Worker
 from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.types import stamp_ns
@@ -120,7 +121,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self.serve(Trigger, "execute_grasp", self._on_execute, MutuallyExclusiveCallbackGroup())
         for k, name in enumerate(_GRASPING):
             self.serve(Trigger, f"press_{name.lower()}", partial(self._on_press, k), MutuallyExclusiveCallbackGroup())
-        self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
+        self.subscribe(InputTopic(GRASPS_TOPIC, GraspArray), self._on_grasps)
 
     def _start(self) -> None:
         self._stopping.clear()

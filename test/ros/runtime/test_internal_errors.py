@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.internal_errors import InternalErrors
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch_msgs.msg import Status
 from foretouch_msgs.srv import PredictTouch, StartRecording
 
@@ -54,7 +55,7 @@ def test_timers_and_topics_that_fail_are_counted_and_reported_in_diagnostics(gra
     (node,) = graph.add("segmentation", diagnostics_period_s=0.1)
     reports = graph.reports("segmentation")
     node.create_timer(0.02, fail)
-    node.subscribe(String, "words", fail)
+    node.subscribe(InputTopic("words", String), fail)
     talk = graph.talk_matched(String, "words")
     talk.publish(String(data="a"))
     graph.until(lambda: node.internal_errors.counts()["words"] == 1 and node.internal_errors.counts()["fail"] >= 3)

@@ -19,6 +19,7 @@ from foretouch.ros.messages.requests import (
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import TouchSettings
@@ -47,7 +48,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
     def _setup(self) -> None:
         self._step = TouchStep(self)  # before subscribing, so that no answer is lost
         self.steps = (self._step, TouchServices(self, self._step))
-        self.subscribe(TablePlane, "table", self._remember_table)
+        self.subscribe(InputTopic("table", TablePlane), self._remember_table)
         super()._setup()
 
     def _answer(self, item: Input) -> tuple[int, str]:

@@ -30,7 +30,7 @@ from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
-from foretouch.ros.runtime.subscription import FollowingSubscription
+from foretouch.ros.runtime.subscription import FollowingSubscription, InputTopic
 from foretouch.topics import NAMESPACE
 
 _C = TypeVar("_C", bound="NodeConfig")
@@ -133,28 +133,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.closing.callback(self.destroy_lifecycle_publisher, publisher)
         return publisher
 
-    def subscribe(
-        self,
-        message: type,
-        topic: str,
-        callback: Callable[[Any], None],
-        *,
-        depth: int = 5,
-        latched: bool | None = False,
-    ) -> None:
-        """Subscribe (see `FollowingSubscription`); callbacks of a node never run at the same time."""
-        guarded = self.internal_errors.guarded(topic, callback)
-        self._followed[topic] = FollowingSubscription(
-            self,
-            message,
-            topic,
-            lambda content, _: guarded(content),
-            depth=depth,
-            group=self._input_group,
-            latched=latched,
-            report=self.statistics.lose,
-        )
-        self.closing.callback(lambda: self._followed.pop(topic).destroy())
+    def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
+        """Subscribe until the node is cleaned up (see `FollowingSubscription`); callbacks of a node never run at the same time."""
+        guarded = self.internal_errors.guarded(topic.name, callback)
+        subscription = FollowingSubscription(self, topic, guarded, self._input_group, self.statistics.lose)
+        self._followed[topic.name] = subscription
+        return subscription
+
+    def unsubscribe(self, name: str) -> None:
+        """End the subscription to a topic, by its name before remapping."""
+        self._followed.pop(name).destroy()
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
         """Offer a service until the node is cleaned up; a coroutine function must not raise."""
@@ -165,7 +153,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     def _look(self) -> None:
         """Do what is due now and then: follow the publishers, and look for a second graph."""
         for subscription in tuple(self._followed.values()):
-            subscription.follow()
+            for line in subscription.follow():
+                self.get_logger().info(line)
         self.look_for_second_graph()
 
     def look_for_second_graph(self) -> None:
@@ -265,24 +254,31 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return True
 
     def _release(self) -> None:
+        for name in tuple(self._followed):  # before what their callbacks use
+            self.unsubscribe(name)
         self._attempt(self.closing.close)
         self._attempt(self._teardown)
 
     def reported(self) -> Report:
-        """Make a report of what `diagnose` adds now."""
+        """Make a report of what is wrong now, without the counts of inputs."""
         report = Report()
-        self.diagnose(report)
+        self._describe(report)
         return report
 
+    def _describe(self, report: Report) -> None:
+        report.warnings += self.conflicts
+        for name, subscription in tuple(self._followed.items()):
+            report.warnings += subscription.excluded
+            if subscription.losses.count:
+                report.values[f"lost_on_the_way.{name}"] = str(subscription.losses.count)
+        self.diagnose(report)
+
     def _publish_report(self) -> None:
-        report, rate_hz = Report(warnings=[*self.conflicts]), self.statistics.summary().rate_hz
+        report, rate_hz = Report(), self.statistics.summary().rate_hz
         report.values |= {"state": self.state_name, "pid": str(os.getpid())}
         active = self.state_name == "active"
         self.statistics.add_to(report, getattr(self.config, "silence_s", None) if active else None)
-        self.diagnose(report)
-        for topic, subscription in self._followed.items():
-            if subscription.losses.count:
-                report.values[f"lost_on_the_way.{topic}"] = str(subscription.losses.count)
+        self._describe(report)
         self.internal_errors.add_to(report)
         status = report.to_msg(self.get_fully_qualified_name(), f"{self.state_name}, {rate_hz:.1f} Hz")
         message = DiagnosticArray(status=[status])

@@ -18,6 +18,7 @@ from foretouch.config import setting
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.discovery import publishers_of
 from foretouch.ros.runtime.processing_node import Input, ProcessingConfig, ProcessingNode
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import stamp_ns
 from foretouch_msgs.msg import Status
 
@@ -58,7 +59,7 @@ class MatchingNode(ProcessingNode[_P]):
 
     def _setup(self) -> None:
         for message, topic in self._inputs:
-            self.subscribe(message, topic, partial(self._match, topic))
+            self.subscribe(InputTopic(topic, message), partial(self._match, topic))
 
     def _stop(self) -> None:
         super()._stop()

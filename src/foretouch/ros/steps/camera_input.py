@@ -20,6 +20,7 @@ from foretouch.ros.messages.requests import RefusalError, read_cloud
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import Cloud, stamp_ns
 from foretouch_msgs.msg import Status
 
@@ -55,16 +56,16 @@ class CameraInput(Step):
         self._changed = threading.Condition()  # guards the infos
         self._last_report = ""  # about an info
         if node.config.input == "points":
-            node.subscribe(PointCloud2, POINTS_TOPIC, receive, latched=None)
+            node.subscribe(InputTopic(POINTS_TOPIC, PointCloud2, latched=None), receive)
             return
         images = node.resolve_topic_name(IMAGE_TOPIC)
         infos = node.resolve_topic_name(INFO_TOPIC)
         if infos == f"{node.get_namespace().rstrip('/')}/{INFO_TOPIC}":  # not remapped
             infos = info_topic(images)
         self._infos = CameraInfos(images)
-        node.subscribe(CameraInfo, infos, self._receive_info, latched=None)
+        node.subscribe(InputTopic(infos, CameraInfo, latched=None), self._receive_info)
         kind = CompressedImage if images.endswith("/compressedDepth") else Image
-        node.subscribe(kind, images, receive, latched=None)
+        node.subscribe(InputTopic(images, kind, latched=None), receive)
 
     def cloud(self, message: Any) -> Cloud:
         """Make the cloud of a message; waits for the first camera info for three seconds.

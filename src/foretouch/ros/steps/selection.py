@@ -20,6 +20,7 @@ from foretouch.pipeline import Scene
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import AnyArray, Cloud, stamp_ns
 from foretouch_msgs.msg import Status
 
@@ -63,8 +64,8 @@ class Selection:
         self._missing = 0  # clouds in a row without it
         self._note = ""  # on the last click
         if node.config.mask != "none":
-            node.subscribe(Image, MASK_TOPIC, self._receive_mask, latched=None)
-        node.subscribe(PointStamped, CLICK_TOPIC, self._receive_click)
+            node.subscribe(InputTopic(MASK_TOPIC, Image, latched=None), self._receive_mask)
+        node.subscribe(InputTopic(CLICK_TOPIC, PointStamped), self._receive_click)
 
     def diagnose(self, report: Report) -> None:
         """Report what the last click selected, or why it was refused."""

@@ -30,6 +30,7 @@ from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.predictor import Predictor
 from foretouch.ros.steps.selection import SELECTED
@@ -190,8 +191,9 @@ class TouchStep(Step):
         self.adapter = self.predictor.adapter = OnlineAdapter(
             model, reader, self._keeper, lambda: node.config, self._now_ns, log.warning
         )
-        node.subscribe(message, config.tactile_topic, self.adapter.add_tactile, depth=200)  # two seconds of a hand
-        node.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self.adapter.add_executed, depth=10)
+        two_seconds = InputTopic(config.tactile_topic, message, depth=200)
+        node.subscribe(two_seconds, self.adapter.add_tactile)
+        node.subscribe(InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth=10), self.adapter.add_executed)
 
     def _now_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
