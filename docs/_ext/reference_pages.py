@@ -279,10 +279,7 @@ def node_configs() -> dict[str, type[Settings]]:
     """The settings of each node by its name."""
     from foretouch.ros.graph import NODES
 
-    configs = {}
-    for name, load in NODES.items():
-        (configs[name],) = typing.get_args(load().__orig_bases__[0])
-    return configs
+    return {name: load().config_class for name, load in NODES.items()}
 
 
 def parameters() -> str:
