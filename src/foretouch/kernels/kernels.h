@@ -36,6 +36,7 @@ void collect_members(const int32_t *labels, const uint8_t *solid, int64_t h, int
     float *points, double *columns, float *bounds, float *tops);
 void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t column, const int32_t *ids,
     int64_t across, int32_t *image, int64_t *count);
+void count_labels(const int32_t *labels, const int64_t *pixels, int64_t n, int64_t last, int64_t *counts);
 void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double nearest, double farthest, float *coarse,
     int64_t *index, int64_t *count);
 
@@ -52,16 +53,22 @@ void city_distances(const double *rows, int64_t count, int64_t columns, const do
     double *distances);
 void weighted_sums(const double *weights, int64_t count, int64_t size, const double *packed, int64_t outputs,
     double *sums);
+void hide_places(const double *points, int64_t n, const double *places, int64_t m, double pitch, double behind,
+    int64_t most, uint8_t *hidden, int64_t *found);
 
 /* crop.c */
 const char *sources(void);
 void count_range(const float *xyz, int64_t n, double low, double high, int64_t *counts);
 
 /* deproject.c */
-void deproject_whole(const uint16_t *depth, int64_t h, int64_t w, double scale, const float *x, const float *y,
-    int64_t each, float *xyz);
-void deproject_single(const float *depth, int64_t h, int64_t w, double scale, const float *x, const float *y,
-    int64_t each, float *xyz);
+void deproject_whole(const uint16_t *depth, int64_t across, int64_t h, int64_t w, int64_t step, double scale,
+    const float *x, const float *y, int64_t each, float *xyz, int64_t line);
+void deproject_single(const float *depth, int64_t across, int64_t h, int64_t w, int64_t step, double scale,
+    const float *x, const float *y, int64_t each, float *xyz, int64_t line);
+void count_whole(const uint16_t *depth, int64_t n, double scale, double low, double high, const float *x,
+    const float *y, int64_t each, int64_t *counts);
+void count_single(const float *depth, int64_t n, double scale, double low, double high, const float *x,
+    const float *y, int64_t each, int64_t *counts);
 
 /* flying.c */
 void flying_points(const float *xyz, int64_t n, const double *settings, uint8_t *flying, double *radius);
