@@ -143,8 +143,9 @@ class _Writer:
         if step.objects:
             self._to.log("/scene/objects", self._boxes(step.objects))
         if step.table is not None and len(points):
-            known = step.outline is not None and len(step.outline)
-            corners = step.outline if known else _table_corners(step.table, points)
+            corners = step.outline
+            if corners is None or not len(corners):
+                corners = _table_corners(step.table, points)
             faces = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
             table = rr.Mesh3D(vertex_positions=corners, triangle_indices=faces, albedo_factor=_TABLE)
             self._to.log("/scene/table", table)
