@@ -46,8 +46,9 @@ def test_what_a_sentence_is() -> None:
         ([(ROOT / "README.md").read_text(encoding="utf-8")], 17.0, 0.0),
         ([page.read_text(encoding="utf-8") for page in pages()], 18.0, 0.03),
         ([newest_changes()], 15.0, 0.03),
+        ([(DOCS / "results" / "README.md").read_text(encoding="utf-8")], 18.0, 0.03),
     ],
-    ids=["README", "pages", "changelog"],
+    ids=["README", "pages", "changelog", "results"],
 )
 def test_sentences_are_short(texts, mean, long) -> None:
     words = {
