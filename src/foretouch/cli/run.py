@@ -77,7 +77,7 @@ def add_arguments(parser: CommandParser) -> None:
         nargs="?",
         const=("127.0.0.1", 8765),
         metavar="HOST:PORT",
-        help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
+        help="serve the topics to Foxglove or Lichtblick (default: no; without an address at 127.0.0.1:8765)",
     )
 
 
