@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 from foretouch.models.files import Rules, TensorRecord
 from foretouch.types import Float32, Float64, Floating, Int32
 
@@ -172,10 +172,17 @@ class CompiledForests:
         rounded = np.ascontiguousarray(rows, np.float32)
         scratch, single = np.empty(_ROWS_AT_ONCE * self._most, np.int32), np.empty(self._most)
         result = np.empty((len(rows), self._width))
-        _forest_means(
-            *(rounded, *rounded.shape, self._nodes, self._roots, self._leaf, self._value),
-            *(self._sizes, len(self._sizes), self._width, scratch, single, result),
+        forests = struct(
+            "Forests",
+            nodes=self._nodes,
+            roots=self._roots,
+            leaf=self._leaf,
+            value=self._value,
+            sizes=self._sizes,
+            count=len(self._sizes),
+            width=self._width,
         )
+        _forest_means(rounded, *rounded.shape, forests, scratch, single, result)
         return result
 
 
