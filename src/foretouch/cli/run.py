@@ -50,7 +50,7 @@ def add_arguments(parser: CommandParser) -> None:
         required=True,
         metavar="DIR|FILE|SCENE|TOPIC|camera",
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
-        " a topic of depth images (with camera_info beside it) or clouds, or `camera`, the RealSense",
+        " a topic of depth images (with camera_info next to it) or clouds, or `camera`, the RealSense",
     )
     parser.add_argument(
         "--dwell",
