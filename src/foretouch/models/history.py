@@ -44,7 +44,7 @@ _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tare
 
 
 def place_and_size(cloud: Cloud) -> Float64:
-    """(6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
+    """Return (6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
     points = cloud.xyz.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
@@ -358,7 +358,7 @@ class HistoryFile:
             self._lock = -1
 
     def read(self, model: TouchModel) -> History | None:
-        """What was read before; None without a file.
+        """Return what was read before; None without a file.
 
         Raises:
             FileError: If the file is damaged, or of another version, sensor, hand or model.

@@ -68,7 +68,7 @@ class Snapshot:
     tdc: Float64 | None = None  # (F,) TDC of the fingers at that time [counts]; None: the latest one
 
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
-        """(K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
+        """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
         counts, half = np.empty((2, *estimate.counts.shape))
         for known in (False, True):
             rows = estimate.in_distribution == known
@@ -243,7 +243,7 @@ class TouchModel:
     def _predict(
         self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: Snapshot | None, table: Plane | None
     ) -> Predictions:
-        """Predictions for executable grasps."""
+        """Return predictions for executable grasps."""
         estimate = self.estimator.estimate(cloud, grasps, table)
         if tare is not None:
             tracker = self.new_tracker()
@@ -332,7 +332,7 @@ class TouchModel:
         reference: Reference,
         evidence: Evidence,
     ) -> Predictions:
-        """Rows of values with their intervals and flags; a row that is not finite is refused."""
+        """Return rows of values with their intervals and flags; a row that is not finite is refused."""
         half = np.full(counts.shape, np.nan) if half is None else half
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
         outside = self.ranges.outside(counts).any(axis=1) & finite
@@ -359,7 +359,7 @@ class TouchModel:
 
 
 def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
-    """Why no hand can execute each grasp; "" where one can."""
+    """Return why no hand can execute each grasp; "" where one can."""
     return joined_faults(
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
         rotation_faults(grasps.rotation),
