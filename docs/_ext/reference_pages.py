@@ -445,8 +445,8 @@ def commands() -> str:
 
 def _status(function: Callable[..., Any]) -> str:
     """What the docstring of a command states on its exit status."""
-    text = inspect.getdoc(function) or ""
-    return cell(text.partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
+    text = (inspect.getdoc(function) or "").removeprefix("Run the command; ")
+    return cell(text[:1].upper() + text[1:].partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
 
 
 def _option_row(action: argparse.Action) -> tuple[str, str]:

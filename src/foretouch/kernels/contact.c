@@ -135,14 +135,13 @@ static void into(const double *frame, const double *vector, double *turned) {
 #define CALL(function, ...) function##_any(__VA_ARGS__)
 #endif
 
-/* Rows (k, 14) of contacts (k, 3) in the frames (k, 3, 3) of their fingers, whose axes are columns. The n points are
- * those of sort_into_cells; squares: of the radii [m^2], the pad's first and the largest last. A row begins with NaN
- * where a patch is so flat that rounding decides. */
+/* Rows (k, 14) of contacts (k, 3) in the frames (k, 3, 3) of their fingers, whose axes are columns. squares: of the
+ * radii [m^2], the pad's first and the largest last. A row begins with NaN where a patch is so flat that rounding
+ * decides. */
 void describe_contacts(
-    const double *sorted, int64_t n, const double *grid, const int64_t *cells, const int32_t *starts,
-    const double *squares, const double *contacts, const double *frames, int64_t count, double *rows
+    const Cells *points, const double *squares, const double *contacts, const double *frames, int64_t count, double *rows
 ) {
-    CALL(describe, sorted, n, grid, cells, starts, squares, contacts, frames, count, rows);
+    CALL(describe, points, squares, contacts, frames, count, rows);
 }
 
 /* Sums of the absolute differences (count, size) of rows (count, columns) from size known ones: over the columns in

@@ -77,8 +77,7 @@ def evaluate_model(
         return np.concatenate([predict_part(baseline, data.filled, seed, part) for part in parts])[kept]
 
     tested = [data.masked[k] for k in chosen[kept]]
-    plain_network = card["kind"] == "network" and card.get("calibration") is None
-    predicted = (_by_network if plain_network else _by_model)(path, tested)
+    predicted = _predict(path, card, tested)
     by_baseline = {name: fitted(baseline) for name, baseline in baselines.items()}
     valid = sensor.valid_values & ~np.isnan(labels_of(tested)).any(axis=0)
     return {
@@ -151,6 +150,11 @@ def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool
 
 _Predictions = tuple[Float64, Float64, int, Ranges]
 """(S, D) predictions, NaN for modalities without; (S, D) half widths of intervals, NaN without [counts]; how many are flagged."""
+
+
+def _predict(card_path: Path, card: Mapping[str, Any], samples: Sequence[Sample]) -> _Predictions:
+    plain_network = card["kind"] == "network" and card.get("calibration") is None
+    return (_by_network if plain_network else _by_model)(card_path, samples)
 
 
 def _by_model(card_path: Path, samples: Sequence[Sample]) -> _Predictions:
