@@ -198,7 +198,9 @@ def _switch(cls: type[Settings], name: str, prefix: str) -> SettingInfo:
 
 def _summary(documented: Any) -> str:
     """The first paragraph of a docstring."""
-    return " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())
+    text = " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())
+    text = text.removeprefix("Run the command; ").removeprefix("Make ")  # where the page says so itself
+    return text[:1].upper() + text[1:]
 
 
 def _grouped(cls: type[Settings]) -> str:
@@ -238,7 +240,7 @@ def shapes() -> str:
     """The shapes of simulated objects, each with what it looks like."""
     from foretouch_lab.simulation.objects import shapes as module
 
-    rows = [(f"`{name}`", cell(inspect.getdoc(builder) or "")) for name, builder in module._BUILDERS.items()]
+    rows = [(f"`{name}`", cell(_summary(builder))) for name, builder in module._BUILDERS.items()]
     rows.append(
         (
             "`random`",
@@ -277,10 +279,7 @@ def node_configs() -> dict[str, type[Settings]]:
     """The settings of each node by its name."""
     from foretouch.ros.graph import NODES
 
-    configs = {}
-    for name, load in NODES.items():
-        (configs[name],) = typing.get_args(load().__orig_bases__[0])
-    return configs
+    return {name: load().config_class for name, load in NODES.items()}
 
 
 def parameters() -> str:
@@ -446,8 +445,8 @@ def commands() -> str:
 
 def _status(function: Callable[..., Any]) -> str:
     """What the docstring of a command states on its exit status."""
-    text = inspect.getdoc(function) or ""
-    return cell(text.partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
+    text = (inspect.getdoc(function) or "").removeprefix("Run the command; ")
+    return cell(text[:1].upper() + text[1:].partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
 
 
 def _option_row(action: argparse.Action) -> tuple[str, str]:

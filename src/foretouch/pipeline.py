@@ -54,7 +54,7 @@ class PipelineConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Object:
-    """One object and the table under it."""
+    """One object, and the table that it stands on."""
 
     id: str  # unique within its cloud
     cloud: Cloud  # (N, 3) [m], only the object's points, in the optical frame of the camera
@@ -95,7 +95,7 @@ class Scene:
         return self.segmentation.labels
 
     def at(self, u: int, v: int) -> Object:
-        """The object at a pixel.
+        """Return the object at a pixel.
 
         Args:
             u: Column of the image, 0 at the left.
@@ -124,7 +124,7 @@ class Scene:
         raise CloudError(f"pixel: ({u}, {v}) is {where}; the objects are {', '.join(known) or 'none'}")
 
     def near(self, point: npt.ArrayLike, tolerance_m: float = TargetConfig().tolerance_m) -> Object:
-        """The object with the point that is nearest to a position.
+        """Return the object with the point that is nearest to a position.
 
         Args:
             point: (3,) [m], in the cloud's frame.
@@ -168,7 +168,11 @@ class PipelineResult:
 
 
 class Pipeline:
-    """The steps with their settings and the touch model, which is loaded when first needed."""
+    """Runs the steps from a cloud to predicted touch.
+
+    Args:
+        config: Settings of all steps; the defaults if None. The touch model is loaded when it is first needed.
+    """
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
         self.config = config if config is not None else PipelineConfig()
@@ -210,7 +214,7 @@ class Pipeline:
         if segmentation.status != "ok" or segmentation.plane is None:
             return Scene(segmentation.status, segmentation.reason, cloud, segmentation, (), ())
         plane = segmentation.plane
-        shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
+        shape = (segmentation.labels.shape[0], segmentation.labels.shape[1]) if cloud.organised else None
         solid = [part for part in segmentation.background if part.background != "floating"]
         obstacles = Obstacles.of([(object_.id, object_.cloud.xyz) for object_ in (*segmentation.objects, *solid)])
         objects = {
@@ -234,7 +238,7 @@ class Pipeline:
         )
 
     def _loss(self, target: Object) -> tuple[float, str]:
-        """The score that other objects cost the best grasp of an object, infinite if it has none; and why."""
+        """Return the score that other objects cost the best grasp of an object, infinite if it has none; and why."""
         plan = self.plan(target)
         if not plan.grasps:
             return np.inf, f"has no grasp ({plan.reason})"
@@ -249,7 +253,7 @@ class Pipeline:
         held: HeldGrasp | None = None,
         hold: float = 0.0,
     ) -> GraspPlan:
-        """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
+        """Return grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
 
         Args:
             target: The object.
@@ -275,7 +279,12 @@ class Pipeline:
         return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
     def grasp_between(self, target: Object, g1: Float64, g2: Float64) -> Grasp:
-        """The grasp with given contacts (3,) [m] in the cloud frame, and the rotation that GeoGrasp computes for them.
+        """Make the grasp with given contacts, and the rotation that GeoGrasp computes for them.
+
+        Args:
+            target: The object.
+            g1: (3,) float64 [m], contact of the first finger, in the cloud's frame.
+            g2: (3,) float64 [m], contact of the second.
 
         Raises:
             GraspError: If a contact is not finite, both are equal, or they are out of the hand's reach.
@@ -291,7 +300,17 @@ class Pipeline:
     def predict(
         self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: Snapshot | None = None
     ) -> Predictions:
-        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
+        """Predict touch for each grasp on one object (see `TouchModel.predict`).
+
+        Args:
+            target: The object.
+            grasps: K grasps in the frame of its cloud.
+            tare: A reading without contact, taken shortly before.
+            history: Readings of the hand so far; `tare` must be omitted.
+
+        Returns:
+            A row for each grasp, in order.
+        """
         model = self.model
         if not grasps:
             return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")
@@ -303,7 +322,7 @@ class Pipeline:
         return predictions
 
     def run(self, cloud: Cloud, plane: Plane | None = None, *, mask: npt.ArrayLike | None = None) -> PipelineResult:
-        """From a cloud to predicted touch.
+        """Run all steps, from a cloud to predicted touch.
 
         Args:
             cloud: Of the whole scene, or of one object if the table is given.

@@ -23,6 +23,7 @@ _HEIGHT: Final = 3.4  # of a panel [inch]
 _COLOURS: Final = ("#ff8000", "#00a6d6", "#e6007e", "#7ab800", "#8f4fd1", "#d9b300", "#00a88f", "#d1495b")
 _FINGERS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others
 _DARK: Final = "#202020"
+_TABLE: Final = "#8a6d3b"
 _MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 _AROUND_M: Final = 0.06  # shown around object and grasp
 _HAND_M: Final = 0.15  # as far a hand is shown beyond the object
@@ -85,7 +86,7 @@ def draw_scene(
 
 
 def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
-    """The object of a grasp, or the first one that gets grasps."""
+    """Return the object of a grasp, or the first one that gets grasps."""
     known = {object_.id: object_ for object_ in scene.objects}
     if grasp is not None and grasp.object_id:
         if grasp.object_id not in known:
@@ -97,13 +98,16 @@ def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
 
 
 def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
-    """The image in colour, or its depth, with outline and id of each object, and the contacts."""
+    """Draw the image in colour, or its depth, with the outlines of the table and of each object, ids and contacts."""
     depth = scene.cloud.xyz[..., 2]
     if scene.cloud.rgb is not None:
         axes.imshow(scene.cloud.rgb)
     elif np.isfinite(depth).any():
         near, far = np.nanpercentile(depth[np.isfinite(depth)], [1.0, 97.0])
         axes.imshow(depth, cmap="gray_r", vmin=near - 0.1, vmax=max(far, near + 0.1))
+    if len(scene.segmentation.outline):
+        corners = _pixels(scene.cloud, scene.segmentation.outline)
+        axes.fill(corners[:, 0], corners[:, 1], fill=False, edgecolor=_TABLE, linewidth=1.4, linestyle="--")
     for k, object_ in enumerate(scene.objects):
         colour = _COLOURS[k % len(_COLOURS)]
         inside = (scene.labels == int(object_.id)).astype(np.float32)
@@ -139,7 +143,7 @@ def _window(inside: Bool) -> tuple[int, int, int, int]:
 
 
 def _pixels(cloud: Cloud, points: Float64) -> Float64:
-    """(K, 2) columns and rows at which points (K, 3) are seen: those of the camera, fitted to the image where it is not known."""
+    """Return (K, 2) columns and rows at which points (K, 3) are seen: those of the camera, fitted to the image where it is not known."""
     rays = cloud.xyz[..., :2] / cloud.xyz[..., 2:]
     known = np.isfinite(rays).all(axis=2)
     places = []
@@ -150,7 +154,7 @@ def _pixels(cloud: Cloud, points: Float64) -> Float64:
 
 
 def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object], grasp: Grasp | None) -> None:
-    """An object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
+    """Draw an object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
     points, table = _finite(target.cloud), target.plane.towards_camera  # a table that was stated may face away
     up = table.normal
     along = grasp.g1 - grasp.g2 if grasp is not None else np.array([1.0, 0.0, 0.0])
@@ -160,7 +164,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
     centre = grasp.midpoint if grasp is not None else points.mean(axis=0)
 
     def flat(xyz: Float64) -> Float64:
-        """(N, 3): along the closing line and across it from the midpoint, and height above the table [mm]."""
+        """Return (N, 3): along the closing line and across it from the midpoint, and height above the table [mm]."""
         moved = xyz - centre
         return 1e3 * np.stack([moved @ along, moved @ across, xyz @ up + table.offset], axis=1)
 
@@ -184,11 +188,12 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
             axes.plot(ends[:, 0], ends[:, row], color=_DARK, linewidth=1.2)
             for k, (finger, colour) in enumerate(zip(("g1", "g2"), _FINGERS, strict=False)):
                 outward = 1.0 if ends[k, 0] >= ends[1 - k, 0] else -1.0
-                axes.annotate("", (ends[k, 0], ends[k, row]), (ends[k, 0] + outward * 26.0, ends[k, row]),
-                              arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
+                tail = ends[k, 0] + outward * 26.0, ends[k, row]
+                axes.annotate("", (ends[k, 0], ends[k, row]), tail, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
                 axes.plot(ends[k, 0], ends[k, row], "o", color=colour, markeredgecolor="white", markersize=7, zorder=4)
-                axes.annotate(finger, (ends[k, 0] + outward * 16.0, ends[k, row]), (0, 6), textcoords="offset points",
-                              color=colour, fontsize=9, fontweight="bold", ha="center")  # fmt: skip
+                axes.annotate(finger, tail, (8.0 * outward, 0.0), textcoords="offset points", color=colour, fontsize=9,
+                              fontweight="bold", ha="center", va="center",
+                              bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
         middle = (low + high) / 2.0
         bottom = -0.08 * span if row == 2 else middle[1] - 0.5 * span
         axes.set(xlim=(middle[0] - 0.5 * span, middle[0] + 0.5 * span), ylim=(bottom, bottom + span), aspect="equal")
@@ -196,13 +201,13 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
         axes.set_ylabel("across [mm]" if row == 1 else "height above the table [mm]", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.set_title(name, fontsize=9)
-    side.axhline(0.0, color="#8a6d3b", linewidth=1.5)
+    side.axhline(0.0, color=_TABLE, linewidth=1.5)
     width = f", {1e3 * np.linalg.norm(grasp.g1 - grasp.g2):.0f} mm wide" if grasp is not None else ""
     above.set_title(f"object {target.id or '1'} from above{width}", fontsize=9)
 
 
 def _draw_touch(axes: Axes, prediction: Prediction) -> None:
-    """The taxels of both fingers with their intervals, in the unit of their channel, and the scalars as text."""
+    """Draw the taxels of both fingers with their intervals, in the unit of their channel, and the scalars as text."""
     channels = prediction.channels
     if not prediction.ok:
         axes.set_axis_off()
@@ -233,7 +238,7 @@ def _draw_touch(axes: Axes, prediction: Prediction) -> None:
 
 
 def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
-    """Name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
+    """Return the name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
     texts = []
     for channel in prediction.channels.channels:
         if channel.size == 1:
@@ -245,7 +250,7 @@ def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
 
 
 def _finite(cloud: Cloud) -> Float64:
-    """At most some thousand finite points (N, 3) of a cloud, float64 [m]."""
+    """Return at most some thousand finite points (N, 3) of a cloud, float64 [m]."""
     points = cloud.xyz.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     return points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)

@@ -28,7 +28,9 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import tactile_class
-from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.diagnostics import Report
+from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.runtime.workers import Worker
 from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.types import stamp_ns
@@ -78,10 +80,12 @@ class HandNodeConfig(NodeConfig):
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
 
 
-class HandNode(ForetouchNode[HandNodeConfig]):
+class HandNode(ThreadNode[HandNodeConfig]):
     """The hand as a lifecycle node."""
 
-    def __init__(self, name: str = "hand", **options: Any) -> None:
+    default_name, config_class = "hand", HandNodeConfig
+
+    def __init__(self, **options: Any) -> None:
         self.phase = "idle"  # or the phase of the current grasp (`GraspTrajectory.phase`)
         self.busy = False  # whether a grasp is being executed or computed
         self.executed: Counter[str] = Counter()  # grasps by outcome: `success`, or the reason of the failure
@@ -94,12 +98,10 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._pressed: tuple[Counts, float] | None = None  # what a person adds to the counts, and until when
         self._behind_s = 0.0  # longest since the last report
         self._began = time.monotonic()
-        self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
         self._resting: SimulatedHand
         self._faults = MessageFaults(FaultConfig())
-        super().__init__(name, HandNodeConfig, **options)
+        super().__init__(**options)
 
     def _setup(self) -> None:
         self._faults = MessageFaults(self.config.faults)
@@ -119,22 +121,17 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self.serve(Trigger, "execute_grasp", self._on_execute, MutuallyExclusiveCallbackGroup())
         for k, name in enumerate(_GRASPING):
             self.serve(Trigger, f"press_{name.lower()}", partial(self._on_press, k), MutuallyExclusiveCallbackGroup())
-        self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
+        self.subscribe(InputTopic(GRASPS_TOPIC, GraspArray), self._on_grasps)
 
     def _start(self) -> None:
-        self._stopping.clear()
         self._solver.start()
-        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
-        self._thread.start()
 
     def _stop(self) -> None:
         """A grasp that is being executed is not reported."""
-        self._stopping.set()
-        if self._thread is not None:
+        if self._hand is not None:
             self._solver.stop()
-            self._thread.join()
-            self._thread = None
-            self._abandon("stopped")
+        super()._stop()
+        self._abandon("stopped")
 
     def _teardown(self) -> None:
         self._hand = self._newest = None
@@ -142,22 +139,19 @@ class HandNode(ForetouchNode[HandNodeConfig]):
     def _config_changed(self, config: HandNodeConfig) -> None:
         self._faults.config = config.faults
 
-    def warnings(self) -> tuple[str, ...]:
-        """Whether this computer keeps up: the stamps of late readings are older than the readings."""
-        behind_s, self._behind_s = self._behind_s, 0.0
-        if behind_s <= 0.25:  # the difference of stamps and reception that grasps are rejected for by default
-            return ()
-        return (f"readings were {behind_s:.1f} s late: the computer is overloaded",)
+    def diagnose(self, report: Report) -> None:
+        """Report the phase of the hand, counts of grasps and messages, and whether this computer keeps up.
 
-    def notes(self) -> dict[str, str]:
-        """Phase of the hand, and counts of grasps and messages."""
-        return {
-            "phase": self.phase,
-            "tactile.sent": str(self._faults.passed),
-            "tactile.dropped.injected": str(self._faults.dropped),
-            "tactile.moved.injected": str(self._faults.moved),
-            **{f"executed.{outcome}": str(count) for outcome, count in self.executed.items()},
-        }
+        The stamps of late readings are older than the readings.
+        """
+        behind_s, self._behind_s = self._behind_s, 0.0
+        if behind_s > 0.25:  # the difference of stamps and reception that grasps are rejected for by default
+            report.warnings.append(f"readings were {behind_s:.1f} s late: the computer is overloaded")
+        report.values["phase"] = self.phase
+        counts = {"sent": self._faults.passed, "dropped.injected": self._faults.dropped}
+        counts["moved.injected"] = self._faults.moved
+        report.values |= {f"tactile.{name}": str(count) for name, count in counts.items()}
+        report.values |= {f"executed.{outcome}": str(count) for outcome, count in self.executed.items()}
 
     # Commands.
 
@@ -236,14 +230,11 @@ class HandNode(ForetouchNode[HandNodeConfig]):
     # Messages, published by the sender's thread.
 
     def _run(self) -> None:
-        while self.state_name != "active":  # a lifecycle publisher is silent until then
-            if self._stopping.wait(0.01):
-                return
         period_ns = round(1e9 / self.config.course.rate_hz)
         start_ns, start, number = self.get_clock().now().nanoseconds, time.monotonic(), 0
         while True:
             due = start + number * period_ns * 1e-9
-            if self._stopping.wait(max(0.0, due - time.monotonic())):
+            if self.stopping.wait(max(0.0, due - time.monotonic())):
                 return
             self._behind_s = max(self._behind_s, time.monotonic() - due)
             try:

@@ -14,7 +14,11 @@ import numpy as np
 
 from foretouch.cloud.segmentation.objects import Segment
 from foretouch.cloud.segmentation.segment import Segmentation
+from foretouch.kernels import Kernel
 from foretouch.types import Float64, Int32, Int64
+
+_count_labels = Kernel("count_labels")
+_write_ids = Kernel("write_ids")
 
 _SAME_PLACE_M: Final = 0.03  # between the centroids of an object in two clouds
 _REMEMBERED: Final = 90  # clouds without the object: 3 s at 30 Hz
@@ -40,7 +44,7 @@ class ObjectIdentity:
         self._clouds = 0
 
     def keep(self, segmentation: Segmentation) -> Segmentation:
-        """The segmentation of the next cloud with the ids of the stream, in its objects and labels.
+        """The segmentation of the next cloud with the ids of the stream, in its objects and in its labels, which are changed in place.
 
         Its counts get `new_ids`: objects that were not seen before.
         """
@@ -53,17 +57,10 @@ class ObjectIdentity:
         shape = segmentation.labels.shape
         self._seen |= {object_.id: _Seen(object_.pixels, object_.centroid, shape, self._clouds) for object_ in objects}
         self._seen = {id_: sight for id_, sight in self._seen.items() if self._clouds - sight.at < _REMEMBERED}
-        # A third of the time of names[labels].
-        labels = (
-            segmentation.labels
-            if np.array_equal(names, np.arange(len(names)))
-            else names.take(segmentation.labels, mode="clip")
-        )
+        if not np.array_equal(names, np.arange(len(names))):
+            _rename(segmentation.labels, names)
         return replace(
-            segmentation,
-            objects=objects,
-            labels=labels,
-            counts=segmentation.counts | {"new_ids": len(objects) - len(known)},
+            segmentation, objects=objects, counts=segmentation.counts | {"new_ids": len(objects) - len(known)}
         )
 
     def _known(self, segmentation: Segmentation) -> dict[int, int]:
@@ -87,11 +84,18 @@ class ObjectIdentity:
         return known
 
 
+def _rename(labels: Int32, names: Int32) -> None:
+    """Write the new names of labels over them."""
+    height, width = np.atleast_2d(labels).shape
+    _write_ids(labels, height, width, 0, 0, names, width, labels, np.empty(1, np.int64))
+
+
 def _shared(seen: _Seen, labels: Int32, objects: Sequence[Segment]) -> list[float]:
     """How much each object of a cloud has in common with one seen before; 0 if it is another."""
     if labels.ndim == 1 or labels.shape != seen.shape:
         apart = [float(np.linalg.norm(object_.centroid - seen.centroid)) for object_ in objects]
         return [max(0.0, _SAME_PLACE_M - distance) for distance in apart]
-    shared = np.bincount(labels.reshape(-1).take(seen.pixels), minlength=len(objects) + 1)
+    shared = np.empty(len(objects) + 1, np.int64)
+    _count_labels(labels, seen.pixels, len(seen.pixels), len(objects), shared)
     sizes = [min(len(seen.pixels), object_.n_points) for object_ in objects]
     return [float(n) if 2 * n > size else 0.0 for n, size in zip(shared[1:].tolist(), sizes, strict=True)]

@@ -5,48 +5,38 @@ A node implements four hooks, `_setup` and `_teardown` (configure, clean up) and
 deactivate). An error in `_setup` or `_start` refuses the transition and is logged in one line.
 
 Inputs follow the QoS of their publishers (see `FollowingSubscription`), outputs are published reliably. Outputs that are kept for
-late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). rclpy logs subscribers with
-incompatible QoS.
+late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). Subscribers with
+incompatible QoS are logged.
 """
 
-from collections import Counter
+import inspect
+import os
+import threading
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError, shown
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
-from foretouch.ros.runtime.subscription import FollowingSubscription
+from foretouch.ros.runtime.subscription import FollowingSubscription, InputTopic
 from foretouch.topics import NAMESPACE
 
 _C = TypeVar("_C", bound="NodeConfig")
-_TRANSITIONS = {
-    "unconfigured": {
-        "configure": Transition.TRANSITION_CONFIGURE,
-        "shutdown": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
-    },
-    "inactive": {
-        "activate": Transition.TRANSITION_ACTIVATE,
-        "cleanup": Transition.TRANSITION_CLEANUP,
-        "shutdown": Transition.TRANSITION_INACTIVE_SHUTDOWN,
-    },
-    "active": {"deactivate": Transition.TRANSITION_DEACTIVATE, "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN},
-    "finalized": {},
-}  # that a state admits, by label
 REQUESTS = QoSProfile(depth=5000)
 """Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
 
@@ -66,14 +56,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     `options` are for rclpy's `Node`; the namespace is `/foretouch` by default.
     """
 
+    default_name: ClassVar[str]
+    config_class: ClassVar[type[NodeConfig]]
     exclusive_topics: ClassVar[tuple[str, ...]] = ()
     """Topics that only one node of a graph publishes; another publisher is reported as a second graph."""
 
-    def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
-        super().__init__(name, **{"namespace": NAMESPACE, **options})
+    def __init__(self, **options: Any) -> None:
+        super().__init__(self.default_name, **{"namespace": NAMESPACE, **options})
         self.closing = ExitStack()  # of what `_setup` made, closed when the node is cleaned up
         try:
-            self._settings = NodeSettings(self, config_class, self._config_changed)
+            self._settings = NodeSettings(self, cast("type[_C]", self.config_class), self._config_changed)
         except ForetouchError:
             self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
@@ -82,17 +74,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
                 service.callback = partial(self._change_state, service.callback)
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
-        self.has_failed = False  # whether the process ends with exit status 1
-        self.last_failure = ""  # why the latest step that failed did
+        self.failure = ""  # why the node could not be configured or activated, or its thread has ended
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
+        self._outputs: list[LifecyclePublisher] = []
+        self._incompatible: set[tuple[str, str]] = set()  # topics and the nodes that receive nothing from them
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
-        self._last: InputSummary | None = None
-        self._last_errors: Counter[str] = Counter()
         self._input_group = MutuallyExclusiveCallbackGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
+        self.create_timer(self.config.diagnostics_period_s, self._publish_report, callback_group=own_group)
         self.create_timer(0.5, self._look, callback_group=own_group)
 
     @property
@@ -100,7 +91,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """The current settings; a change replaces the whole object."""
         return self._settings.value
 
-    # Hooks that a node implements.
+    # Hooks that a node implements; an error is logged, and is the `failure`.
 
     def _setup(self) -> None:
         """Configure: make publishers and subscriptions, and load what takes long."""
@@ -121,17 +112,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Whether the node has nothing more to do; its process may then end."""
         return False
 
-    def errors(self) -> tuple[str, ...]:
-        """What keeps the node from working, for /diagnostics."""
-        return ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """What the operator should know although the node works, for /diagnostics."""
-        return ()
-
-    def notes(self) -> dict[str, str]:
-        """Further values for /diagnostics."""
-        return {}
+    def diagnose(self, report: Report) -> None:
+        """Add to a report for /diagnostics what is wrong, and further values."""
 
     # What a node uses.
 
@@ -153,44 +135,54 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions(overridden),
+            # Each event would take as long as a subscription in every wait of rclpy's executor.
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
-        self.closing.callback(self.destroy_lifecycle_publisher, publisher)
+        self._outputs.append(publisher)
+        self.closing.callback(self._withdraw, publisher)
         return publisher
 
-    def subscribe(
-        self,
-        message: type,
-        topic: str,
-        callback: Callable[[Any], None],
-        *,
-        depth: int = 5,
-        latched: bool | None = False,
-    ) -> None:
-        """Subscribe (see `FollowingSubscription`); callbacks of a node never run at the same time."""
-        guarded = self.internal_errors.guarded(topic, callback)
-        self._followed[topic] = FollowingSubscription(
-            self,
-            message,
-            topic,
-            lambda content, _: guarded(content),
-            depth=depth,
-            group=self._input_group,
-            latched=latched,
-            report=self.statistics.lose,
-        )
-        self.closing.callback(lambda: self._followed.pop(topic).destroy())
+    def _withdraw(self, publisher: LifecyclePublisher) -> None:
+        self._outputs.remove(publisher)
+        self.destroy_lifecycle_publisher(publisher)
+
+    def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
+        """Subscribe until the node is cleaned up (see `FollowingSubscription`); callbacks of a node never run at the same time."""
+        guarded = self.internal_errors.guarded(topic.name, callback)
+        subscription = FollowingSubscription(self, topic, guarded, self._input_group, self.statistics.lose)
+        self._followed[topic.name] = subscription
+        return subscription
+
+    def unsubscribe(self, name: str) -> None:
+        """End the subscription to a topic, by its name before remapping."""
+        self._followed.pop(name).destroy()
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
-        """Offer a service until the node is cleaned up."""
-        guarded = self.guarded_service(name, callback)
+        """Offer a service until the node is cleaned up; a coroutine function must not raise."""
+        guarded = callback if inspect.iscoroutinefunction(callback) else self.guarded_service(name, callback)
         service = self.create_service(kind, name, guarded, callback_group=group, qos_profile=REQUESTS)
         self.closing.callback(self.destroy_service, service)
 
     def _look(self) -> None:
         """Do what is due now and then: follow the publishers, and look for a second graph."""
         for subscription in tuple(self._followed.values()):
-            subscription.follow()
+            for line in subscription.follow():
+                self.get_logger().info(line)
+        self._look_for_incompatible_subscribers()
         self.look_for_second_graph()
+
+    def _look_for_incompatible_subscribers(self) -> None:
+        """Log subscribers that receive nothing, once each: they ask for reliable or latched messages where none are offered."""
+        for publisher in self._outputs:
+            offer, topic = publisher.qos_profile, publisher.topic_name
+            for end in self.get_subscriptions_info_by_topic(topic):
+                asked = end.qos_profile
+                unreliable = asked.reliability == ReliabilityPolicy.RELIABLE != offer.reliability
+                volatile = asked.durability == DurabilityPolicy.TRANSIENT_LOCAL != offer.durability
+                if (unreliable or volatile) and (topic, end.node_name) not in self._incompatible:
+                    self._incompatible.add((topic, end.node_name))
+                    policy = "reliability best_effort" if unreliable else "durability volatile"
+                    self.get_logger().warning(f"{topic}: {end.node_name} receives nothing: subscribe with {policy}")
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
@@ -199,7 +191,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.conflicts = conflicts
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
         if fresh:
-            self.get_logger().warning(f"a second graph or source runs in {self.get_namespace()}: {'; '.join(fresh)}")
+            cure = "end one, or set another namespace or ROS_DOMAIN_ID"
+            where = self.get_namespace()
+            self.get_logger().warning(f"a second graph or source runs in {where}: {'; '.join(fresh)}; {cure}")
 
     def age_s(self, stamp_ns: int) -> float:
         """Age of a stamp on the node's clock [s]."""
@@ -208,16 +202,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     # Transitions.
 
     def _change_state(self, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-        """Refuse a transition that the state does not admit; rclpy raises an error for it."""
-        admitted, asked = _TRANSITIONS[self.state_name], request.transition
-        if asked.label in admitted if asked.label else asked.id in admitted.values():
+        """Change the state, or refuse a transition that the state does not admit; rclpy raises an error for it."""
+        try:
             return callback(request, response)
-        known = ", ".join(admitted) or "none"
-        self.get_logger().warning(
-            f"transition {shown(asked.label) or asked.id}: refused: {self.state_name} admits {known}"
-        )
-        response.success = False
-        return response
+        except Exception:  # noqa: BLE001  rclpy declares no type for it; errors of hooks are caught in `_attempt`
+            asked = shown(request.transition.label) or request.transition.id
+            self.get_logger().warning(f"transition {asked}: refused in the state {self.state_name}")
+            response.success = False
+            return response
 
     def autostart(self) -> bool:
         """Configure and activate, if the parameter `autostart` is set; False if a transition was refused."""
@@ -230,6 +222,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Set up."""
+        self.failure = ""
         if not self._attempt(self._setup):
             self._release()
             return TransitionCallbackReturn.FAILURE
@@ -238,6 +231,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start."""
+        self.failure = ""
         if not self._attempt(self._start):
             self.stop()  # what it has started
             return TransitionCallbackReturn.FAILURE
@@ -279,42 +273,84 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         try:
             hook()
         except ForetouchError as err:
-            self.last_failure = str(err)
-            self.get_logger().error(self.last_failure)
+            self.failure = str(err)
+            self.get_logger().error(self.failure)
             return False
         except Exception as err:  # noqa: BLE001  rclpy would not report it
-            self.last_failure = f"{type(err).__name__}: {err}"
-            self.internal_errors.report(hook.__name__.strip("_"), err)
+            if self.context.ok():
+                self.failure = self.internal_errors.report(hook.__name__.strip("_"), err)
             return False
         return True
 
     def _release(self) -> None:
+        for name in tuple(self._followed):  # before what their callbacks use
+            self.unsubscribe(name)
         self._attempt(self.closing.close)
         self._attempt(self._teardown)
 
-    def _lost(self) -> dict[str, str]:
-        """Messages that were lost on the way, by topic."""
-        counts = {topic: subscription.losses.count for topic, subscription in self._followed.items()}
-        return {f"lost_on_the_way.{topic}": str(count) for topic, count in counts.items() if count}
+    def reported(self) -> Report:
+        """Make a report of what is wrong now, without the counts of inputs."""
+        report = Report()
+        self._describe(report)
+        return report
 
-    def _report(self) -> None:
-        now, errors = self.statistics.summary(), self.internal_errors.counts()
-        recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
-        status = diagnostic_status(
-            self.get_fully_qualified_name(),
-            self.state_name,
-            now,
-            self._last,
-            errors=self.errors(),
-            warnings=(*self.conflicts, *self.warnings(), *recent),
-            notes={
-                **self.notes(),
-                **self._lost(),
-                **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
-            },
-            silence_s=getattr(self.config, "silence_s", None),
-        )
-        self._last, self._last_errors = now, errors
-        report = DiagnosticArray(status=[status])
-        report.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(report)
+    def _describe(self, report: Report) -> None:
+        if self.failure:
+            report.errors.append(self.failure)
+        report.warnings += self.conflicts
+        for name, subscription in tuple(self._followed.items()):
+            report.warnings += subscription.excluded
+            if subscription.losses.count:
+                report.values[f"lost_on_the_way.{name}"] = str(subscription.losses.count)
+        self.diagnose(report)
+
+    def _publish_report(self) -> None:
+        report, rate_hz = Report(), self.statistics.summary().rate_hz
+        report.values |= {"state": self.state_name, "pid": str(os.getpid())}
+        active = self.state_name == "active"
+        self.statistics.add_to(report, getattr(self.config, "silence_s", None) if active else None)
+        self._describe(report)
+        self.internal_errors.add_to(report)
+        status = report.to_msg(self.get_fully_qualified_name(), f"{self.state_name}, {rate_hz:.1f} Hz")
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+class ThreadNode(ForetouchNode[_C]):
+    """A node that works in a thread while it is active.
+
+    Attributes:
+        stopping: Set when the thread must end.
+        ended: Set when it has ended.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        self.stopping, self.ended = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        super().__init__(**options)
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Work until `stopping` is set."""
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start, and then the thread: what it published before would be lost."""
+        result = super().on_activate(state)
+        if result == TransitionCallbackReturn.SUCCESS:
+            self.stopping.clear()
+            self.ended.clear()
+            self._thread = threading.Thread(target=self._work, name=self.get_name(), daemon=True)
+            self._thread.start()
+        return result
+
+    def _stop(self) -> None:
+        """End the thread."""
+        self.stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _work(self) -> None:
+        self._attempt(self._run)
+        self.ended.set()

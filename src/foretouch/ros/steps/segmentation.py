@@ -20,6 +20,7 @@ from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, status_code
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.ros.steps.selection import Selection, SelectionSettings
@@ -80,8 +81,8 @@ class SegmentationStep(Step):
         self._previous = centroids[0] if centroids else None
         return scene
 
-    def publish(self, header: Header, scene: Scene, shape: tuple[int, ...]) -> None:
-        """Publish a scene, found in a cloud of a shape, for those who subscribe."""
+    def publish(self, header: Header, scene: Scene) -> None:
+        """Publish a scene for those who subscribe."""
         state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
         drawn = self._markers.get_subscription_count()
         if self._table.get_subscription_count() or drawn:
@@ -94,7 +95,7 @@ class SegmentationStep(Step):
         if not (self._objects.get_subscription_count() or self._markers.get_subscription_count()):
             return
         chosen = {target.id for target in scene.targets}
-        height, width = shape[:2] if len(shape) == 3 else (1, shape[0])
+        height, width = np.atleast_2d(scene.labels).shape
         objects = [object_to_msg(segment, target=str(segment.id) in chosen) for segment in scene.segmentation.objects]
         background = [segment.background for segment in scene.segmentation.background]
         message = ObjectArray(height=height, width=width, objects=objects, background=background, **state)
@@ -103,9 +104,9 @@ class SegmentationStep(Step):
             markers = self._markers
             self._node.internal_errors.guarded("markers", lambda: markers.publish(object_markers(message, table)))()
 
-    def notes(self) -> dict[str, str]:
-        """What the last click selected."""
-        return self._selection.notes()
+    def diagnose(self, report: Report) -> None:
+        """Report what the last click selected."""
+        self._selection.diagnose(report)
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish that nothing was found, and why."""
