@@ -119,7 +119,7 @@ class TouchAnswer:
 
 @cache
 def _sensor_fields(sensor: Sensor) -> dict[str, Any]:
-    """The fields that describe the arrays."""
+    """Make the fields that describe the arrays."""
     return {
         "sensor": sensor.config.name,
         "sensor_sha256": sensor.sha256,
@@ -137,5 +137,5 @@ def _columns(sensor: Sensor) -> tuple[Index, Index]:
 
 
 def _adapted(predictions: Predictions, k: int) -> dict[str, Any]:
-    """The fields that hold what a prediction was adapted to."""
+    """Make the fields that hold what a prediction was adapted to."""
     return {"reference": REFERENCE_CODES[predictions.reference[k]], **evidence_fields(predictions.evidence[k])}
