@@ -19,7 +19,7 @@ class TactileInput(Settings):
 
 
 def tactile_class(type_name: str) -> type:
-    """The message class of a type such as `std_msgs/String`; a `MissingDependencyError` without its package."""
+    """Import the message class of a type such as `std_msgs/String`; a `MissingDependencyError` without its package."""
     package, _, name = type_name.partition("/")
     try:
         message: type = getattr(importlib.import_module(f"{package}.msg"), name)

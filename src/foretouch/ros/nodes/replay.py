@@ -47,7 +47,7 @@ _FRAME = "camera_depth_optical_frame"  # of clouds from files that name none
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
-    """The message class of each topic of a recording that can be played, and the reason for each other with messages.
+    """Find the message class of each topic of a recording that can be played, and the reason for each other with messages.
 
     What the nodes in `namespace` published then must not be mixed with what they publish now.
     """
@@ -69,7 +69,7 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
 
 
 def _message_class(topic: Topic) -> type | str:
-    """The class of a topic's messages if this machine has it with the same fields; else the reason."""
+    """Import the class of a topic's messages if this machine has it with the same fields; else give the reason."""
     if (match := re.fullmatch(r"([a-z]\w*)/msg/([A-Z]\w*)", topic.type)) is None:
         return f"type {topic.type or 'mixed'} is not a message type"
     package, name = match.groups()
@@ -178,7 +178,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         return self.statistics.summary().dropped.get("unreadable", 0)
 
     def autostart(self) -> bool:
-        """A source that cannot be opened is the end of it: its parameters are read-only."""
+        """Configure and activate; a source that cannot be opened is the end of it: its parameters are read-only."""
         started = super().autostart()
         if not started:
             self.ended.set()
@@ -223,7 +223,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         self._source = None
 
     def has_ended(self) -> bool:
-        """Whether there is nothing more to play."""
+        """Return whether there is nothing more to play."""
         return self.ended.is_set() and self.outcome != "stopped"  # a stopped node may be activated again
 
     def diagnose(self, report: Report) -> None:

@@ -90,14 +90,14 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
         self._refused: Counter[str] = Counter()
 
     def take(self, timeout_s: float) -> tuple[list[SerializedMessage], Counter[str]]:
-        """All messages that wait (see `get_all`), and how many were rejected since the last call, by topic."""
+        """Take all messages, after waiting for the first, and how many were rejected since the last call, by topic."""
         with self._changed:
             messages, refused = self.get_all(timeout_s), self._refused
             self._refused = Counter()
             return messages, refused
 
     def waiting(self) -> Counter[str]:
-        """Messages that wait, and those rejected since the last `take`, by topic."""
+        """Count the messages that wait, and those rejected since the last `take`, by topic."""
         with self._changed:
             return Counter(item.topic for item in self._items) + self._refused
 
