@@ -45,7 +45,10 @@ _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
-_ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
+_ALMOST, _ALMOST_HAND = (
+    0.96,
+    0.85,
+)  # of the opening of tips, or of a hand with a palm, from where on a line costs the more the wider it is
 REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
@@ -64,7 +67,7 @@ _OBSTACLE_POINTS = 400  # at most, of each object
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
-_OTHER_THUMB_DEG = 5.0  # of tilting, for which the thumb takes g1 instead of g2
+_OTHER_THUMB_DEG = 80.0  # of tilting, for which the thumb takes g1 instead of g2
 _OTHER_SIDE_DEG = 1.0  # of tilting, for which the palm comes from the other side
 _NEAR_DEG = 4.0  # of tilting, in which the weight of an angle beside the best falls by a factor of e
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
@@ -142,7 +145,7 @@ class CompletedObject:
         obstacles: Obstacles | None,
         shift: Float64,
     ) -> None:
-        self._hand, self._obstacles = hand, obstacles
+        self._hand, self._obstacles, self.has_palm = hand, obstacles, hand.hand.limits_depth
         self._points, self._spacing = points, spacing
         total = float(points.inlier.sum())
         if not total > 0.0:
@@ -198,8 +201,8 @@ class CompletedObject:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         floor_m, way_m = hand.tip_radius + hand.clearance_m, hand.approach_m + hand.tip_radius
         settings = np.array([_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        palm = hand.hand.palm if hand.hand.limits_depth else np.zeros(2)
-        n_tilts = len(TILTS) if hand.hand.limits_depth else 0
+        palm = hand.hand.palm if self.has_palm else np.zeros(2)
+        n_tilts = len(TILTS) if self.has_palm else 0
         measured = np.empty((len(turns), n_lines, 8))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
@@ -244,8 +247,8 @@ class CompletedObject:
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         cost += _DEEP * smoothstep(deeper, 0.0, _DEEPER_M) + (raised / _RAISED_M) ** 2
-        opening_m = self._hand.opening
-        return np.asarray(cost + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
+        opening_m, almost = self._hand.opening, _ALMOST_HAND if self.has_palm else _ALMOST
+        return np.asarray(cost + _WIDE * smoothstep(width, almost * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
         """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
@@ -286,11 +289,6 @@ class CompletedObject:
             others = np.asarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         return own, others
 
-    @property
-    def has_thumb(self) -> bool:
-        """Whether the hand is described, so that a contact is the thumb's."""
-        return self._hand.hand.limits_depth
-
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
 
@@ -307,7 +305,7 @@ class CompletedObject:
         width = float(np.hypot(across[0], across[1]))
         frame = np.array([[across[0], across[1], 0.0], [-across[1], across[0], 0.0], [0.0, 0.0, width]]) / width
         clearances, behind = np.full((2, len(TILTS)), UNLIMITED_M), np.zeros(len(TILTS))
-        if hand.limits_depth:
+        if self.has_palm:
             own, others = ((points - middle) @ frame.T for points in self._around)
             clearances, behind = hand.clearance(width, own, others, float(middle[2]))
             clearances = clearances[::-1]
@@ -315,7 +313,7 @@ class CompletedObject:
         if self._hand.thumb_at != "either":
             allowed[int(self._hand.thumb_at == "g1")] = False
         if not allowed.any():
-            if not hand.limits_depth or not len(others):
+            if not self.has_palm or not len(others):
                 return None, False
             alone = hand.clearance(width, own, others[:0], float(middle[2]))[0]
             return None, bool((alone >= _LEAST_M).any())
@@ -427,7 +425,7 @@ def best_grasps(
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
         else:
-            if way.thumb_at == "g2" and completed.has_thumb:
+            if way.thumb_at == "g2" and completed.has_palm:
                 ends, way = ends[::-1], way.with_contacts_swapped()
             chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen

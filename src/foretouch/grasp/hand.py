@@ -17,6 +17,7 @@ import numpy as np
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, nearest, shown
 from foretouch.grasp.pose import cross
+from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Floating, Int32
 
 FINGER, THUMB, PALM = "finger", "thumb", "palm"
@@ -28,15 +29,14 @@ TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.
 SPARE_M: Final = 0.003
 """Distance that the palm keeps from the object where it can, since sizes and places are estimated."""
 
-_TURNED = np.stack([[-np.sin(TILTS), -np.cos(TILTS)], [-np.cos(TILTS), np.sin(TILTS)]]).astype(np.float32)
-# (2, 2, A): along z and y of the frame of the grasp, from what is beside and up of a line, at each of `TILTS`
+_hand_clearance = Kernel("hand_clearance")
 
 _FREE_STEP_M: Final = 0.005
 _WIDER_M: Final = 0.002  # on either side of a line, where the object is not seen to end
 _CELL_M: Final = 0.0025
 _WIDTH_STEP_M: Final = 0.0025
 _PALM_CELLS, _FINGER_CELLS = 3, 2  # around a part of the hand that it takes, too, since widths are estimated
-_CELLS: Final = 200  # of the grid over a hand, in either direction
+_CELLS: Final = 202  # of the grid over a hand, in either direction
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _SIDES: Final = {FINGER: -0.5, PALM: 0.0, THUMB: 0.5}  # of the width, where the origin of such a box is
 
@@ -246,7 +246,7 @@ class Hand:
         Returns:
             (2, 202, 202) float32 [m]; each place stands for those around it, too, by `_PALM_CELLS` or `_FINGER_CELLS`.
         """
-        palm, fingers = np.full((2, 2, _CELLS + 2, _CELLS + 2), -np.inf)
+        palm, fingers = np.full((2, 2, _CELLS, _CELLS), -np.inf)
         for share in (1.0, 0.5, 0.0):
             for corners, part in zip(self.opened(number * _WIDTH_STEP_M, share), self.parts, strict=True):
                 _raise_to((palm if part == PALM else fingers)[1], corners)
@@ -257,7 +257,7 @@ class Hand:
         return fronts
 
     def clearance(self, width_m: float, own: Float64, others: Float64, height_m: float) -> tuple[Float64, Float64]:
-        """How much further the hand could go along each of `TILTS` before it meets something [m], negative where it is blocked.
+        """Measure how much further the hand could go along each of `TILTS` before it meets something [m], negative where it is blocked.
 
         Its fingers are open; everything between the hand and where it comes from counts.
 
@@ -270,27 +270,16 @@ class Hand:
         Returns:
             (2, A) float64 with the thumb at the line's end, and at its beginning; and (A,) float64, how far the object reaches towards the palm [m].
         """
-        points, split = np.concatenate([own, others]).astype(np.float32), len(own)
-        number = round(width_m / _WIDTH_STEP_M)
-        depth, middle = (float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, free)) for free in self.depths)
-        x = points[:, 0]
-        z, y = np.einsum("dka,kn->dan", _TURNED, points[:, 1:].T)  # (A, N) each, as the palm turns about the line
-        across = np.abs(x[:split]) <= width_m / 2.0 + _WIDER_M
-        between = across & (np.abs(y[:, :split]) <= self.config.across_m / 2.0)
-        behind = -np.where(between, z[:, :split], 0.0).min(axis=1, initial=0.0)
-        free_m = np.where(np.abs(x[:split]) <= width_m / 4.0, middle, depth)
-        between_m = np.where(between, z[:, :split] + free_m, UNLIMITED_M).min(axis=1, initial=UNLIMITED_M)
-        cells = (_CELLS + 2) * _cell(x) + _cell(y)
-        clear_m, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
-        opened, closing = self._fronts(number)
-        met = np.empty_like(z)
-        for row in (0, 1):
-            met[:, :split], met[:, split:] = opened.take(cells[:, :split]), closing.take(cells[:, split:])
-            free = (z - met).min(axis=1, initial=UNLIMITED_M)
-            cells = opened.size - 1 - cells  # half a turn about z: the thumb is at the line's beginning
-            above = height_m + lowest[row]  # the table is where it was seen: there is no tolerance
-            clear_m[row] = np.where(above < 0.0, -UNLIMITED_M, np.minimum(np.minimum(free, between_m), above))
-        return clear_m, behind
+        points, number = np.concatenate([own, others]), round(width_m / _WIDTH_STEP_M)
+        free = [float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, depths)) for depths in self.depths]
+        half_m, across_m = width_m / 2.0 + _WIDER_M, self.config.across_m / 2.0
+        sizes = np.array([1.0 / _CELL_M, half_m, width_m / 4.0, across_m, *free])
+        clear_m, behind = np.empty((2, len(TILTS))), np.empty(len(TILTS))
+        _hand_clearance(
+            *(points, len(points), len(own), TILTS, len(TILTS), self._fronts(number), _CELLS, sizes, clear_m, behind)
+        )
+        above = height_m + self.lowest(number * _WIDTH_STEP_M)  # the table is where it was seen: there is no tolerance
+        return np.where(above < 0.0, -UNLIMITED_M, np.minimum(clear_m, above)), behind
 
     def at(self, width_m: float) -> HandAt:
         """The hand at a width of a grasp [m], by linear interpolation."""
@@ -319,7 +308,7 @@ def _ahead(corners: Float64) -> float:
 
 def _cell(values: Floating) -> Int32:
     """Index of a place in `Hand._fronts`, whose border is empty."""
-    return np.asarray(np.clip(values * (1.0 / _CELL_M) + (_CELLS / 2 + 1), 0.5, _CELLS + 1.5), np.int32)
+    return np.asarray(np.clip(values * (1.0 / _CELL_M) + _CELLS / 2, 0.5, _CELLS - 0.5), np.int32)
 
 
 def _spread(fronts: Float64, cells: int) -> Float64:
@@ -332,7 +321,7 @@ def _spread(fronts: Float64, cells: int) -> Float64:
 def _raise_to(front: Float64, corners: Float64) -> None:
     """Raise a map of `Hand._fronts` to a box with corners (8, 3)."""
     low, high = (_cell(end) for end in (corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)))
-    x, y = (_CELL_M * (np.arange(a, b + 1) - (_CELLS / 2 + 0.5)) for a, b in zip(low, high, strict=True))
+    x, y = (_CELL_M * (np.arange(a, b + 1) - (_CELLS - 1) / 2) for a, b in zip(low, high, strict=True))
     edges = corners[[4, 2, 1]] - corners[0]
     squares = (edges * edges).sum(axis=1)[:, None, None]
     place = np.stack(np.broadcast_arrays(x[:, None], y[None, :], 0.0), axis=-1) - corners[0]
