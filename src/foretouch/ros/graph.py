@@ -218,20 +218,8 @@ def node_class(name: str) -> "type[ForetouchNode[Any]]":
         return NODE_CLASSES[name]
 
 
-NODES: Final = {
-    name: partial(node_class, name)
-    for name in (
-        "camera",
-        "perception",
-        "segmentation",
-        "grasp",
-        "touch_predictor",
-        "replay",
-        "hand",
-        "recorder",
-        "bridge",
-    )
-}
+_NAMES: Final = "camera perception segmentation grasp touch_predictor replay hand recorder bridge"
+NODES: Final = {name: partial(node_class, name) for name in _NAMES.split()}
 """What gives the class of each node, by name."""
 
 

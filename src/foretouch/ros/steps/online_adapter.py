@@ -45,8 +45,13 @@ _TABLES = 64  # of the latest clouds, which come before the clouds themselves ar
 class OnlineAdapter:
     """Adapts the predictions of one model, which has a calibration.
 
-    The `reader` is of the model's sensor. `config` gives the current settings, `now_ns` the time of the node's clock [ns]; `warn` is called with a line for each
-    touch that is refused.
+    Args:
+        model: The model.
+        reader: Of the model's sensor.
+        keeper: Of the history of the hand.
+        config: Gives the current settings.
+        now_ns: Gives the time of the node's clock [ns].
+        warn: Called with a line for each touch that is refused.
     """
 
     def __init__(
