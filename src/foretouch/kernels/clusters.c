@@ -15,7 +15,8 @@ enum {
     HIGH,     /* maximum height [m] */
     NEAREST,  /* depth range [m] */
     FARTHEST,
-    CONNECTED, /* depth per depth of connected neighbours, */
+    CLOSE,     /* depth per depth of connected neighbours, */
+    CONNECTED, /* of those of which one is in a small set, */
     SUPPORTED, /* and of those that support each other, */
     GAP,       /* or this depth, if larger [m] */
     TOP,       /* height that a patch must reach [m] */
@@ -28,6 +29,7 @@ enum {
 #define BASE_FRACTION (1.0f / 3.0f)
 #define MIN_SUPPORT 4
 #define MIN_STRAIGHT 3
+#define SMALL 8 /* times the least number of nodes: of a set that is connected across larger steps */
 
 INLINE float height_of(const float *p, const double *s) {
     return p[0] * (float)s[PLANE_A] + p[1] * (float)s[PLANE_B] + p[2] * (float)s[PLANE_C] + (float)s[PLANE_D];
@@ -151,8 +153,8 @@ typedef struct {
     const double *s;
 } window;
 
-/* Whether two neighbours of the grid, `step` numbers apart for each of `stride` pixels, are joined. */
-INLINE int is_joined(const window *v, int64_t first, int64_t step) {
+/* Whether two neighbours of the grid, `step` numbers apart for each of `stride` pixels, are joined: up to a depth per depth. */
+INLINE int is_joined(const window *v, int64_t first, int64_t step, double slope) {
     const float *z = v->z + first;
     const uint8_t *kind = v->kind + first;
     int hole = 0;
@@ -162,18 +164,39 @@ INLINE int is_joined(const window *v, int64_t first, int64_t step) {
     for (int64_t i = 0; i < v->stride; i++) {
         const float here = z[i * step], next = z[(i + 1) * step];
         hole |= here != here;
-        if (fabsf(next - here) > step_at(here, v->s[CONNECTED], v->s) || kind[(i + 1) * step] & BELOW) {
+        if (fabsf(next - here) > step_at(here, slope, v->s) || kind[(i + 1) * step] & BELOW) {
             return 0;
         }
     }
-    const float allowed = (hole ? 1.0f : (float)v->stride) * step_at(z[0], v->s[CONNECTED], v->s);
+    const float allowed = (hole ? 1.0f : (float)v->stride) * step_at(z[0], slope, v->s);
     return fabsf(z[v->stride * step] - z[0]) <= allowed;
+}
+
+/* Joins sets of nodes of which one is small across larger steps in depth. size: (gh gw), zeros. */
+INLINE void join_small(const window *v, int32_t *parent, int32_t *size, int64_t min_nodes) {
+    for (int64_t i = 0; i < v->gh * v->gw; i++) {
+        size[root_of(parent, (int32_t)i)]++;
+    }
+    for (int64_t i = 0; i < v->gh * v->gw; i++) {
+        for (int side = 0; v->nodes[i] && side < 2; side++) {
+            const int64_t other = side ? i - 1 : i - v->gw, step = side ? 1 : v->line;
+            if (!(side ? i % v->gw : i / v->gw) || !v->nodes[other]) {
+                continue;
+            }
+            const int64_t pixel = other / v->gw * v->stride * v->line + other % v->gw * v->stride;
+            const int32_t a = root_of(parent, (int32_t)i), b = root_of(parent, (int32_t)other), both = size[a] + size[b];
+            if (a != b && (size[a] < size[b] ? size[a] : size[b]) < SMALL * min_nodes && is_joined(v, pixel, step, v->s[CONNECTED])) {
+                join(parent, a, b);
+                size[root_of(parent, a)] = both;
+            }
+        }
+    }
 }
 
 /* Labels the nodes of one patch and drops small components; the largest label, -1 without memory. */
 INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, int64_t patch, int64_t min_nodes) {
     const int64_t gh = v->gh, gw = v->gw;
-    int32_t *parent = calloc((size_t)(gh * gw + 1), 2 * sizeof(int32_t));
+    int32_t *parent = calloc((size_t)(gh * gw + 1), 3 * sizeof(int32_t));
     int64_t last = -1;
     if (parent) {
         int32_t *count = parent + gh * gw;
@@ -186,14 +209,15 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
                 if (!v->nodes[i]) {
                     continue;
                 }
-                if (row && v->nodes[i - gw] && is_joined(v, pixel - v->stride * v->line, v->line)) {
+                if (row && v->nodes[i - gw] && is_joined(v, pixel - v->stride * v->line, v->line, v->s[CLOSE])) {
                     join(parent, i, i - (int32_t)gw);
                 }
-                if (column && v->nodes[i - 1] && is_joined(v, pixel - v->stride, 1)) {
+                if (column && v->nodes[i - 1] && is_joined(v, pixel - v->stride, 1, v->s[CLOSE])) {
                     join(parent, i, i - 1);
                 }
             }
         }
+        join_small(v, parent, count + gh * gw, min_nodes);
         last = number_sets(parent, v->nodes, gh * gw, min_nodes, NULL, count);
     }
     free(parent);

@@ -2,12 +2,13 @@
 """What the kernels of `crop.c`, `plane.c` and `clusters.c` compute, in NumPy and SciPy. Float32 stays float32."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
-from foretouch.cloud.segmentation.clusters import FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
+from foretouch.cloud.segmentation.clusters import CLOSE_SLOPE, FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
 from foretouch.cloud.segmentation.objects import Segment
 from foretouch.types.camera import DepthImage
 
@@ -98,7 +99,8 @@ def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None, wri
             z = points[..., 2]
             nodes = above[::stride, ::stride] & (patches[rows, columns] == number)
             below = height <= _least(threshold, z)
-            nodes = _label_nodes(nodes, z, below, stride, lambda z: step(z, MAX_SLOPE))
+            edges = [_edges(nodes, z, below, stride, partial(step, slope=slope)) for slope in (CLOSE_SLOPE, MAX_SLOPE)]
+            nodes = _join_small(_label_nodes(nodes, *edges[0]), *edges[1], 8 * min_nodes)
             nodes = _kept(nodes, min_nodes)
             labels = _grow(nodes, z, above, stride)
             solid = _refine(labels, z, height, above, threshold, lambda z: step(z, FLYING_SLOPE))
@@ -138,13 +140,30 @@ def _kept(labels, least: int, tall=None) -> Array:
     return np.where(keep, np.cumsum(keep), 0).astype(np.int32)[labels]
 
 
-def _label_nodes(nodes, z, below, stride: int, step: Callable[[Array], Array]) -> Array:
+def _edges(nodes, z, below, stride: int, step: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Whether nodes are joined with those below them, and with those on their right."""
+    down = nodes[:-1] & nodes[1:] & _joined(z, below, stride, step)
+    return down, nodes[:, :-1] & nodes[:, 1:] & _joined(z.T, below.T, stride, step).T
+
+
+def _label_nodes(nodes, down, right) -> Array:
     """Connected components of the grid; nodes and edges are drawn into an image of twice the size."""
     picture = np.zeros((2 * nodes.shape[0] - 1, 2 * nodes.shape[1] - 1), bool)
-    picture[::2, ::2] = nodes
-    picture[1::2, ::2] = nodes[:-1] & nodes[1:] & _joined(z, below, stride, step)
-    picture[::2, 1::2] = nodes[:, :-1] & nodes[:, 1:] & _joined(z.T, below.T, stride, step).T
+    picture[::2, ::2], picture[1::2, ::2], picture[::2, 1::2] = nodes, down, right
     return ndimage.label(picture)[0][::2, ::2]
+
+
+def _join_small(labels, down, right, small: int) -> Array:
+    """Components joined across further edges, in the order of their second nodes, where one of both is small."""
+    sizes, names = np.bincount(labels.ravel()), np.arange(labels.max() + 1)
+    ends = [(row + 1, column, row, column) for row, column in np.argwhere(down)]
+    ends += [(row, column + 1, row, column) for row, column in np.argwhere(right)]
+    for row, column, *other in sorted(ends):
+        first, second = sorted((names[labels[row, column]], names[labels[tuple(other)]]))
+        if first != second and min(sizes[first], sizes[second]) < small:
+            sizes[first] += sizes[second]
+            names[names == second] = first
+    return names[labels]
 
 
 def _joined(z, below, stride: int, step: Callable[[Array], Array]) -> Array:

@@ -3,7 +3,8 @@
 
 An image is labelled by its connected components (`kernels/clusters.c`). Points above the table are first labelled on a
 coarse grid of pixels. Two neighbours of the grid are connected unless the pixels between them fall to the table or jump
-in depth, so that an object in front of another one is not merged with it. The labels then grow to full resolution, and
+in depth, so that an object in front of another one is not merged with it. Small clusters, as of a face that is seen
+from its side, are connected across larger jumps. The labels then grow to full resolution, and
 the outlines are refined:
 
 - Flying pixels lie in the air between an object and its background, since the camera mixed both. They have few
@@ -31,7 +32,10 @@ _grid_patches = Kernel("grid_patches")
 _label_window = Kernel("label_window")
 
 NOISE_FACTOR = 2.5  # standard deviations of the depth noise, within which points belong to the table
-MAX_SLOPE = 20.0  # depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees
+CLOSE_SLOPE = (
+    5.0  # depth per lateral distance up to which neighbouring pixels are connected: a face seen at 79 degrees,
+)
+MAX_SLOPE = 20.0  # and where one of them belongs to a small cluster: a sliver of a face seen at 87 degrees
 FLYING_SLOPE = 4.0  # beyond which a neighbour does not support a pixel; unsupported pixels are flying
 _VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
 
@@ -59,7 +63,7 @@ class ClusterConfig(Settings):
     """Which points are above the table, and which of them are one object."""
 
     min_height_m: float = setting(0.004, "Points lower than this above the table belong to it", bounds=(0.001, 0.1))
-    gap_m: float = setting(0.008, "Neighbouring pixels that differ less in depth are connected", bounds=(0.001, 0.1))
+    gap_m: float = setting(0.006, "Neighbouring pixels that differ less in depth are connected", bounds=(0.001, 0.1))
     min_points: int = setting(150, "Smaller clusters are dropped", bounds=(1, 10_000_000))
     min_top_m: float = setting(0.012, "Clusters that do not rise higher above the table are dropped", bounds=(0.0, 0.5))
     max_extent_m: float = setting(
@@ -123,7 +127,7 @@ def label_organised(
         [
             *threshold.plane.coefficients,
             *(threshold.low_m, threshold.noise_per_m, threshold.high_m, crop.min_range_m, crop.max_range_m),
-            *(MAX_SLOPE * pitch, FLYING_SLOPE * pitch, config.gap_m, config.min_top_m),
+            *(CLOSE_SLOPE * pitch, MAX_SLOPE * pitch, FLYING_SLOPE * pitch, config.gap_m, config.min_top_m),
             *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
         ]
     )
