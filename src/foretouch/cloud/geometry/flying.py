@@ -13,7 +13,7 @@ from foretouch.types import Bool, Float32
 _flying = Kernel("flying_points")
 
 _NEIGHBOURS = 20.0  # that a point has on average, of all whose rays are near
-_GAP_M = 0.008  # in depth, up to which neighbours support each other,
+_GAP_M = 0.008  # in depth, up to which neighbours support each other, as `ClusterConfig.gap_m`,
 _SLOPE = 2.0  # or so many times their lateral distance
 # Of the neighbours, at least this share is behind it, or before it, and at most so many support it: the end of a wire has two.
 # Where points fly, some of them are near each other by chance.

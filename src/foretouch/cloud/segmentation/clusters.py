@@ -63,7 +63,7 @@ class ClusterConfig(Settings):
     """Which points are above the table, and which of them are one object."""
 
     min_height_m: float = setting(0.004, "Points lower than this above the table belong to it", bounds=(0.001, 0.1))
-    gap_m: float = setting(0.006, "Neighbouring pixels that differ less in depth are connected", bounds=(0.001, 0.1))
+    gap_m: float = setting(0.008, "Neighbouring pixels that differ less in depth are connected", bounds=(0.001, 0.1))
     min_points: int = setting(150, "Smaller clusters are dropped", bounds=(1, 10_000_000))
     min_top_m: float = setting(0.012, "Clusters that do not rise higher above the table are dropped", bounds=(0.0, 0.5))
     max_extent_m: float = setting(
