@@ -95,7 +95,7 @@ class Obstacles:
 
     @classmethod
     def of(cls, objects: Sequence[tuple[int, Float32]]) -> Self | None:
-        """The obstacles of a scene with the ids and the (N, 3) float32 points [m] of its objects; None for a single one."""
+        """Return the obstacles of a scene with the ids and the (N, 3) float32 points [m] of its objects; None for a single one."""
         if len(objects) < 2:
             return None
         sampled = [(k, xyz[:: -(-len(xyz) // _OBSTACLE_POINTS)]) for k, xyz in objects]
@@ -103,7 +103,7 @@ class Obstacles:
         return cls(np.concatenate([xyz for _, xyz in sampled]), np.concatenate(ids))
 
     def without(self, object_id: str) -> "Obstacles":
-        """The obstacles for grasps on one object: all others."""
+        """Return the obstacles for grasps on one object: all others."""
         others = self.object_ids != (int(object_id) if object_id.isdecimal() else -1)
         return Obstacles(self.xyz[others], self.object_ids[others])
 
@@ -187,14 +187,14 @@ class CompletedObject:
         return grid, nearest, inside
 
     def _camera(self) -> tuple[Float64, Float32, Float32, int, int]:
-        """The outline and the pose of the table's frame in the camera's, as the kernels read them."""
+        """Return the outline and the pose of the table's frame in the camera's, as the kernels read them."""
         if not self._in_view:
             return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
         grid, nearest, inside = self._seen
         return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """(A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """Return (A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
@@ -211,7 +211,7 @@ class CompletedObject:
         return measured
 
     def lines(self) -> ClosingLines:
-        """All closing lines with their costs."""
+        """Return all closing lines with their costs."""
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
         measured = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
@@ -233,7 +233,7 @@ class CompletedObject:
         return ClosingLines(low, high, height, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost)
 
     def _refused(self, measured: Float64) -> dict[str, Bool]:
-        """Which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        """Return which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
@@ -243,7 +243,7 @@ class CompletedObject:
         }
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
-        """What speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
+        """Return what speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         cost += _DEEP * smoothstep(deeper, 0.0, _DEEPER_M) + (raised / _RAISED_M) ** 2
@@ -251,12 +251,12 @@ class CompletedObject:
         return np.asarray(cost + _WIDE * smoothstep(width, almost * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
+        """Return both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
         values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
     def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """The contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
+        """Return the contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
         half, rows = np.divmod(angle + _TURNS, _ANGLES)
         columns = np.where(half % 2 == 0, line + _STEPS, _LINES - 1 - (line + _STEPS))
         inside = (columns >= 0) & (columns < _LINES)
@@ -355,7 +355,7 @@ def _smoothed(cost: Float64) -> Float64:
 
 
 def _table_basis(plane: Plane, centroid: Float64, in_view: bool) -> Float64:
-    """(3, 3) float64, rows: away from the camera along the table, to its left, and up; directions of the camera's frame.
+    """Return (3, 3) float64, rows: away from the camera along the table, to its left, and up; directions of the camera's frame.
 
     Away is between the direction of view and the image's upward direction, which is defined also from straight above.
     """
@@ -372,18 +372,18 @@ def _table_basis(plane: Plane, centroid: Float64, in_view: bool) -> Float64:
 
 
 def _base(lowest_m: float) -> float:
-    """Height on which an object stands [m]: the table, unless its lowest visible points are below or far above it."""
+    """Return the height on which an object stands [m]: the table, unless its lowest visible points are below or far above it."""
     return lowest_m if lowest_m < 0.0 or lowest_m > _FLOATING_M else 0.0
 
 
 def _quantile(values: Float64, share: float) -> float:
-    """A quantile that is one of the values, in a tenth of the time of np.quantile."""
+    """Return a quantile that is one of the values, in a tenth of the time of np.quantile."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])
 
 
 def _slopes(ends: Float64) -> Float64:
-    """Root mean square slope from (..., 17) ends of the lines to those of the second neighbours; 1 where one is unknown.
+    """Return the root mean square slope from (..., 17) ends of the lines to those of the second neighbours; 1 where one is unknown.
 
     A fitted line would hide a corner, whose two sides fall away from it.
     """
@@ -437,7 +437,7 @@ def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
 
 
 def _in_image_order(ends: tuple[Float64, Float64], along: Float64) -> tuple[Float64, Float64]:
-    """The ends of a line of direction `along`, that on the left of the image first."""
+    """Return the ends of a line of direction `along`, that on the left of the image first."""
     return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
 
 
@@ -449,7 +449,7 @@ def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[
 
 
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:
-    """Why the hand can execute none of the lines."""
+    """Return why the hand can execute none of the lines."""
     counts = lines.counts
     if counts["n_lines"] == 0:
         return "no horizontal line across the object meets 8 points"

@@ -193,7 +193,7 @@ class Hand:
 
     @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
     def lowest(self, width_m: float) -> Float64:
-        """(2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `TILTS`, with the thumb at its end and at its beginning."""
+        """Return (2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `TILTS`, with the thumb at its end and at its beginning."""
         corners = self.at(width_m).corners.reshape(-1, 3)
         below = np.outer(np.cos(TILTS), np.minimum(corners[:, 2], self.config.tip_radius_m))
         beside = np.outer(np.sin(TILTS), corners[:, 1])
@@ -227,7 +227,7 @@ class Hand:
         return np.column_stack([x, cross(z, x), z])
 
     def opened(self, width_m: float, share: float = 1.0) -> Float64:
-        """(B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
+        """Return (B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
         wide = min(
             width_m + 2.0 * share * self.config.open_m,
             max(float(self.widths[-1]), self.config.opening_m + 2.0 * _WIDER_M),
@@ -282,7 +282,7 @@ class Hand:
         return np.where(above < 0.0, -UNLIMITED_M, np.minimum(clear_m, above)), behind
 
     def at(self, width_m: float) -> HandAt:
-        """The hand at a width of a grasp [m], by linear interpolation."""
+        """Return the hand at a width of a grasp [m], by linear interpolation."""
         place = float(np.interp(width_m, self.widths, np.arange(len(self.widths))))
         k = min(int(place), max(len(self.widths) - 2, 0))
         row = self._rows[k] + (place - k) * (self._rows[min(k + 1, len(self.widths) - 1)] - self._rows[k])
@@ -296,7 +296,7 @@ class Hand:
 
 
 def _ahead(corners: Float64) -> float:
-    """How far from the origin towards the palm a box with corners (8, 3) begins [m]; `UNLIMITED_M` where it is beside."""
+    """Return how far from the origin towards the palm a box with corners (8, 3) begins [m]; `UNLIMITED_M` where it is beside."""
     edges = corners[[4, 2, 1]] - corners[0]  # along x, y and z of the box
     squares = (edges * edges).sum(axis=1)
     start, step = edges @ -corners[0] / squares, -edges[:, 2] / squares  # in parts of the edges, 0 to 1 inside
@@ -312,7 +312,7 @@ def _cell(values: Floating) -> Int32:
 
 
 def _spread(fronts: Float64, cells: int) -> Float64:
-    """The largest of each cell of maps (2, H, W) and those around it."""
+    """Return the largest of each cell of maps (2, H, W) and those around it."""
     for axis in (1, 2):
         fronts = np.max([np.roll(fronts, shift, axis) for shift in range(-cells, cells + 1)], axis=0)
     return fronts
@@ -334,7 +334,7 @@ def _raise_to(front: Float64, corners: Float64) -> None:
 
 
 def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
-    """All numbers of a posture in a row: depth, tool, corners of the boxes, angles."""
+    """Return all numbers of a posture in a row: depth, tool, corners of the boxes, angles."""
     turned = rotation_of(posture.rpy)
     palm = [posture.xyz + box.corners @ turned.T for box in config.boxes]
     corners = [*palm, *(box.corners for box in posture.boxes)]
@@ -343,7 +343,7 @@ def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
 
 
 def rotation_of(rpy: Sequence[float]) -> Float64:
-    """(3, 3) float64 rotation of angles about the fixed axes x, y and z [rad], as in URDF."""
+    """Return (3, 3) float64 rotation of angles about the fixed axes x, y and z [rad], as in URDF."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(rpy), np.sin(rpy)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
@@ -352,7 +352,7 @@ def rotation_of(rpy: Sequence[float]) -> Float64:
 
 
 def hand_files() -> dict[str, Path]:
-    """The descriptions that come with the package, by name."""
+    """Return the descriptions that come with the package, by name."""
     folder = Path(str(resources.files("foretouch.grasp"))) / "hands"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
@@ -381,5 +381,5 @@ def load_hand(hand: str | Path) -> Hand:
 
 
 def tool_of(hand: str | Path) -> str:
-    """Name of the tool frame of a description; "" without a hand, or of one whose description names none."""
+    """Return the name of the tool frame of a description; "" without a hand, or of one whose description names none."""
     return load_hand(hand).config.tool if hand else ""

@@ -150,7 +150,7 @@ class Graph:
         return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
 
     def played(self) -> int:
-        """Clouds published by the replay or the camera; received from a topic of others."""
+        """Return clouds published by the replay or the camera; received from a topic of others."""
         counts = [self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes]
         if counts:
             return sum(counts)
@@ -217,20 +217,8 @@ def node_class(name: str) -> "type[ForetouchNode[Any]]":
         return NODE_CLASSES[name]
 
 
-NODES: Final = {
-    name: partial(node_class, name)
-    for name in (
-        "camera",
-        "perception",
-        "segmentation",
-        "grasp",
-        "touch_predictor",
-        "replay",
-        "hand",
-        "recorder",
-        "bridge",
-    )
-}
+_NAMES: Final = "camera perception segmentation grasp touch_predictor replay hand recorder bridge"
+NODES: Final = {name: partial(node_class, name) for name in _NAMES.split()}
 """What gives the class of each node, by name."""
 
 

@@ -132,7 +132,7 @@ def _sensor_fields(sensor: Sensor) -> dict[str, Any]:
 
 @cache
 def _columns(sensor: Sensor) -> tuple[Index, Index]:
-    """Columns of a touch in the order of a message: (F N C,) of the taxels, (F S,) of the scalars."""
+    """Return columns of a touch in the order of a message: (F N C,) of the taxels, (F S,) of the scalars."""
     return sensor.taxel_columns.ravel(), sensor.scalar_columns.ravel()
 
 

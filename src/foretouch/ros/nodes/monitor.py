@@ -26,7 +26,7 @@ from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import read_serialized, status_name
-from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.internal_errors import InternalErrors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
@@ -112,7 +112,7 @@ class MonitorNode(Node):
         self.create_subscription(TouchPredictionArray, "touch", self._receive_touch, reliable)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 50)
         if hand is not None:
-            kind = tactile_class(hand.message_type)
+            kind = message_class(hand.message_type)
             self.create_subscription(kind, TACTILE_TOPIC, partial(self._assemble, "tactile"), reliable)
             self.create_subscription(ExecutedGrasp, EXECUTED_TOPIC, partial(self._assemble, "executed"), reliable)
             self.create_subscription(PointCloud2, CLOUD_TOPIC, self._receive_cloud, qos_profile_sensor_data, raw=True)

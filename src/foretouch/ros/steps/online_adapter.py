@@ -45,8 +45,13 @@ _TABLES = 64  # of the latest clouds, which come before the clouds themselves ar
 class OnlineAdapter:
     """Adapts the predictions of one model, which has a calibration.
 
-    The `reader` is of the model's sensor. `config` gives the current settings, `now_ns` the time of the node's clock [ns]; `warn` is called with a line for each
-    touch that is refused.
+    Args:
+        model: The model.
+        reader: Of the model's sensor.
+        keeper: Of the history of the hand.
+        config: Gives the current settings.
+        now_ns: Gives the time of the node's clock [ns].
+        warn: Called with a line for each touch that is refused.
     """
 
     def __init__(
@@ -260,15 +265,11 @@ class OnlineAdapter:
             if tare is not None:
                 self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, tare.channels, "tare_"))
             new = not self._history.is_current(sample.cloud, config.same_object_m)
+            table = self._tables.get(sample.cloud.stamp_ns)
+            estimate = self._history.model.estimate_executed(sample.cloud, [sample.grasp], config.limits, table)
+            tdc = tdc_of(extra, touch.channels)
             self._history.add_touch(
-                now_ns,
-                sample.cloud,
-                sample.grasp,
-                touch,
-                new_object=new,
-                limits=config.limits,
-                tdc=tdc_of(extra, touch.channels),
-                table=self._tables.get(sample.cloud.stamp_ns),
+                now_ns, sample.cloud, sample.grasp, touch, new_object=new, estimate=estimate, tdc=tdc
             )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
