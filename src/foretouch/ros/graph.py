@@ -63,6 +63,7 @@ class Graph:
         self._monitor_options = monitor
         self._closing, self._closed = threading.Event(), ExitStack()
         self._thread: threading.Thread | None = None
+        self._last_played = 0  # of a topic of others, when it was left
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
