@@ -63,6 +63,7 @@ class Graph:
         self._monitor_options = monitor
         self._closing, self._closed = threading.Event(), ExitStack()
         self._thread: threading.Thread | None = None
+        self._last_played = 0  # of a topic of others, when it was left
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
@@ -191,7 +192,16 @@ class Graph:
 
 
 def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
+    """Check the parameters of a command line, and start rclpy.
+
+    Args:
+        arguments: The command line.
+        names: Of the nodes of this process.
+        namespace: Of these nodes.
+
+    Raises:
+        ConfigError: If the command line is malformed.
+    """
     prepare_environment()
     stale_bytes(free=True)
     check_parameters(arguments, NODES, names, namespace)
