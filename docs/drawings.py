@@ -24,6 +24,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from PIL import Image
@@ -129,10 +130,12 @@ def draw_frames(cloud: Cloud, result: PipelineResult) -> None:
     for point in (grasp.g1, grasp.g2):
         ax.plot(*point[:, None], "o", color="black", markersize=4)
     ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", aspect="equal")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(MaxNLocator(3))
     ax.invert_zaxis()
     ax.invert_yaxis()  # with z down, this keeps the axes right-handed
     ax.view_init(elev=20, azim=-60)
-    figure.savefig(FOLDER / "frames.png", dpi=110)
+    figure.savefig(FOLDER / "frames.png", dpi=110, bbox_inches="tight", pad_inches=0.15)
 
 
 def triad(ax: Axes3D, origin: np.ndarray, rotation: np.ndarray, length: float, name: str, letters: str) -> None:
@@ -342,7 +345,7 @@ def draw_hands() -> None:
         figure = draw_scene(target, grasps)
         figure.suptitle(name.replace("_", " "))
         held = io.BytesIO()
-        figure.savefig(held, format="png", dpi=80, facecolor="white")
+        figure.savefig(held, format="png", dpi=110, facecolor="white")
         pictures.append(Image.open(held).convert("RGB"))
     sheet = Image.new("RGB", (pictures[0].width, sum(picture.height for picture in pictures)), "white")
     for row, picture in enumerate(pictures):

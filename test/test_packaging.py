@@ -96,16 +96,37 @@ def test_no_class_has_a_name_of_the_other_package() -> None:
     ],
 )
 def test_a_command_without_the_laboratory_names_the_extra_to_install(blocked, words, tmp_path) -> None:
-    code = (
-        f"import sys\nsys.modules[{blocked!r}] = None\nfrom foretouch.cli.main import main\nsys.exit(main({words!r}))"
-    )
-    done = run_python(code, cwd=tmp_path)
+    done = _run_without((blocked,), words, tmp_path)
     (line,) = [one for one in done.stderr.splitlines() if one.startswith("foretouch: ")]
     assert (done.returncode, line) == (
         1,
         f"foretouch: {_user(words)}: {blocked} is not installed: pip install 'foretouch[lab]'",
     )
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "--source", "TOPIC"],
+        ["record", "-o", "out"],
+        ["replay", str(ROOT / "examples/data/can.ply")],
+        ["forget", "touches"],
+    ],
+)
+def test_a_command_without_ros_says_so_in_one_line(words, tmp_path) -> None:
+    done = _run_without(("rclpy", "sensor_msgs", "foretouch_msgs"), words, tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith(f"foretouch: {words[0]}: ROS 2 is not installed: pip install 'foretouch[ros]'")
+
+
+def _run_without(blocked: tuple[str, ...], words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process that cannot import some modules."""
+    code = (
+        f"import sys\nsys.modules.update(dict.fromkeys({blocked!r}))\n"
+        f"from foretouch.cli.main import main\nsys.exit(main({words!r}))"
+    )
+    return run_python(code, cwd=folder)
 
 
 def _user(words: list[str]) -> str:

@@ -198,7 +198,9 @@ def _switch(cls: type[Settings], name: str, prefix: str) -> SettingInfo:
 
 def _summary(documented: Any) -> str:
     """The first paragraph of a docstring."""
-    return " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())
+    text = " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())
+    text = text.removeprefix("Run the command; ").removeprefix("Make ")  # where the page says so itself
+    return text[:1].upper() + text[1:]
 
 
 def _grouped(cls: type[Settings]) -> str:
@@ -238,7 +240,7 @@ def shapes() -> str:
     """The shapes of simulated objects, each with what it looks like."""
     from foretouch_lab.simulation.objects import shapes as module
 
-    rows = [(f"`{name}`", cell(inspect.getdoc(builder) or "")) for name, builder in module._BUILDERS.items()]
+    rows = [(f"`{name}`", cell(_summary(builder))) for name, builder in module._BUILDERS.items()]
     rows.append(
         (
             "`random`",

@@ -136,29 +136,29 @@ class Settings:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
-        """Settings from plain data, such as a YAML document; keys may be nested or dotted, absent ones keep defaults.
+        """Make settings from plain data, such as a YAML document; keys may be nested or dotted, absent ones keep defaults.
 
         A `ConfigError`, which names the `source`, for an unknown key, a wrong type or a value out of bounds.
         """
         return _build(cls, _nested(mapping, source), f"{source}: " if source else "", "")
 
     def replace(self, **changes: Any) -> Self:
-        """A checked copy with some fields changed."""
+        """Return a checked copy with some fields changed."""
         return dataclasses.replace(self, **changes)
 
     def updated(self, changes: Mapping[str, Any], source: str = "") -> Self:
-        """A copy with the settings of a mapping changed; keys and errors as in `from_mapping`."""
+        """Return a copy with the settings of a mapping changed; keys and errors as in `from_mapping`."""
         merged = self.to_mapping()
         _merge(merged, _nested(changes, source))
         return self.from_mapping(merged, source)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain nested data that `from_mapping` accepts."""
+        """Return plain nested data that `from_mapping` accepts."""
         return {f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}
 
 
 def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
-    """All settings of `cls` in order of declaration, nested ones with dotted names.
+    """Return all settings of `cls` in order of declaration, nested ones with dotted names.
 
     Lists of groups and optional groups have no fixed names and are omitted.
     """
@@ -187,7 +187,7 @@ def load_yaml(path: str | Path, limit: int = _YAML_BYTES) -> dict[str, Any]:
 
 
 def _parse_yaml(text: str) -> Any:
-    """The document in a YAML text, loaded safely; a ValueError if it is not YAML, nests too deep, or aliases repeat too much."""
+    """Return the document in a YAML text, loaded safely; a ValueError if it is not YAML, nests too deep, or aliases repeat too much."""
     level = repeated = aliases = 0  # `repeated` is the level of the outermost open group with an anchor
     try:
         for event in yaml.parse(text, Loader=_Loader):
@@ -208,12 +208,12 @@ def _parse_yaml(text: str) -> Any:
 
 
 def dump_yaml(document: Mapping[str, Any]) -> str:
-    """The text of a YAML mapping in its order, which `load_yaml` reads as it was."""
+    """Return the text of a YAML mapping in its order, which `load_yaml` reads as it was."""
     return yaml.dump(dict(document), Dumper=_Dumper, sort_keys=False)
 
 
 def flattened(values: Any, name: str = "") -> dict[str, Any]:
-    """Nested mappings by dotted name."""
+    """Return nested mappings by dotted name."""
     if not isinstance(values, Mapping):
         return {name: values}
     return {key: leaf for k, v in values.items() for key, leaf in flattened(v, f"{name}.{k}" if name else k).items()}
@@ -241,7 +241,7 @@ _INFOS: dict[type, tuple[SettingInfo, ...]] = {}
 
 
 def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
-    """The settings of a class without those of its parts, found out once."""
+    """Return the settings of a class without those of its parts, found out once."""
     if cls in _INFOS:
         return _INFOS[cls]
     hints = typing.get_type_hints(cls)
@@ -264,7 +264,7 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
 
 
 def _analyse(hint: Any) -> tuple[type, bool, bool]:
-    """The item type of an annotation, whether it is a tuple, and whether None is allowed."""
+    """Return the item type of an annotation, whether it is a tuple, and whether None is allowed."""
     arguments = typing.get_args(hint)
     optional = type(None) in arguments
     if optional:

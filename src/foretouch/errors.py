@@ -19,7 +19,7 @@ _LINE: Final = 2000  # characters of a message
 
 
 def shown(value: Any, limit: int = _SHOWN) -> str:
-    """A value for a message: one line without control characters, shortened in the middle.
+    """Return a value for a message: one line without control characters, shortened in the middle.
 
     Args:
         value: A text or path is printed as it is, other values as `repr` does.
@@ -35,14 +35,14 @@ def shown(value: Any, limit: int = _SHOWN) -> str:
 
 
 def escaped(text: str, keep: str = "") -> str:
-    """A text whose characters that are not printable, but for some to keep, are written as Python escapes them."""
+    """Return a text whose characters that are not printable, but for some to keep, are written as Python escapes them."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in keep else c.encode("unicode_escape").decode() for c in text)
 
 
 def quoted(value: Any) -> str:
-    """A value for a message as Python writes it, with quotes around texts; shortened like `shown`."""
+    """Return a value for a message as Python writes it, with quotes around texts; shortened like `shown`."""
     return repr(value) if isinstance(value, str) and len(value) < _SHOWN else shown(value)
 
 
@@ -56,13 +56,13 @@ def nearest(name: Any, known: Iterable[Any]) -> str:
 
 
 def none_of(name: Any, known: Iterable[Any]) -> str:
-    """The rule that a name is one of some known ones, for a message, with the nearest of them."""
+    """Return the rule that a name is one of some known ones, for a message, with the nearest of them."""
     known = list(known)
     return f"{quoted(name)} is not one of {', '.join(map(str, known))}{nearest(name, known)}"
 
 
 def described(err: Exception) -> str:
-    """Type and text of an exception in one line."""
+    """Return the type and text of an exception in one line."""
     return f"{type(err).__name__}: {' '.join(str(err).split())}"
 
 

@@ -37,13 +37,13 @@ def end_at_once() -> None:
 
 
 def signal_number(err: KeyboardInterrupt) -> int:
-    """Number of the signal behind the exception; 128 more is the exit status that shells give it."""
+    """Return the number of the signal behind the exception; 128 more is the exit status that shells give it."""
     return int(err.args[0]) if err.args else int(signal.SIGINT)
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """A signal that comes within the block takes effect after it. For the main thread."""
+    """Let a signal that comes within the block take effect after it; for the main thread."""
     global _held  # noqa: PLW0603  a process has one main thread
     _held += 1
     try:
@@ -79,7 +79,7 @@ def _on_timer(_: int, frame: FrameType | None) -> None:
 
 
 def _imports(frame: FrameType | None) -> bool:
-    """Whether a frame is part of an import."""
+    """Return whether a frame is part of an import."""
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Use of `foretouch_lab`: a robot imports none of it unless a command or a simulated source asks for a part."""
+"""Parts that are installed for some uses only: `foretouch_lab`, of which a robot imports none unless a command or a simulated source asks for it, and ROS."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,23 +7,29 @@ from typing import Final
 
 from foretouch.errors import MissingDependencyError
 
+_LABORATORY: Final = "pip install 'foretouch[lab]'"
+_ROS: Final = "pip install 'foretouch[ros]', or source your installation (foretouch doctor)"
 _NEEDED: Final = {
-    "foretouch_lab": "foretouch_lab",
-    "embreex": "embreex",
-    "sklearn": "scikit-learn",
-    "threadpoolctl": "threadpoolctl",
-    "trimesh": "trimesh",
+    "foretouch_lab": ("foretouch_lab", _LABORATORY),
+    "embreex": ("embreex", _LABORATORY),
+    "sklearn": ("scikit-learn", _LABORATORY),
+    "threadpoolctl": ("threadpoolctl", _LABORATORY),
+    "trimesh": ("trimesh", _LABORATORY),
+    "rclpy": ("ROS 2", _ROS),
+    "sensor_msgs": ("ROS 2", _ROS),
+    "foretouch_msgs": ("foretouch_msgs", "pip install ./foretouch_msgs in a clone of foretouch"),
 }
-"""Distributions that only the laboratory needs, by the name under which they are imported."""
+"""For each such module: what is not installed, and the cure."""
 
 
 @contextmanager
 def needs_laboratory(user: str) -> Iterator[None]:
-    """Report a missing library of the laboratory as a `MissingDependencyError` that names the extra to install."""
+    """Report a missing library of the laboratory, or of ROS, as a `MissingDependencyError` that names how to install it."""
     try:
         yield
     except ModuleNotFoundError as err:
         top = (err.name or "").partition(".")[0]
         if top not in _NEEDED:
             raise
-        raise MissingDependencyError(f"{user}: {_NEEDED[top]} is not installed: pip install 'foretouch[lab]'") from err
+        missing, cure = _NEEDED[top]
+        raise MissingDependencyError(f"{user}: {missing} is not installed: {cure}") from err

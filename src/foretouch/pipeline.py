@@ -95,7 +95,7 @@ class Scene:
         return self.segmentation.labels
 
     def at(self, u: int, v: int) -> Object:
-        """The object at a pixel.
+        """Return the object at a pixel.
 
         Args:
             u: Column of the image, 0 at the left.
@@ -124,7 +124,7 @@ class Scene:
         raise CloudError(f"pixel: ({u}, {v}) is {where}; the objects are {', '.join(known) or 'none'}")
 
     def near(self, point: npt.ArrayLike, tolerance_m: float = TargetConfig().tolerance_m) -> Object:
-        """The object with the point that is nearest to a position.
+        """Return the object with the point that is nearest to a position.
 
         Args:
             point: (3,) [m], in the cloud's frame.
@@ -234,7 +234,7 @@ class Pipeline:
         )
 
     def _loss(self, target: Object) -> tuple[float, str]:
-        """The score that other objects cost the best grasp of an object, infinite if it has none; and why."""
+        """Return the score that other objects cost the best grasp of an object, infinite if it has none; and why."""
         plan = self.plan(target)
         if not plan.grasps:
             return np.inf, f"has no grasp ({plan.reason})"
@@ -249,7 +249,7 @@ class Pipeline:
         held: HeldGrasp | None = None,
         hold: float = 0.0,
     ) -> GraspPlan:
-        """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
+        """Return grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
 
         Args:
             target: The object.
@@ -275,7 +275,7 @@ class Pipeline:
         return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
     def grasp_between(self, target: Object, g1: Float64, g2: Float64) -> Grasp:
-        """The grasp with given contacts (3,) [m] in the cloud frame, and the rotation that GeoGrasp computes for them.
+        """Return the grasp with given contacts (3,) [m] in the cloud frame, and the rotation that GeoGrasp computes for them.
 
         Raises:
             GraspError: If a contact is not finite, both are equal, or they are out of the hand's reach.
@@ -303,7 +303,7 @@ class Pipeline:
         return predictions
 
     def run(self, cloud: Cloud, plane: Plane | None = None, *, mask: npt.ArrayLike | None = None) -> PipelineResult:
-        """From a cloud to predicted touch.
+        """Run all steps, from a cloud to predicted touch.
 
         Args:
             cloud: Of the whole scene, or of one object if the table is given.

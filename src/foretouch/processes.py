@@ -36,7 +36,7 @@ def one_thread_each() -> Iterator[None]:
 def process_pool(
     workers: int, initializer: Callable[..., object] | None = None, initargs: tuple[Any, ...] = ()
 ) -> Iterator[ProcessPoolExecutor]:
-    """New processes that do not see Ctrl-C, which the terminal sends to them too, and that end with the context.
+    """Start processes that do not see Ctrl-C, which the terminal sends to them too, and that end with the context.
 
     `initializer`, a function of a module, is called first in each of them.
     """

@@ -13,5 +13,5 @@ EXECUTED_TOPIC: Final = "executed_grasp"
 
 
 def full_name(topic: str) -> str:
-    """The name of a topic in the default namespace."""
+    """Return the name of a topic in the default namespace."""
     return topic if topic.startswith("/") else f"{NAMESPACE}/{topic}"

@@ -85,7 +85,7 @@ def ray_results(
 
 
 def outcome(function: Callable[[_Item], Any], item: _Item, version: str = __version__) -> tuple[Any, str]:
-    """In another process: the result and no error, or none and the error in one line.
+    """Return in another process the result and no error, or none and the error in one line.
 
     `version` is that of the process that asks.
     """

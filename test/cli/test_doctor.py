@@ -29,11 +29,26 @@ def test_this_environment_has_no_problem(call) -> None:
 
 
 def test_an_absent_package_and_another_version_are_named_with_the_fix(monkeypatch) -> None:
-    states = [doctor._requirement(Requirement("no-such-package"), extra).state for extra in (None, "camera")]
-    assert states == ["missing", "optional"]
+    lines = ["no-such-package", *(f"other-package>=2; extra == '{extra}'" for extra in ("sim", "lab")), "numpy>=1.26"]
+    monkeypatch.setattr(metadata, "requires", lambda _: lines)
+    shown = {found.name: (found.state, found.found, found.fix) for found in doctor._requirements()}
+    assert shown["no-such-package"] == ("missing", "absent", "pip install 'no-such-package'")
+    assert shown["extra lab"] == ("optional", "absent: other-package", "pip install 'foretouch[lab]'")
+    assert set(shown) == {"Python", "numpy", "no-such-package", "extra sim", "extra lab"}
     monkeypatch.setattr(metadata, "version", lambda _: "0.1")
-    found = doctor._requirement(Requirement("numpy>=1.26"), None)
+    found = doctor._requirement(Requirement("numpy>=1.26"))
     assert (found.state, found.found, found.fix) == ("mismatch", "0.1 is not >=1.26", "pip install 'numpy>=1.26'")
+
+
+def test_a_machine_without_ros_has_nothing_to_fix(monkeypatch) -> None:
+    monkeypatch.setattr(doctor, "_LIBRARIES", ())
+    monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda _: None)
+    (found,) = doctor._libraries()
+    assert (found.name, found.state, found.fix) == (
+        "ROS 2",
+        "optional",
+        "pip install 'foretouch[ros]' ./foretouch_msgs",
+    )
 
 
 def test_a_check_whose_process_crashes_or_hangs_is_broken(monkeypatch) -> None:

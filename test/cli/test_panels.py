@@ -82,6 +82,16 @@ def test_predicted_stands_against_read_whatever_else_there_is() -> None:
     every_case([60, 80], check)
 
 
+def test_reasons_have_their_numbers_or_the_range_of_them() -> None:
+    view = View()
+    for reason in ("12 mm wide, less than 20", "16.1 mm wide, less than 20"):
+        view.count_reason(reason)
+    view.count_reason("no point #")
+    text = printed(live_panel(view, "title"))
+    assert "2 x 12 to 16.1 mm wide, less than 20" in text
+    assert "1 x no point #" in text
+
+
 def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
     touched = message(reference="touches", evidence=Evidence(touches=3), flags=("unfamiliar",))
     view = View(last=TouchPredictionArray(predictions=[touched]))

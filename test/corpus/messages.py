@@ -28,12 +28,12 @@ from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
-from foretouch.ros.messages.requests import read_arrays, read_cloud, read_plane, read_targets
+from foretouch.ros.messages.requests import RequestedGrasps, read_cloud, read_plane, read_targets
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.nodes.touch_predictor import TouchPredictorConfig
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.predictor import Predictor
+from foretouch.ros.steps.online_adapter import OnlineAdapter
+from foretouch.ros.steps.predictor import Predictor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
@@ -176,8 +176,8 @@ def predicted() -> Reader:
         targets = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
         posing = config.grasp if table else None
         arrays = len(request.contacts) or len(request.rotations)
-        grasps = read_arrays(request) if arrays else request.grasps
-        answer = predictor.answer(targets, grasps, request.cloud.header, config, posing)
+        requested = RequestedGrasps.of_arrays(request) if arrays else RequestedGrasps.of_messages(request.grasps)
+        answer = predictor.answer(targets, requested, request.cloud.header, config, posing)
         (check_batch if arrays else check_predictions)(answer.reply)
 
     return [touch_request(), array_request()], read

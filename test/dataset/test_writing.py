@@ -17,9 +17,9 @@ from numpy.testing import assert_array_equal
 
 import foretouch as ft
 from foretouch.dataset.formats import open_samples
+from foretouch.dataset.grasp_arrays import stamp_faults
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.record import HOLD, REST, SampleRecord, readings
-from foretouch.dataset.writing import stamp_faults
 from foretouch.errors import DatasetError, FileError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -14,7 +14,7 @@ from foretouch.cloud.segmentation import objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
-from foretouch.types import Cloud
+from foretouch.types import AnyArray, CameraModel, Cloud
 from foretouch_lab.simulation.depth_scene import random_scene
 
 
@@ -77,3 +77,36 @@ def test_damaged_pixels_and_an_image_that_is_not_contiguous(rng: np.random.Gener
     assert ours.counts["off_ray"] > 100
     assert part.counts == ours.counts
     np.testing.assert_array_equal(part.labels, ours.labels)
+
+
+def test_a_depth_image_gives_what_its_points_give_without_making_all_of_them(rng: np.random.Generator) -> None:
+    rendered = random_scene(rng, 848, 480).render(rng, 0.001, True)
+    camera = rendered.cloud().camera
+    assert camera is not None
+    bent = replace(camera, distortion=(0.1, -0.2, 0.001, -0.001))
+    metres = np.where(rendered.depth_mm > 0, rendered.depth_mm * np.float32(0.001), np.float32(np.nan))
+    metres[rng.random(metres.shape) < 0.01] = np.inf
+    small, fewest = (slice(0, 480, 8), slice(0, 848, 8)), np.where(rng.random(metres.shape) < 0.01, metres, 0.0)
+    thin = CameraModel(106, 60, camera.fx / 8, camera.fy / 8, camera.cx / 8, camera.cy / 8)
+    cases = {
+        "whole": (rendered.depth_mm, camera),
+        "distorted": (rendered.depth_mm, bent),
+        "single": (metres, camera),
+        "single, distorted": (metres.astype(np.float64), bent),
+        "all pixels": (np.ascontiguousarray(metres[small]), thin),
+        "few pixels": (fewest, camera),
+        "no pixel": (np.zeros_like(rendered.depth_mm), camera),
+    }
+
+    def check(depth: AnyArray, model: CameraModel) -> None:
+        cloud = Cloud.from_depth(depth, model)
+        ours = _assert_same(cloud)
+        assert ("xyz" in vars(cloud)) == (ours.status == "empty_cloud")  # for the reason, and nowhere else
+        plain = segment(Cloud(model.points(depth), camera=model))
+        assert (ours.status, ours.reason, ours.counts) == (plain.status, plain.reason, plain.counts)
+        np.testing.assert_array_equal(ours.labels, plain.labels)
+        for object_, other in zip(ours.objects, plain.objects, strict=True):
+            np.testing.assert_array_equal(object_.cloud.xyz, other.cloud.xyz)
+        assert replace(cloud, frame_id="other").size == cloud.size == depth.size
+
+    every_case(cases, check)

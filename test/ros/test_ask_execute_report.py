@@ -41,7 +41,7 @@ class Planner(Robot):
         super().__init__(graph)
         graph.matched("points", *HEARD)
         self.feel(REST, 5)  # from then on clouds are kept
-        graph.until(lambda: self.node.notes()["tactile.received"] == "5")
+        graph.until(lambda: self.node.reported().values["tactile.received"] == "5")
 
     def see(self, _name):
         """The grasp is executed on the cloud that was seen when it was asked for."""
@@ -109,7 +109,7 @@ class Planner(Robot):
         return self.heard["touch"][-1].predictions[0].grasp.id
 
     def counts(self):
-        notes = self.node.notes()
+        notes = self.node.reported().values
         return {key: int(count) for key, count in notes.items() if key.startswith("touches.") and count.isdigit()}
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from foretouch.ros.touch.config import COSTS
+from foretouch.ros.steps.touch_settings import COSTS
 from foretouch_msgs.msg import Status, TouchPrediction
 
 pytestmark = pytest.mark.ros

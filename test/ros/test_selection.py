@@ -40,7 +40,7 @@ class Table:
         return {topic: found[-1] for topic, found in self.heard.items()}
 
     def click(self, point, frame, stamp_ns=0):
-        before = self.node.notes().get("clicked_point")
+        before = self.node.reported().values.get("clicked_point")
         x, y, z = map(float, point)
         header = Header(frame_id=frame, stamp=stamp_to_msg(stamp_ns))
         self.clicks.publish(PointStamped(header=header, point=Point(x=x, y=y, z=z)))
@@ -83,7 +83,7 @@ def test_a_clicked_object_is_the_target_until_another_is_clicked_and_bad_clicks_
     for arguments, text in bad:
         table.click(*arguments)
         assert {grasp.object_id for grasp in table.send(cloud)["grasps"].grasps} == {other}
-        assert text in table.node.notes()["clicked_point"]
+        assert text in table.node.reported().values["clicked_point"]
 
 
 def test_the_labels_of_a_mask_of_the_same_stamp_are_the_objects(graph, model_card, scene_cloud):

@@ -61,5 +61,5 @@ class ScheduleConfig(Settings, read_only=True):
     origin_ns: int = setting(0, "Time when the first sample is laid on the table, since 1970", minimum=0)
 
     def slot(self, stamp_ns: int) -> int:
-        """The sample on the table at a time, such as a cloud's stamp [ns]; before the first, the first."""
+        """Return the sample on the table at a time, such as a cloud's stamp [ns]; before the first, the first."""
         return max(0, stamp_ns - self.origin_ns) // (round(self.dwell_s * 1e3) * _MS_NS) % self.samples

@@ -41,7 +41,7 @@ def _load_globally(path: str) -> Any:
 
 @functools.cache
 def realsense() -> Any:
-    """The module `pyrealsense2`, safe to use beside ROS.
+    """Return the module `pyrealsense2`, safe to use beside ROS.
 
     pyrealsense2 2.56 and later crashes the process at exit (a segmentation fault) when `rclpy` is
     imported after it. So `rclpy`, where it is installed, is always imported first.
@@ -77,7 +77,7 @@ class DeviceSource:
         self._context = realsense().context()
 
     def find(self) -> Any:
-        """The `pyrealsense2.device`; a `CameraError` if it is not available now, a `FileError` if it is not a recording."""
+        """Return the `pyrealsense2.device`; a `CameraError` if it is not available now, a `FileError` if it is not a recording."""
         if self._config.file:
             return self._open_file()
         devices = {
@@ -91,7 +91,7 @@ class DeviceSource:
         return devices[serial]
 
     def present(self, device: Any) -> bool:
-        """Whether a device that was found is still available."""
+        """Return whether a device that was found is still available."""
         return self._path.is_file() if self._config.file else bool(device.is_connected())
 
     def _open_file(self) -> Any:
@@ -105,12 +105,12 @@ class DeviceSource:
 
 
 def list_devices() -> list[str]:
-    """Name and serial number of each device on the bus; raises as `realsense`."""
+    """Return the name and serial number of each device on the bus; raises as `realsense`."""
     return [describe(device) for device in realsense().context().query_devices()]
 
 
 def describe(device: Any) -> str:
-    """Name and serial number of a device."""
+    """Return the name and serial number of a device."""
     info = realsense().camera_info
     return f"{_info(device, info.name)} {_info(device, info.serial_number)}".strip()
 

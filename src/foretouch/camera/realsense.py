@@ -108,7 +108,7 @@ class RealSenseCamera:
         return None
 
     def __iter__(self) -> Iterator[Cloud]:
-        """Clouds until the recording ends or the camera is closed."""
+        """Iterate over clouds until the recording ends or the camera is closed."""
         while self.status.state not in {"ended", "closed"}:
             if (cloud := self.read(_SLICE_S)) is not None:
                 yield cloud

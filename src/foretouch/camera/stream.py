@@ -64,7 +64,7 @@ class FrameStream:
         )
 
     def wait(self, timeout_s: float) -> Any | None:
-        """The next depth frame; None if there was none in time [s]."""
+        """Return the next depth frame; None if there was none in time [s]."""
         return self._queue.get(timeout_s)
 
     def frame(self, depth: Any) -> DepthFrame:
@@ -98,7 +98,7 @@ class FrameStream:
 
 
 def filter_blocks(names: Sequence[str]) -> list[Any]:
-    """The library's filters of these names with its defaults, in the order that it recommends.
+    """Return the library's filters of these names with its defaults, in the order that it recommends.
 
     The spatial and temporal filters work on disparity, where noise is uniform. The temporal filter stores earlier frames,
     so that each stream needs blocks of its own.
@@ -115,7 +115,7 @@ def filter_blocks(names: Sequence[str]) -> list[Any]:
 
 
 def library_camera(intrinsics: Any) -> CameraModel:
-    """The library's intrinsics; a `CameraError` if their distortion is not OpenCV's."""
+    """Return the library's intrinsics; a `CameraError` if their distortion is not OpenCV's."""
     i = intrinsics
     if any(i.coeffs) and i.model != realsense().distortion.brown_conrady:
         raise CameraError(f"depth stream: distortion {list(i.coeffs)} ({i.model}): only brown_conrady can be undone")

@@ -69,7 +69,7 @@ class Adaptation:
     def _history_of(
         self, touched: Sequence[Sample], tare: tuple[Touch, Float64] | None, sample: Sample | None
     ) -> Snapshot:
-        """The readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
+        """Return the readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
         from foretouch.models.history import History
 
         now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
@@ -132,7 +132,7 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
 
 
 def _read_tare(paths: Sequence[str], sensor: Sensor, calibration: Calibration | None = None) -> tuple[Touch, Float64]:
-    """The median of all readings of a sensor in some files with its TDC; warns of each file whose readings are like those in contact."""
+    """Return the median of all readings of a sensor in some files with its TDC; warns of each file whose readings are like those in contact."""
     from foretouch.dataset.vision2tactile import read_touch
 
     readings: list[tuple[Touch, Float64]] = []
@@ -157,7 +157,7 @@ def _read_tare(paths: Sequence[str], sensor: Sensor, calibration: Calibration | 
 
 
 def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
-    """One reading and its TDC; `make_tare` checks later whether a working sensor can give it."""
+    """Return one reading and its TDC; `make_tare` checks later whether a working sensor can give it."""
     channels = sensor.channels
     sizes = {name.lower(): channel.size for name, channel in channels.channel_of.items()}
     measured = any(scalar.name == _TEMPERATURE for scalar in sensor.config.scalars)
@@ -176,7 +176,7 @@ def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
 
 
 def others(samples: Sequence[Sample], sample: Sample | None) -> Sequence[Sample]:
-    """Labelled samples that a prediction for one of them may use: without itself, whose reading would leak its label.
+    """Return labelled samples that a prediction for one of them may use: without itself, whose reading would leak its label.
 
     It may come from another file, and ids alone may recur in another dataset.
     """
@@ -195,7 +195,7 @@ def _own_tare(sample: Sample | None) -> tuple[Touch, Float64]:
 
 
 def read_samples(paths: Sequence[str], channels: Channels) -> list[Sample]:
-    """All samples of some datasets; a `TactileError` names one that is of another sensor than a model's channels."""
+    """Return all samples of some datasets; a `TactileError` names one that is of another sensor than a model's channels."""
     samples: list[Sample] = []
     for path in paths:
         opened = open_samples(path)

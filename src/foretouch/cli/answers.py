@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def grasp_record(grasp: Grasp) -> dict[str, Any]:
-    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined), and how a hand comes to it if it was planned for one."""
+    """Return a grasp for JSON: contacts [m], rotation row by row, score (null if undefined), and how a hand comes to it if it was planned for one."""
     record = {
         "g1": grasp.g1,
         "g2": grasp.g2,
@@ -49,7 +49,7 @@ def grasp_record(grasp: Grasp) -> dict[str, Any]:
 
 
 def prediction_record(prediction: Prediction) -> dict[str, Any]:
-    """One prediction for JSON: values and bounds of each of the modalities, bounds null without a calibration."""
+    """Return one prediction for JSON: values and bounds of each of the modalities, bounds null without a calibration."""
     ends = {"value": prediction.value.parts() if prediction.ok else {}}
     ends |= {"lower": prediction.lower.parts(), "upper": prediction.upper.parts()} if prediction.calibrated else {}
     return {
@@ -73,7 +73,7 @@ def contacts_text(grasp: Mapping[str, Any]) -> str:
 
 
 def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> dict[str, Any]:
-    """A `touch` message of a sensor as `run --json` prints it."""
+    """Return a `touch` message of a sensor as `run --json` prints it."""
     from foretouch.ros.messages.requests import status_name
 
     return {
@@ -86,7 +86,7 @@ def answer_record(message: TouchPredictionArray, sensor: Sensor = BIOTAC_SP) -> 
 
 
 def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, Any]:
-    """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
+    """Return a prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
 

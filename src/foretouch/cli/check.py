@@ -34,10 +34,10 @@ def _check(node: "RecorderNode", *, as_json: bool) -> list[CheckFinding]:
     """Print and return what is found."""
     from foretouch.ros.recorder.check_feed import CheckFeed
 
-    assert node.input_topics is not None  # noqa: S101  an active node has them
+    assert node.inputs is not None  # noqa: S101  an active node has them
     config, findings = node.config, list[CheckFinding]()
     check = SessionCheck(config.tactile.fingers, node.reader)
-    feed = CheckFeed(check, node.input_topics, node.reader)
+    feed = CheckFeed(check, node.inputs, node.reader)
 
     def report(new: list[CheckFinding]) -> None:
         findings.extend(new)

@@ -120,7 +120,7 @@ def _add_import(parser: CommandParser) -> None:
 
 
 def _topic(text: str) -> tuple[str, str]:
-    """`KIND=NAME` for argparse."""
+    """Parse `KIND=NAME` for argparse."""
     kind, _, name = text.partition("=")
     if kind not in _KINDS or not name:
         raise argparse.ArgumentTypeError(f"{text!r} is not KIND=NAME with a kind of {', '.join(_KINDS)}")
@@ -182,7 +182,7 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 
 def _verified(path: str) -> Iterator[dict[str, Any]]:
-    """One record for each file of a recorded dataset, or one for a training store."""
+    """Iterate over one record for each file of a recorded dataset, or one for a training store."""
     empty = {"file": path, "samples": None, "messages": None, "bytes": None}
     try:
         if is_store(path) and not is_dataset(path):

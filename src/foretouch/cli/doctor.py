@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.self_test:
         code = "from foretouch.cli import selftest; selftest.check_"
         findings.append(_tried("models answer as expected", f"{code}models()", _REINSTALL))
-        if not any(" loads" in finding.name and finding.state == "broken" for finding in findings):
+        if all(finding.state == "ok" for finding in findings if finding.name == "ROS 2" or " loads" in finding.name):
             fix = "see the checks of rclpy, foretouch_msgs and shared memory"
             findings.append(_tried("a node answers over DDS", f"{code}ros()", fix))
     problems = [finding for finding in findings if finding.state not in {"ok", "optional"}]
@@ -74,28 +74,42 @@ def run(arguments: argparse.Namespace) -> int:
         print_table(
             "foretouch doctor", ["check", "state", "found", "fix"], [[*asdict(finding).values()] for finding in shown]
         )
-    print(f"{len(findings)} checks, {len(problems)} to fix")
+    optional = sum(finding.state == "optional" for finding in findings)
+    print(f"{len(findings)} checks, {len(problems)} to fix, {optional} optional")
     return int(bool(problems))
 
 
 def _requirements() -> Iterator[_Finding]:
-    """Compare Python and the requirements of setup.cfg with what is installed; whether ROS loads is tried below."""
+    """Compare Python and the requirements of setup.cfg with what is installed; whether ROS loads is tried below.
+
+    A package that several extras name is checked once; what an extra lacks is one optional finding.
+    """
     old, version = sys.version_info < (3, 11), platform.python_version()
     fix = "make setup PYTHON=python3.11" if old else ""
     yield _Finding("Python", "mismatch" if old else "ok", f"{version} {platform.machine()}", fix)
+    present: dict[str, _Finding] = {}
+    absent: dict[str, list[str]] = {}
     for line in metadata.requires("foretouch") or []:
-        extra = match[1] if (match := _EXTRA.search(line)) else None
-        if extra not in {"test", "dev", "docs", "ros", "kilted"}:
-            yield _requirement(Requirement(line), extra)
+        extra = match[1] if (match := _EXTRA.search(line)) else ""
+        if extra in {"test", "dev", "docs", "ros", "kilted"}:
+            continue
+        finding = _requirement(Requirement(line))
+        if extra and finding.state == "missing":
+            absent.setdefault(extra, []).append(finding.name)
+        else:
+            present[finding.name] = finding
+    yield from present.values()
+    for extra, names in absent.items():
+        yield _Finding(f"extra {extra}", "optional", f"absent: {', '.join(names)}", f"pip install 'foretouch[{extra}]'")
 
 
-def _requirement(requirement: Requirement, extra: str | None) -> _Finding:
+def _requirement(requirement: Requirement) -> _Finding:
     name, wanted = requirement.name, requirement.specifier
     fix = f"pip install '{name}{wanted}'"
     try:
         installed = metadata.version(name)
     except metadata.PackageNotFoundError:
-        return _Finding(name, "missing" if extra is None else "optional", "absent", fix)
+        return _Finding(name, "missing", "absent", fix)
     fits = wanted.contains(installed, prereleases=True)
     return _Finding(name, "ok", installed) if fits else _Finding(name, "mismatch", f"{installed} is not {wanted}", fix)
 
@@ -105,6 +119,10 @@ def _libraries() -> Iterator[_Finding]:
     for name, code, fix in _LIBRARIES:
         if importlib.util.find_spec(name) is not None:
             yield _tried(f"{name} loads", code, fix)
+    if not any(map(importlib.util.find_spec, ("rclpy", "foretouch_msgs"))):
+        found = "absent: only for nodes, run and record"
+        yield _Finding("ROS 2", "optional", found, "pip install 'foretouch[ros]' ./foretouch_msgs")
+        return
     wheels = [
         distribution.name
         for distribution in metadata.distributions()
@@ -126,7 +144,7 @@ def _libraries() -> Iterator[_Finding]:
 
 
 def _own_parts() -> Iterator[_Finding]:
-    """The compiled kernels, the released models, which are compared with their cards, and the camera."""
+    """Check the compiled kernels, the released models, which are compared with their cards, and the camera."""
     try:
         from foretouch.models import available_models, load_model
     except (ForetouchError, ImportError) as err:
@@ -138,6 +156,8 @@ def _own_parts() -> Iterator[_Finding]:
             yield _Finding(f"model {name}", "ok", load_model(name).sha256[:12])
         except ForetouchError as err:
             yield _Finding(f"model {name}", "broken", str(err), _REINSTALL)
+    if importlib.util.find_spec("pyrealsense2") is None:
+        return  # the extra that has it is named
     from foretouch.camera.device import list_devices
 
     try:

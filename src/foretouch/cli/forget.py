@@ -10,7 +10,7 @@ from foretouch.ros.graph import call_trigger
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """What is forgotten, and by which graph."""
+    """Declare what is forgotten, and by which graph."""
     text = "touches: the readings of the current object, after it was replaced; history: all readings of the hand"
     parser.add_argument("what", metavar="touches|history", type=one_of("touches", "history"), help=text)
     add_options(parser, "--namespace")
@@ -18,7 +18,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if there is no graph, or it does not answer."""
+    """Run the command; the exit status is 1 if there is no graph, or it does not answer."""
     success, message = call_trigger(f"forget_{arguments.what}", arguments.namespace, arguments.wait)
     if arguments.json:
         print_json({"forgotten": arguments.what, "success": success, "message": message})

@@ -36,7 +36,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a cloud was refused or has no grasp."""
+    """Run the command; the exit status is 1 if a cloud was refused or has no grasp."""
     inputs.check_single(arguments)
     changes = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes))

@@ -27,7 +27,7 @@ ADDRESS_HELP: Final = "run on Ray: auto, ray://host:port, or local for a node on
 
 
 def numbers(text: str, count: int = 4) -> list[float]:
-    """Numbers with commas between them for argparse, such as `a,b,c,d`."""
+    """Return numbers with commas between them for argparse, such as `a,b,c,d`."""
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
@@ -38,7 +38,7 @@ def numbers(text: str, count: int = 4) -> list[float]:
 
 
 def positive_number(text: str, minimum: int = 1) -> int:
-    """A whole number of 1 or more for argparse."""
+    """Return a whole number of 1 or more for argparse."""
     try:
         value = int(text)
     except ValueError:
@@ -53,7 +53,7 @@ seed_number = partial(positive_number, minimum=0)
 
 
 def positive_value(text: str, *, or_zero: bool = False) -> float:
-    """A finite number above 0 for argparse, such as a rate or a time."""
+    """Return a finite number above 0 for argparse, such as a rate or a time."""
     try:
         value = float(text)
     except ValueError:
@@ -183,7 +183,7 @@ def add_options(parser: CommandParser, *names: str, group: Any = None) -> None:
 def pipeline_config(
     arguments: argparse.Namespace, changes: dict[str, Any] | None = None, defaults: dict[str, Any] | None = None
 ) -> PipelineConfig:
-    """Pipeline settings from the command's `defaults`, --config, --set and its own options, in this order.
+    """Return pipeline settings from the command's `defaults`, --config, --set and its own options, in this order.
 
     Settings have dotted names; of the options, and of the `changes` that a command makes of others, None changes nothing.
     """
@@ -224,7 +224,7 @@ def check_single(arguments: argparse.Namespace) -> None:
 
 
 def scene_of(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Scene:
-    """The scene of a cloud, by the labels of --mask, or of the mask beside a depth image of a folder."""
+    """Return the scene of a cloud, by the labels of --mask, or of the mask beside a depth image of a folder."""
     file = arguments.mask or item.mask
     mask = read_mask(file) if file else None
     try:
@@ -267,7 +267,7 @@ def target_objects(
 
 
 def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
-    """Whether a cloud is one object, by the rule of `target_objects`."""
+    """Return whether a cloud is one object, by the rule of `target_objects`."""
     chosen = any(getattr(arguments, name, None) for name in ("scene", "mask", "pixel", "point"))
     return arguments.plane is not None or not (chosen or cloud.organised)
 
@@ -284,13 +284,13 @@ def draw_result(
 
 
 def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
-    """A cloud as one object, on --plane or on an assumed table."""
+    """Return a cloud as one object, on --plane or on an assumed table."""
     table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
     return Object("1", cloud, table)
 
 
 def heading(record: Record, by: str = "") -> str:
-    """What is printed above a table: input, object and status; a remark follows on the next line."""
+    """Return what is printed above a table: input, object and status; a remark follows on the next line."""
     status = "" if record["status"] == "ok" else f": {record['status'].replace('_', ' ')}"
     remark = f"\n{record['reason']}" if record["reason"] else ""
     return f"{record['input']}, object {record['object']}{by}{status}{remark}"
@@ -319,7 +319,7 @@ def process_inputs(
 def _results(
     path: str, arguments: argparse.Namespace, process: Callable[[SourceItem], Iterator[Record]]
 ) -> Iterator[tuple[str, Record | ForetouchError]]:
-    """The records of each cloud, or why it was refused."""
+    """Iterate over the records of each cloud, or why it was refused."""
     try:
         source = open_source(path, topic=arguments.topic, camera=depth_camera(arguments))
         for note in source.notes:
@@ -335,5 +335,5 @@ def _results(
 
 
 def error_line(name: str, err: ForetouchError) -> str:
-    """The message of an error, with the name of the input where it lacks it."""
+    """Return the message of an error, with the name of the input where it lacks it."""
     return str(err) if name in str(err) else f"{name}: {err}"

@@ -36,7 +36,7 @@ KEYS: Final[dict[str, tuple[Action, str]]] = {
 
 
 def has_keyboard() -> bool:
-    """Whether keys can be read: a terminal whose program in the foreground is this one."""
+    """Return whether keys can be read: a terminal whose program in the foreground is this one."""
     try:
         return sys.stdout.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (OSError, ValueError):
@@ -63,7 +63,7 @@ class Keyboard:
             termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
 
     def read(self, timeout_s: float) -> str:
-        """What was typed, after this time at the latest."""
+        """Return what was typed, after this time at the latest."""
         if not select.select([self._fd], [], [], timeout_s)[0]:
             return ""
         with suppress(OSError):
@@ -97,7 +97,7 @@ class RecordingKeys:
                 self._press(character)
 
     def lines(self, latest: Reply | None) -> list[Text]:
-        """The answer to the last key, or to an action that has waited if that is later, and the keys."""
+        """Return the answer to the last key, or to an action that has waited if that is later, and the keys."""
         if self._typing is not None:
             action, text = self._typing
             return [Text(f"{KEYS[action[0]][1]}: {text}▏", "bold"), Text("Enter: done  Esc: cancel", "dim")]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from math import dist
 from typing import TYPE_CHECKING
@@ -50,12 +51,15 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
         dropped = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
         if dropped:
             parts.append(Text(f"{_short(name)} dropped in total: {dropped}"))
-    parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(3)]
+    parts += [
+        Text(f"{count} x {_with_numbers(reason, view.numbers.get(reason, ()))}", "yellow")
+        for reason, count in view.reasons.most_common(3)
+    ]
     return titled(title, parts)
 
 
 def titled(title: str, parts: Sequence[RenderableType]) -> Panel:
-    """A panel of some parts, the most important first: a low terminal shows as many lines as it has."""
+    """Return a panel of some parts, the most important first: a low terminal shows as many lines as it has."""
     if len(title) > _LONGEST_TITLE:  # which rich would cut at the corner
         return Panel(Group(Text(title, "bold", overflow="fold"), *parts))
     return Panel(Group(*parts), title=title, title_align="left")
@@ -82,7 +86,7 @@ def _nodes(nodes: Mapping[str, tuple[int, str, dict[str, str]]]) -> Table:
 
 
 def _dropped(values: Mapping[str, str]) -> dict[str, int]:
-    """Numbers of dropped messages by reason."""
+    """Return numbers of dropped messages by reason."""
     counts = {key.removeprefix("dropped."): int(n) for key, n in values.items() if key.startswith("dropped.")}
     return {reason: count for reason, count in counts.items() if count}
 
@@ -116,7 +120,7 @@ def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Tabl
 
 
 def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequence[str]) -> list[str]:
-    """Values of some modalities with their half width."""
+    """Return values of some modalities with their half width."""
     from foretouch.ros.messages.conversions import prediction_from_msg
 
     decoded = prediction_from_msg(prediction, sensor)
@@ -154,12 +158,18 @@ def _inside(message: TouchPrediction, read: Touch, sensor: Sensor, modalities: S
 
 
 def _rounded(number: str) -> str:
-    """With three digits, or as it is where it is not a number."""
+    """Round a text to three digits; one that is no number stays as it is."""
     try:
         value = float(number)
     except ValueError:
         return number
     return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}"
+
+
+def _with_numbers(kind: str, ranges: Sequence[tuple[float, float]]) -> str:
+    """Write a kind of reason with its numbers, or their ranges, in place of each #."""
+    numbers = iter([f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ranges])
+    return "".join(next(numbers, part) if part == "#" else part for part in re.split("(#)", kind))
 
 
 def _short(name: str) -> str:

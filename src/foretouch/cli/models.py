@@ -16,7 +16,7 @@ _SPLITS = ("random", "time", "object")
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """Names or paths; by default all models of the package."""
+    """Declare names or paths of models; by default all of the package."""
     parser.add_argument(
         "models",
         metavar="MODEL",
@@ -26,7 +26,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a model is missing or damaged."""
+    """Run the command; the exit status is 1 if a model is missing or damaged."""
     records = [_record(name) for name in arguments.models or available_models()]
     if arguments.json:
         for record in records:
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _record(name: str) -> dict[str, Any]:
-    """The JSON object of one model; loading it compares every file with its hash in the card."""
+    """Return the JSON object of one model; loading it compares every file with its hash in the card."""
     try:
         model, path = load_model(name), find_card(name)
     except ModelError as err:
@@ -60,13 +60,13 @@ def _record(name: str) -> dict[str, Any]:
 
 
 def _mean(scores: Mapping[str, Mapping[str, Any]], name: str) -> float | None:
-    """Mean of a number over the modalities that have it."""
+    """Return the mean of a number over the modalities that have it."""
     values = [score[name] for score in scores.values() if score.get(name) is not None]
     return sum(values) / len(values) if values else None
 
 
 def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The calibration of the intervals; None without intervals.
+    """Return the calibration of the intervals; None without intervals.
 
     Returns:
         `level`: nominal coverage. `objects`: how many it was calibrated on. `promise`: the highest coverage that
@@ -103,7 +103,7 @@ def _show(records: list[dict[str, Any]], *, in_full: bool) -> None:
 
 
 def _row(record: Mapping[str, Any]) -> list[str]:
-    """Name, kind, files, size, skills and coverage of held-out objects; empty for a damaged model."""
+    """Return name, kind, files, size, skills and coverage of held-out objects; empty for a damaged model."""
     if record["status"] != "ok":
         return [record["name"], record["status"], *[""] * 6]
     skills = [f"{record['skill'][name]:+.2f}" if name in record["skill"] else "–" for name in _SPLITS]
@@ -116,7 +116,7 @@ def _row(record: Mapping[str, Any]) -> list[str]:
 
 
 def _notes(record: Mapping[str, Any]) -> list[str]:
-    """Summary, guarantee of the intervals and limits of a model."""
+    """Return summary, guarantee of the intervals and limits of a model."""
     notes, calibration = [str(record["card"].get("summary", ""))], record["calibration"]
     if calibration is not None:
         note = f"{calibration['level']:.0%} intervals, calibrated on {calibration['objects']} objects: "

@@ -32,7 +32,7 @@ from foretouch.types.channels import Channels
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """The common inputs, --grasp, --model, --tare and --touched."""
+    """Declare the common inputs, --grasp, --model, --tare and --touched."""
     inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
     parser.add_argument(
         "--grasp",
@@ -50,7 +50,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a cloud or a grasp was refused."""
+    """Run the command; the exit status is 1 if a cloud or a grasp was refused."""
     inputs.check_single(arguments)
     if arguments.prequential:
         return _run_prequential(arguments)
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _answer(
     arguments: argparse.Namespace, pipeline: Pipeline, adaptation: Adaptation, item: SourceItem
 ) -> Iterator[inputs.Record]:
-    """Predictions for each object of an input."""
+    """Iterate over predictions for each object of an input."""
     targets, scene, selected = inputs.target_objects(item, arguments, pipeline)
     if adaptation.touched and len(targets) > 1:
         raise ConfigError(
@@ -143,7 +143,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
 def _grasps(
     item: SourceItem, target: Object, arguments: argparse.Namespace, pipeline: Pipeline
 ) -> tuple[list[Grasp], str]:
-    """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned."""
+    """Return the grasps to predict, and a remark: from --grasp, else the sample's own, else planned."""
     if arguments.grasp:
         pairs = np.array(arguments.grasp, dtype=np.float64).reshape(-1, 2, 3)
         return [pipeline.grasp_between(target, g1, g2) for g1, g2 in pairs], ""
@@ -156,7 +156,7 @@ def _grasps(
 
 
 def _named(model: TouchModel) -> inputs.Record:
-    """The model for a record, with its sensor unless it is the BioTac SP."""
+    """Return the model for a record, with its sensor unless it is the BioTac SP."""
     channels = model.sensor.channels
     sensor = {} if channels == BIOTAC else {"sensor": channels.sensor, "sensor_sha256": channels.sha256}
     dead = {"dead_taxels": model.sensor.dead} if model.sensor.dead else {}  # of which predictions are not valid

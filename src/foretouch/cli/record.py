@@ -22,7 +22,6 @@ from foretouch.cli.inputs import add_options, positive_number, positive_value
 from foretouch.cli.live import executed_table, titled
 from foretouch.cli.output import announce, print_json, warn
 from foretouch.cli.parser import CommandParser
-from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import make_table, terminal, watch
 from foretouch.config import flattened, parse_overrides
 from foretouch.interrupts import uninterrupted
@@ -86,7 +85,7 @@ def _samples(status: RecorderStatus) -> Text:
 
 
 def _objects(state: OperatorState) -> Text:
-    """Grasps by object and outcome, that on the table first."""
+    """Return grasps by object and outcome, that on the table first."""
     text = Text("PAUSED  ", "bold yellow") if state.paused else Text()
     grasps = state.grasps or {}
     for name in sorted({state.object, *grasps}, key=lambda name: name != state.object):
@@ -176,7 +175,6 @@ def run(arguments: argparse.Namespace) -> int:
         announce("writing what is left")
         with uninterrupted():
             node.end()
-        report_conflicts(graph)
         status = node.status()
         if arguments.json:
             print_json(_status_record(status, node.session_status()))
@@ -242,12 +240,12 @@ def _panel(node: RecorderNode, keys: RecordingKeys | None) -> Panel:
 
 
 def _described(node: RecorderNode) -> Sensor | None:
-    """The sensor by its description; None for a BioTac SP by the type of its messages."""
+    """Return the sensor by its description; None for a BioTac SP by the type of its messages."""
     return node.reader.sensor if node.config.tactile.sensor else None
 
 
 def _status_record(status: RecorderStatus, session: SessionStatus) -> dict[str, Any]:
-    """The status as `--json` prints it, which has null for what is not finite."""
+    """Return the status as `--json` prints it, which has null for what is not finite."""
     topics = {
         topic.topic: {name: getattr(topic, name) for name in ("received", "written", "waiting", "lost", "reliable")}
         | {"dropped": dict(zip(topic.drop_reasons, topic.drop_counts, strict=True))}

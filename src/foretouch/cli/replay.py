@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from foretouch.cli.inputs import depth_camera
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.parser import CommandParser
-from foretouch.cli.run import add_replay_arguments, replay_fault, report_conflicts, source_parameters
+from foretouch.cli.run import add_replay_arguments, replay_fault, source_parameters
 from foretouch.ros.graph import Graph
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
             "clouds": graph.played(),
             "unreadable": replay.unreadable,
             "played": dict(replay.played),
-            "conflicts": report_conflicts(graph),
+            "conflicts": graph.conflicts(),
         }
         if arguments.json:
             print_json(counts)

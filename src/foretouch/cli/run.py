@@ -103,7 +103,7 @@ def add_replay_arguments(parser: CommandParser, default_rate: str) -> None:
 
 
 def _address(text: str) -> tuple[str, int]:
-    """`HOST:PORT` for argparse."""
+    """Parse `HOST:PORT` for argparse."""
     host, colon, port = text.rpartition(":")
     if not (host and colon and port.isdecimal() and int(port) < 2**16):
         raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT, such as 127.0.0.1:8765")
@@ -145,7 +145,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
+    """Return parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.cloud.io.depth_files import DepthCamera
     from foretouch.dataset.playlist import cloud_is_object
     from foretouch.dataset.source import open_source
@@ -198,12 +198,12 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 def _is_topic(source: str) -> bool:
-    """Whether a source is the full name of a topic, and no file."""
+    """Return whether a source is the full name of a topic, and no file."""
     return re.fullmatch(r"(/[A-Za-z_]\w*)+", source, re.ASCII) is not None and not Path(source).exists()
 
 
 def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]]) -> Sensor:
-    """That of the model; of one that cannot be loaded, which the predictor reports, the BioTac SP."""
+    """Return the sensor of the model; of one that cannot be loaded, which the predictor reports, the BioTac SP."""
     from foretouch.models.card import read_card
     from foretouch.models.registry import find_card
 
@@ -217,7 +217,7 @@ def _sensor(arguments: argparse.Namespace, nodes: Mapping[str, Mapping[str, Any]
 
 
 def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileConfig | None:
-    """How the messages of the simulated hand are read; None without one that has the sensor of the model."""
+    """Return how the messages of the simulated hand are read; None without one that has the sensor of the model."""
     from foretouch.tactile.messages.table import TactileConfig
 
     config = TactileConfig(sensor=nodes["perception"].get("tactile.sensor", ""))
@@ -225,7 +225,7 @@ def _hand_of(nodes: Mapping[str, Mapping[str, Any]], sensor: Sensor) -> TactileC
 
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Parameters of a hand and a camera for one scene, which starts now."""
+    """Return parameters of a hand and a camera for one scene, which starts now."""
     from foretouch.camera.config import ScheduleConfig
 
     with needs_laboratory(f"--source {arguments.source}"):
@@ -258,14 +258,14 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 def _replay_parameters(arguments: argparse.Namespace, source: Source) -> dict[str, Any]:
-    """Parameters of the replay; without a rate, each file is played when the one before was answered."""
+    """Return parameters of the replay; without a rate, each file is played when the one before was answered."""
     one_by_one = arguments.rate is None and source.kind != "recording"
     given = source_parameters(arguments, str(Path(arguments.source).resolve()))
     return {"lockstep": True, "rate_hz": 1000.0, **given} if one_by_one else given
 
 
 def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
-    """Parameters of the replay for the options of `add_replay_arguments`."""
+    """Return parameters of the replay for the options of `add_replay_arguments`."""
     given = {
         "path": path,
         "topic": arguments.topic or None,
@@ -286,16 +286,6 @@ def replay_fault(replay: ReplayNode | None) -> str:
         return ""
     failed = replay.outcome == "failed"
     return f"failed: {replay.reason}" if failed else f"{replay.unreadable} entries could not be read"
-
-
-def report_conflicts(graph: Graph) -> list[str]:
-    """Print the signs of a second graph in the namespace, and return them."""
-    conflicts = graph.conflicts()
-    if conflicts:
-        warn(
-            f"a second graph or source runs in the namespace: {'; '.join(conflicts)}; end one, or set another --namespace or ROS_DOMAIN_ID"
-        )
-    return conflicts
 
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
@@ -332,9 +322,9 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 
 
 def _source_state(graph: Graph) -> str:
-    """What the source does, or what keeps it from sending."""
+    """Return what the source does, or what keeps it from sending."""
     source = graph.nodes[next(name for name in ("replay", "camera", "perception") if name in graph.nodes)]
-    return "; ".join(source.errors()) or f"{source.get_name()} is {source.state_name}"
+    return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}"
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
@@ -342,7 +332,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     time.sleep(1.2)  # until every node has reported once more
     view = graph.monitor.close_view()
     answered, played = sum(view.answers.values()), graph.played()
-    conflicts = report_conflicts(graph)
+    conflicts = graph.conflicts()
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
         counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
@@ -351,8 +341,11 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         _print_end(arguments.lines, counts)
     else:
         answers = f"{answered} of {played} clouds answered"
-        unanswered = f", {played - answered} dropped or under way" if complete and played > answered else ""
-        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}{unanswered}"))
+        if conflicts:
+            answers = f"{answered} answers of more than one graph"
+        elif complete and played > answered:
+            answers += f", {played - answered} dropped or unfinished at the end"
+        terminal().print(live_panel(view, f"foretouch run: {arguments.source}, {answers}"))
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
@@ -366,7 +359,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
-    for cause in graph.nodes["camera"].warnings() if not predicted and "camera" in graph.nodes else ():
+    for cause in graph.nodes["camera"].reported().warnings if not predicted and "camera" in graph.nodes else ():
         warn(f"no prediction: {cause}")
     return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
 
@@ -398,14 +391,14 @@ def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
 
 
 def at_rest(readings: TouchCut | None) -> bool:
-    """Whether a grasp was executed, and no finger in contact."""
+    """Return whether a grasp was executed, and no finger in contact."""
     return readings is not None and all(
         f"no_contact_{finger}" in readings.flags for finger in readings.touch.channels.fingers
     )
 
 
 def _printed(sensor: Sensor, item: TouchPredictionArray | dict[str, Any]) -> Mapping[str, Any]:
-    """The line of an answer, or of the counts at the end."""
+    """Return the line of an answer, or of the counts at the end."""
     return item if isinstance(item, dict) else answer_record(item, sensor)
 
 

@@ -24,7 +24,7 @@ _STDERR = 2
 
 
 def terminal(*, stderr: bool = False) -> Console:
-    """The terminal as rich draws on it, or the stream in its place; a closed pipe raises as it does for `print`."""
+    """Return the terminal as rich draws on it, or the stream in its place; a closed pipe raises as it does for `print`."""
     return _Terminal(stderr=stderr)
 
 
@@ -83,7 +83,7 @@ def _kept_messages() -> Iterator[None]:
 def make_table(
     columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: str = "", *, live: bool = False
 ) -> Table:
-    """A table whose cells are folded between words, or within words where these do not fit; columns of numbers end at the right.
+    """Return a table whose cells are folded between words, or within words where these do not fit; columns of numbers end at the right.
 
     Args:
         columns: Heads.

@@ -20,7 +20,7 @@ from foretouch.types import Cloud
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """The common inputs and --labels-out."""
+    """Declare the common inputs and --labels-out."""
     add_options(parser, *READ)
     parser.add_argument(
         "--labels-out",
@@ -31,7 +31,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a cloud was refused or has no object."""
+    """Run the command; the exit status is 1 if a cloud was refused or has no object."""
     if arguments.labels_out:
         if len(arguments.inputs) > 1:
             raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
@@ -73,7 +73,7 @@ def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline
 
 
 def _is_one_object(cloud: Cloud, status: str) -> bool:
-    """Whether a cloud without a table or objects has the size of an object where one can be."""
+    """Return whether a cloud without a table or objects has the size of an object where one can be."""
     if status not in ("no_plane", "no_object", "too_few_points") or cloud.organised:
         return False
     try:

@@ -20,7 +20,7 @@ _TOLERANCE_COUNTS: Final = 0.5  # half of what a reading resolves; one bit in ea
 
 
 def exact_cloud() -> Cloud:
-    """Top and front of a tilted box of 68 x 71 x 95 mm: 1876 points, the same bits on every machine.
+    """Return top and front of a tilted box of 68 x 71 x 95 mm: 1876 points, the same bits on every machine.
 
     Its size is one that the shipped models know, so that they do not answer with their mean.
     """
@@ -33,7 +33,7 @@ def exact_cloud() -> Cloud:
 
 
 def exact_grasp() -> Grasp:
-    """A grasp of `exact_cloud` along x."""
+    """Return a grasp of `exact_cloud` along x."""
     half, centre = np.array([288.0, 0.0, 0.0]) / 8192.0, np.array([140.0, -60.0, 4820.0]) / 4096.0
     return Grasp(centre + half, centre - half, np.eye(3)[:, [1, 2, 0]])
 
@@ -56,7 +56,7 @@ def check_models() -> None:
 
 
 def _answers(name: str) -> dict[str, Any]:
-    """Hash, and values and bounds for a grasp [counts]."""
+    """Return the hash of a model, and its values and bounds for a grasp [counts]."""
     from foretouch.models import load_model
 
     model = load_model(name)

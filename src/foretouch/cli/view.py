@@ -42,7 +42,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a cloud could not be read."""
+    """Run the command; the exit status is 1 if a cloud could not be read."""
     path = require_existing(arguments.path)
     for out, suffix in ((arguments.save, ".rrd"), (arguments.screenshot, ".png")):
         if out is not None:
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _readings(samples: SampleSet) -> Iterator[ViewStep]:
-    """The readings of all samples of a recording without a camera, with what became of their grasp."""
+    """Iterate over the readings of all samples of a recording without a camera, with what became of their grasp."""
     for record in samples.records():
         series, tare, name = readings(record), record.sample.tare, f"{record.sample.id}: {record.outcome}"
         for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
@@ -89,7 +89,7 @@ class _View(NamedTuple):
 
 
 def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterator[ViewStep]:
-    """A step for each cloud, or sample that was not discarded, with the touch that the model predicts now; names of others are kept."""
+    """Iterate over a step for each cloud, or sample that was not discarded, with the touch that the model predicts now; names of others are kept."""
     made: Iterator[tuple[str, Callable[[], ViewStep | None]]]
     if samples is None:
         source = open_source(
@@ -112,7 +112,7 @@ def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterat
 
 
 def _of_sample(view: _View, samples: SampleSet, number: int) -> ViewStep | None:
-    """The step of a sample; None if the operator has discarded it."""
+    """Return the step of a sample; None if the operator has discarded it."""
     record = samples.record(number)
     if DISCARDED in record.flags:
         return None
@@ -124,7 +124,7 @@ def _of_sample(view: _View, samples: SampleSet, number: int) -> ViewStep | None:
 
 
 def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
-    """The step of a cloud: table and objects, the target first, as `predict` finds them."""
+    """Return the step of a cloud: table and objects, the target first, as `predict` finds them."""
     cloud, target = item.cloud, None
     shown: dict[str, Any] = {"name": item.name, "cloud": cloud, "stamp_ns": cloud.stamp_ns if stamped else 0}
     if inputs.holds_one_object(cloud, view.arguments):

@@ -26,7 +26,7 @@ _STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts secon
 
 
 def read_header(data: bytes) -> tuple[int, str]:
-    """Stamp [ns] and frame of a serialised message that begins with a header; a `DatasetError` if it cannot be read."""
+    """Return the stamp [ns] and frame of a serialised message that begins with a header; a `DatasetError` if it cannot be read."""
     try:
         seconds, nanoseconds, length = struct.unpack_from(f"{_byte_order(data)}iII", data, _START)
         frame = data[_START + 12 : _START + 12 + length]
@@ -54,7 +54,7 @@ def _byte_order(data: bytes) -> str:
 
 
 def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
-    """The fields of a `std_msgs/Header`; a `DatasetError` names the stamp [ns] if ROS cannot represent it."""
+    """Return the fields of a `std_msgs/Header`; a `DatasetError` names the stamp [ns] if ROS cannot represent it."""
     if not 0 <= stamp_ns < _STAMP_END_NS:
         raise DatasetError(f"{name}: {stamp_ns} is before 1970 or after 2038, where the stamps of ROS end")
     seconds, nanoseconds = divmod(int(stamp_ns), SECOND_NS)
@@ -62,7 +62,7 @@ def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
 
 
 def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
-    """The fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
+    """Return the fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
     header = header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name)
     return SimpleNamespace(header=header, **vars(encode(cloud)))
 
@@ -77,7 +77,7 @@ class ObjectCloud(NamedTuple):
 
 
 def decode_cloud(message: Any) -> Cloud:
-    """A `sensor_msgs/PointCloud2`; the arrays are read-only views of the message where its layout allows.
+    """Decode a `sensor_msgs/PointCloud2`; the arrays are read-only views of the message where its layout allows.
 
     Raises a `CloudError` if the sizes do not add up, or x, y or z is missing or of another type.
     """
@@ -86,7 +86,7 @@ def decode_cloud(message: Any) -> Cloud:
 
 
 def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
-    """The objects of an `object_cloud` in their order; a cloud without labels is one object, without points that have no depth.
+    """Return the objects of an `object_cloud` in their order; a cloud without labels is one object, without points that have no depth.
 
     Raises a `CloudError` as `decode_cloud`, and if a label, row or column is of another type.
     """
@@ -108,7 +108,7 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
 
 
 def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
-    """Each label with its points, in the order of their first points."""
+    """Return each label with its points, in the order of their first points."""
     if (labels == labels[0]).all():  # the usual case
         return [(labels[0], np.arange(len(labels)))]
     present, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
@@ -117,7 +117,7 @@ def _by_label(labels: AnyArray) -> list[tuple[Any, Index]]:
 
 
 def _integer_field(message: Any, name: str) -> AnyArray | None:
-    """One of the whole-number fields of an unorganised object cloud, or None where it is absent."""
+    """Return one of the whole-number fields of an unorganised object cloud, or None where it is absent."""
     field = next((f for f in message.fields if f.name == name), None)
     if field is None:
         return None

@@ -32,7 +32,7 @@ from foretouch.dataset.samples import ExportResult, SampleSet, has_points
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64, Sample
 
 _SAMPLES: Final = "foretouch"  # folder of the recorded dataset
 _POINTS: Final = 1024  # of each cloud
@@ -138,44 +138,17 @@ class _Tables:
         self._writers: dict[str, pq.ParquetWriter] = {}  # of the one file of frames, and that of episodes
 
     def add(self, record: SampleRecord) -> None:
-        """Write the frames of a grasp."""
-        series, sample = readings(record), record.sample
-        assert series is not None  # noqa: S101  it has a touch
+        """Write the frames of a grasp that has a touch."""
+        sample = record.sample
         task = f"grasp the {sample.object}"
-        newest, window = _frames(series.stamps_ns, self._fps, self._window)
-        count = len(newest)
-        numbers = np.arange(count)
-        frames: dict[str, AnyArray] = {
-            "timestamp": (numbers / self._fps).astype(np.float32),
-            "frame_index": numbers,
-            "episode_index": np.full(count, self._episodes),
-            "index": self._frames + numbers,
-            "task_index": np.full(count, self._tasks.setdefault(task, len(self._tasks))),
-            "stamp_ns": series.stamps_ns[newest],
-        }
-        if self.seen:
-            action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()])
-            frames["action"] = np.tile(action.astype(np.float32), (count, 1))
-            frames["observation.pointcloud"] = np.tile(_points(sample.cloud), (count, 1))
-        for name, (columns, _) in self._parts.items():
-            frames[name] = series.counts[window][..., columns].astype(np.float32)
-        if self._window:
-            frames[_STAMPS] = series.stamps_ns[window]
-        for finger, name in self._fingers.items():
-            own = series.counts[:, self._columns[finger]]
-            others = [series.others[f"{channel}_{finger}"] for channel in self._others]
-            frames[f"observation.tactile.{name}"] = np.column_stack([own, *others]).astype(np.float32)[newest]
-        stats = {}
+        frames = self._frames_of(record, self._tasks.setdefault(task, len(self._tasks)))
+        count, stats = len(frames["index"]), {}
         for name, values in frames.items():
             feature = {"dtype": values.dtype.name, "shape": [*values.shape[1:]] or [1], "names": None}
             shape = self._features.setdefault(name, feature | self._stated.get(name, {}))["shape"]
             stats[name] = _statistics(values.reshape(count, -1), shape)
         if _DEPTH in self._features:
-            image, intrinsics = _depth(sample.cloud)
-            known = self._features[_DEPTH]["info"]["intrinsics"] or intrinsics
-            if any(abs(known[name] - value) > _SAME_PIXELS for name, value in intrinsics.items()):
-                raise FileError(self._root, f"{sample.id}: its camera has other intrinsics: {intrinsics}")
-            self._features[_DEPTH]["info"]["intrinsics"] = known
+            image = self._depth_of(sample)
             frames[_DEPTH] = np.full(count, _tiff(image), object)
             stats[_DEPTH] = _statistics(image.reshape(-1, 1), [1, 1, 1])
         self._write(
@@ -199,6 +172,45 @@ class _Tables:
         self._write("meta/episodes", pa.Table.from_pylist([episode]))
         self._frames += count
         self._episodes += 1
+
+    def _frames_of(self, record: SampleRecord, task: int) -> dict[str, AnyArray]:
+        """Return the columns of a grasp's frames by feature, without its depth image."""
+        series, sample = readings(record), record.sample
+        assert series is not None  # noqa: S101  it has a touch
+        newest, window = _frames(series.stamps_ns, self._fps, self._window)
+        count = len(newest)
+        numbers = np.arange(count)
+        frames: dict[str, AnyArray] = {
+            "timestamp": (numbers / self._fps).astype(np.float32),
+            "frame_index": numbers,
+            "episode_index": np.full(count, self._episodes),
+            "index": self._frames + numbers,
+            "task_index": np.full(count, task),
+            "stamp_ns": series.stamps_ns[newest],
+        }
+        if self.seen:
+            action = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()])
+            frames["action"] = np.tile(action.astype(np.float32), (count, 1))
+            frames["observation.pointcloud"] = np.tile(_points(sample.cloud), (count, 1))
+        for name, (columns, _) in self._parts.items():
+            frames[name] = series.counts[window][..., columns].astype(np.float32)
+        if self._window:
+            frames[_STAMPS] = series.stamps_ns[window]
+        for finger, name in self._fingers.items():
+            own = series.counts[:, self._columns[finger]]
+            others = [series.others[f"{channel}_{finger}"] for channel in self._others]
+            frames[f"observation.tactile.{name}"] = np.column_stack([own, *others]).astype(np.float32)[newest]
+        return frames
+
+    def _depth_of(self, sample: Sample) -> AnyArray:
+        """Return the depth image of a sample, whose camera must have the intrinsics of the samples before it."""
+        image, intrinsics = _depth(sample.cloud)
+        info = self._features[_DEPTH]["info"]
+        known = info["intrinsics"] or intrinsics
+        if any(abs(known[name] - value) > _SAME_PIXELS for name, value in intrinsics.items()):
+            raise FileError(self._root, f"{sample.id}: its camera has other intrinsics: {intrinsics}")
+        info["intrinsics"] = known
+        return image
 
     def close(self) -> None:
         """End the files of frames and episodes."""

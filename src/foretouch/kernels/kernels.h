@@ -58,10 +58,14 @@ const char *sources(void);
 void count_range(const float *xyz, int64_t n, double low, double high, int64_t *counts);
 
 /* deproject.c */
-void deproject_whole(const uint16_t *depth, int64_t h, int64_t w, double scale, const float *x, const float *y,
-    int64_t each, float *xyz);
-void deproject_single(const float *depth, int64_t h, int64_t w, double scale, const float *x, const float *y,
-    int64_t each, float *xyz);
+void deproject_whole(const uint16_t *depth, int64_t across, int64_t h, int64_t w, int64_t step, double scale,
+    const float *x, const float *y, int64_t each, float *xyz, int64_t line);
+void deproject_single(const float *depth, int64_t across, int64_t h, int64_t w, int64_t step, double scale,
+    const float *x, const float *y, int64_t each, float *xyz, int64_t line);
+void count_whole(const uint16_t *depth, int64_t n, double scale, double low, double high, const float *x,
+    const float *y, int64_t each, int64_t *counts);
+void count_single(const float *depth, int64_t n, double scale, double low, double high, const float *x,
+    const float *y, int64_t each, int64_t *counts);
 
 /* flying.c */
 void flying_points(const float *xyz, int64_t n, const double *settings, uint8_t *flying, double *radius);

@@ -24,7 +24,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of a width and a height [inch]."""
+    """Return an empty figure of a width and a height [inch]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

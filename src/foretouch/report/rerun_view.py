@@ -160,7 +160,7 @@ class _Writer:
         )
 
     def _hand(self, grasp: Grasp) -> None:
-        """The pose of the hand, and both fingertips with their skin at the contacts."""
+        """Write the pose of the hand, and both fingertips with their skin at the contacts."""
         rr = self._rr
         self._to.log("/scene/hand", rr.Transform3D(translation=grasp.midpoint, mat3x3=grasp.rotation))
         self._to.log("/scene/hand", rr.TransformAxes3D(_AXIS_M))
@@ -187,7 +187,7 @@ class _Writer:
                     self._to.log(f"/touch/{path}/{what}", self._rr.Scalars(known.mean()))
 
     def _paths(self) -> dict[str, Any]:
-        """Columns of a touch by the path of the curve of their mean: each scalar, and the valid taxels of the shown channel."""
+        """Return columns of a touch by the path of the curve of their mean: each scalar, and the valid taxels of the shown channel."""
         sensor, paths = self._view.sensor, {}
         for k, name in enumerate(sensor.channels.fingers):
             for channel, column in zip(sensor.scalar_channels, sensor.scalar_columns[k], strict=True):
@@ -205,7 +205,7 @@ class _Writer:
                 self._to.log(f"/touch/{path}/{what}", style, static=True)
 
     def _taxels(self) -> None:
-        """Taxels of all steps, coloured by one scale for each finger, predicted as read: changes from rest where all steps have one."""
+        """Write the taxels of all steps, coloured by one scale for each finger, predicted as read: changes from rest where all steps have one."""
         from matplotlib import colormaps
 
         view = self._view
@@ -247,7 +247,7 @@ class _Writer:
 
 
 def _table_corners(table: Plane, points: Float32) -> Float64:
-    """(4, 3) float64 [m]: corners of the part of the table under and around (N, 3) points."""
+    """Return (4, 3) float64 [m]: corners of the part of the table under and around (N, 3) points."""
     u = np.cross(table.normal, np.eye(3)[np.argmin(np.abs(table.normal))])
     u /= np.linalg.norm(u)
     v = np.cross(table.normal, u)
@@ -262,7 +262,7 @@ def _path(finger: str) -> str:
 
 
 def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
-    """(N, 3) float32 points [m] with depth, thinned evenly, and their colours: the camera's, else by depth."""
+    """Return (N, 3) float32 points [m] with depth, thinned evenly, and their colours: the camera's, else by depth."""
     if cloud is None:
         return np.empty((0, 3), np.float32), None
     points = cloud.xyz.reshape(-1, 3)
@@ -278,7 +278,7 @@ def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
 
 
 def _text(step: ViewStep, view: TaxelView) -> str:
-    """The answer in Markdown."""
+    """Return the answer in Markdown."""
     prediction, value = step.prediction, step.value
     lines = [f"**{step.name}**"]
     if step.grasp is not None:
@@ -297,7 +297,7 @@ def _text(step: ViewStep, view: TaxelView) -> str:
 
 
 def _layout(view: TaxelView, *, with_scene: bool) -> Any:
-    """The scene with the answer, beside the curves and the taxels of each finger."""
+    """Return the scene with the answer, beside the curves and the taxels of each finger."""
     import rerun.blueprint as rrb
 
     columns = []

@@ -64,7 +64,7 @@ def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
             state = client.get_state()
             if state.active_recording is not None and state.recordings[0].timelines and not state.loading:
                 client.set_time("step", sequence=0, play_state="paused")
-                time.sleep(1.0)  # until what was loaded is drawn
+                time.sleep(5.0)  # until all is drawn, and the viewer's note at its start is gone
                 client.save_screenshot(str(path))
                 return
         time.sleep(_POLL_S)
@@ -85,7 +85,7 @@ def open_viewer(recording: Path) -> None:
 
 
 def _viewer(port: int | None = None) -> list[str | Path]:
-    """The command that starts Rerun's viewer, which else would listen on all addresses."""
+    """Return the command that starts Rerun's viewer, which else would listen on all addresses."""
     module = find_spec("rerun_cli")
     if module is None or module.origin is None:
         raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'")
@@ -94,7 +94,7 @@ def _viewer(port: int | None = None) -> list[str | Path]:
 
 @contextmanager
 def _viewer_environment() -> Iterator[dict[str, str]]:
-    """Variables with which Rerun sends no usage statistics; the settings of the user stay as they are."""
+    """Set variables with which Rerun sends no usage statistics; the settings of the user stay as they are."""
     with tempfile.TemporaryDirectory(prefix="foretouch-rerun-") as folder:
         environment = {**os.environ, "XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder, "RERUN_APP_ONLY": "true"}
         done = subprocess.run(  # noqa: S603  Rerun's own viewer

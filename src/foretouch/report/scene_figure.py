@@ -85,7 +85,7 @@ def draw_scene(
 
 
 def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
-    """The object of a grasp, or the first one that gets grasps."""
+    """Return the object of a grasp, or the first one that gets grasps."""
     known = {object_.id: object_ for object_ in scene.objects}
     if grasp is not None and grasp.object_id:
         if grasp.object_id not in known:
@@ -97,7 +97,7 @@ def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
 
 
 def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
-    """The image in colour, or its depth, with outline and id of each object, and the contacts."""
+    """Draw the image in colour, or its depth, with outline and id of each object, and the contacts."""
     depth = scene.cloud.xyz[..., 2]
     if scene.cloud.rgb is not None:
         axes.imshow(scene.cloud.rgb)
@@ -139,7 +139,7 @@ def _window(inside: Bool) -> tuple[int, int, int, int]:
 
 
 def _pixels(cloud: Cloud, points: Float64) -> Float64:
-    """(K, 2) columns and rows at which points (K, 3) are seen: those of the camera, fitted to the image where it is not known."""
+    """Return (K, 2) columns and rows at which points (K, 3) are seen: those of the camera, fitted to the image where it is not known."""
     rays = cloud.xyz[..., :2] / cloud.xyz[..., 2:]
     known = np.isfinite(rays).all(axis=2)
     places = []
@@ -150,7 +150,7 @@ def _pixels(cloud: Cloud, points: Float64) -> Float64:
 
 
 def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object], grasp: Grasp | None) -> None:
-    """An object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
+    """Draw an object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
     points, table = _finite(target.cloud), target.plane.towards_camera  # a table that was stated may face away
     up = table.normal
     along = grasp.g1 - grasp.g2 if grasp is not None else np.array([1.0, 0.0, 0.0])
@@ -160,7 +160,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
     centre = grasp.midpoint if grasp is not None else points.mean(axis=0)
 
     def flat(xyz: Float64) -> Float64:
-        """(N, 3): along the closing line and across it from the midpoint, and height above the table [mm]."""
+        """Return (N, 3): along the closing line and across it from the midpoint, and height above the table [mm]."""
         moved = xyz - centre
         return 1e3 * np.stack([moved @ along, moved @ across, xyz @ up + table.offset], axis=1)
 
@@ -184,11 +184,12 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
             axes.plot(ends[:, 0], ends[:, row], color=_DARK, linewidth=1.2)
             for k, (finger, colour) in enumerate(zip(("g1", "g2"), _FINGERS, strict=False)):
                 outward = 1.0 if ends[k, 0] >= ends[1 - k, 0] else -1.0
-                axes.annotate("", (ends[k, 0], ends[k, row]), (ends[k, 0] + outward * 26.0, ends[k, row]),
-                              arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
+                tail = ends[k, 0] + outward * 26.0, ends[k, row]
+                axes.annotate("", (ends[k, 0], ends[k, row]), tail, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
                 axes.plot(ends[k, 0], ends[k, row], "o", color=colour, markeredgecolor="white", markersize=7, zorder=4)
-                axes.annotate(finger, (ends[k, 0] + outward * 16.0, ends[k, row]), (0, 6), textcoords="offset points",
-                              color=colour, fontsize=9, fontweight="bold", ha="center")  # fmt: skip
+                axes.annotate(finger, tail, (8.0 * outward, 0.0), textcoords="offset points", color=colour, fontsize=9,
+                              fontweight="bold", ha="center", va="center",
+                              bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
         middle = (low + high) / 2.0
         bottom = -0.08 * span if row == 2 else middle[1] - 0.5 * span
         axes.set(xlim=(middle[0] - 0.5 * span, middle[0] + 0.5 * span), ylim=(bottom, bottom + span), aspect="equal")
@@ -202,7 +203,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
 
 
 def _draw_touch(axes: Axes, prediction: Prediction) -> None:
-    """The taxels of both fingers with their intervals, in the unit of their channel, and the scalars as text."""
+    """Draw the taxels of both fingers with their intervals, in the unit of their channel, and the scalars as text."""
     channels = prediction.channels
     if not prediction.ok:
         axes.set_axis_off()
@@ -233,7 +234,7 @@ def _draw_touch(axes: Axes, prediction: Prediction) -> None:
 
 
 def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
-    """Name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
+    """Return the name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
     texts = []
     for channel in prediction.channels.channels:
         if channel.size == 1:
@@ -245,7 +246,7 @@ def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
 
 
 def _finite(cloud: Cloud) -> Float64:
-    """At most some thousand finite points (N, 3) of a cloud, float64 [m]."""
+    """Return at most some thousand finite points (N, 3) of a cloud, float64 [m]."""
     points = cloud.xyz.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     return points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)

@@ -58,7 +58,7 @@ def save_series_sheet(path: str | Path, records: Sequence[SampleRecord], title: 
 
 
 def _rest(record: SampleRecord, series: TouchSeries, view: TaxelView) -> Touch | None:
-    """The tare, else the median of the readings at rest; None without either."""
+    """Return the tare, else the median of the readings at rest; None without either."""
     at_rest = series.counts[series.phases == REST]
     if record.sample.tare is None and len(at_rest):
         return Touch(np.median(at_rest, axis=0).astype(np.float64), view.sensor.channels)
@@ -66,7 +66,7 @@ def _rest(record: SampleRecord, series: TouchSeries, view: TaxelView) -> Touch |
 
 
 def _levels(series: TouchSeries, rest: Touch | None, view: TaxelView) -> Float64:
-    """(F, T, N) levels of the taxels, NaN where they cannot be used."""
+    """Return (F, T, N) levels of the taxels, NaN where they cannot be used."""
     values = usable(series.counts.astype(np.float64), view.sensor.channels, view.sensor.valid_values)
     return np.array([view.levels(values, rest, finger) for finger in range(len(view.fingers))])
 

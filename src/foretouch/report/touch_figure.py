@@ -102,7 +102,7 @@ def save_touch_picture(
 
 
 def _inside(drawn: DrawnGrasp) -> Bool | None:
-    """(D,) which values were read within their intervals; None without both."""
+    """Return (D,) which values were read within their intervals; None without both."""
     lower, upper = drawn.prediction.lower, drawn.prediction.upper
     if drawn.read is None or not drawn.prediction.calibrated:
         return None
@@ -110,7 +110,7 @@ def _inside(drawn: DrawnGrasp) -> Bool | None:
 
 
 def _agreement(drawn: DrawnGrasp, sensor: Sensor) -> str:
-    """A sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
+    """Return a sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
     value, read = drawn.prediction.value, drawn.read
     if not drawn.prediction.ok or read is None:
         return f"not predicted: {drawn.prediction.reason}" if drawn.prediction.reason else ""
@@ -141,7 +141,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[Sample], sensor: Sens
 
 
 def taxel_colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) -> dict[str, Any]:
-    """How matplotlib is to colour the levels of all valid taxels of a page, by one scale."""
+    """Return how matplotlib is to colour the levels of all valid taxels of a page, by one scale."""
     known = np.concatenate([[], *levels])
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     colours = "magma_r" if tared else "viridis_r"  # both dark at the high end
@@ -151,7 +151,7 @@ def taxel_colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) ->
 
 
 def taxel_label(view: TaxelView, *, tared: bool, ringed: bool = False) -> str:
-    """What stands at the scale of colours of a page."""
+    """Return what stands at the scale of colours of a page."""
     marks = "; ringed: outside of its 90 % interval" if ringed else ""
     if view.sensor.dead:
         marks += "; hollow: dead"

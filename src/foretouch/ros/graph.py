@@ -61,6 +61,7 @@ class Graph:
         self._monitor_options = monitor
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
+        self._last_played = 0  # when the source of others was left
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
@@ -129,10 +130,13 @@ class Graph:
     def played(self) -> int:
         """Clouds published by the replay or the camera; received from a topic of others."""
         counts = [self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes]
-        return sum(counts) if counts else self.nodes["perception"].statistics.summary().received
+        if counts:
+            return sum(counts)
+        return self._last_played or self.nodes["perception"].statistics.summary().received
 
     def stop_source(self) -> None:
-        """Publish no more clouds."""
+        """Publish no more clouds; count no more of a topic of others."""
+        self._last_played = self.played()
         for name in _SOURCES:
             if name in self.nodes:
                 self.nodes[name].stop()

@@ -414,7 +414,7 @@ def require_same(given: Channels, wanted: Channels, what: str) -> None:
 
 
 packaged_sensor = cache(load_sensor)
-"""As `load_sensor`, of a description that comes with the package, which is read once."""
+"""Load a description that comes with the package, once."""
 
 
 def _check_names_and_paths(settings: Any) -> None:

@@ -51,7 +51,7 @@ class LiveTare:
             self._renew(stamp_ns, now_s)
 
     def tare(self, now_s: float, max_age_s: float) -> Touch | None:
-        """The median of the last rest; None if there is no recent one, or a sensor does not work."""
+        """Return the median of the last rest; None if there is no recent one, or a sensor does not work."""
         if self.age_s(now_s) > max_age_s:
             return None
         if self._tare is None and not self.fault:
@@ -61,7 +61,7 @@ class LiveTare:
         return self._tare
 
     def age_s(self, now_s: float) -> float:
-        """Time since the last rest [s]; infinite if there was none."""
+        """Return the time since the last rest [s]; infinite if there was none."""
         return now_s - self._rest_s if self._rest else float("inf")
 
     def exclude(self, contact_ns: int, release_ns: int) -> None:

@@ -37,16 +37,16 @@ class TaxelView:
         return [name for name, channel in self.sensor.channels.channel_of.items() if channel in shown]
 
     def columns(self, finger: int) -> Index:
-        """(N,) columns of a touch: the values of the shown channel."""
+        """Return (N,) columns of a touch: the values of the shown channel."""
         taxels: Index = self.sensor.taxel_columns[finger, :, self.sensor.taxel_channels.index(self.channel)]
         return taxels
 
     def has_rest(self, rest: Touch | None) -> bool:
-        """Whether changes from rest are known: with a reading at rest, or where that is zero."""
+        """Return whether changes from rest are known: with a reading at rest, or where that is zero."""
         return rest is not None or not self.channel.tared
 
     def levels(self, values: Float64, rest: Touch | None, finger: int) -> Float64:
-        """(..., N) float64 of (..., D) values: the change of each taxel from rest, positive as by contact; its value where rest is not known."""
+        """Return (..., N) float64 of (..., D) values: the change of each taxel from rest, positive as by contact; its value where rest is not known."""
         values = values[..., self.columns(finger)]
         if not self.has_rest(rest):
             return values
@@ -59,7 +59,7 @@ class TaxelView:
         return rest.values[self.columns(finger)]
 
     def label(self, *, from_rest: bool) -> str:
-        """What `levels` are, with their unit."""
+        """Return what `levels` are, with their unit."""
         channel = self.channel
         change = {-1: "drop", 0: "change", 1: "rise"}[channel.contact]
         return (
@@ -69,7 +69,7 @@ class TaxelView:
         )
 
     def shares(self, values: Float64, rest: Touch | None, ranges: Ranges, finger: int) -> Float64:
-        """(..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.
+        """Return (..., N) float64 in [0, 1]: how far contact has moved each taxel, of (..., D) values of touches.
 
         Through its range where contact moves it in one direction from a measured rest level; else from rest, of the way to the farther
         end of its range.
@@ -87,7 +87,7 @@ class TaxelView:
         return share
 
     def pressures(self, values: Float64, rest: Touch | None, ranges: Ranges) -> Float64:
-        """(..., F) float64: how hard each finger presses, 0 lowest, 1 highest of the range, of (..., D) values of touches.
+        """Return (..., F) float64: how hard each finger presses, 0 lowest, 1 highest of the range, of (..., D) values of touches.
 
         By the first scalar that contact raises or lowers; where there is none, by the mean of the shares of the valid taxels.
         """
@@ -103,7 +103,7 @@ class TaxelView:
         return np.stack([share.mean(axis=-1) if share.shape[-1] else none for share in shares], axis=-1)
 
     def scalars(self, finger: int, value: Touch, around: Prediction | None = None) -> str:
-        """The scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""
+        """Return the scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""
         texts = []
         for channel, column in zip(self.sensor.scalar_channels, self.sensor.scalar_columns[finger], strict=True):
             half = ""

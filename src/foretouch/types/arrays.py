@@ -30,7 +30,7 @@ _REQUIRED: Final = object()
 
 
 def objects(rows: Sequence[Any] | AnyArray) -> Objects:
-    """(K,) a column of texts, tuples or other values."""
+    """Return a (K,) column of texts, tuples or other values."""
     return np.fromiter(rows, object, len(rows))
 
 
@@ -75,7 +75,7 @@ class Columns:
 
     @classmethod
     def column_names(cls) -> tuple[str, ...]:
-        """Names of the columns, in order."""
+        """Return names of the columns, in order."""
         return _names(cls)
 
     def take(self, rows: Rows) -> Self:
@@ -105,7 +105,7 @@ class Columns:
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """Rows of several of these, one after the other; what is not a column is of the first, and there is at least one."""
+        """Return rows of several of these, one after the other; what is not a column is of the first, and there is at least one."""
         if len(parts) == 1:
             return parts[0]
         joined = {}
@@ -131,7 +131,7 @@ def _fits(shape: tuple[int, ...], row: tuple[int | None, ...]) -> bool:
 
 
 def _array(value: Any, dtype: Any, count: int, row: tuple[int | None, ...]) -> AnyArray:
-    """Rows as an array; a single value is repeated for each row, where their number is known."""
+    """Return rows as an array; a single value is repeated for each row, where their number is known."""
     if dtype is object:
         if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1:
             return value

@@ -18,8 +18,8 @@ from foretouch.kernels import Kernel
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
 
-_deproject_whole = Kernel("deproject_whole")
-_deproject_single = Kernel("deproject_single")
+_DEPROJECT: Final = {np.uint16: Kernel("deproject_whole"), np.float32: Kernel("deproject_single")}
+_COUNT: Final = {np.uint16: Kernel("count_whole"), np.float32: Kernel("count_single")}
 
 MODELS: Final = ("plumb_bob", "rational_polynomial")
 """Distortion models of `sensor_msgs/CameraInfo` that are undone."""
@@ -160,27 +160,78 @@ class CameraModel:
         Raises:
             CloudError: If the image has another size or type, or the unit is not plausible. The message names it.
         """
+        return DepthImage(depth, self, scale).points()
+
+
+class DepthImage:
+    """A depth image whose points are made where they are asked for.
+
+    Args:
+        depth: See `CameraModel.points`.
+        camera: Its camera.
+        scale: See `CameraModel.points`.
+
+    Raises:
+        CloudError: As `CameraModel.points`.
+    """
+
+    def __init__(self, depth: npt.NDArray[Any], camera: CameraModel, scale: float | None = None) -> None:
         height, width = check_image(depth)
-        if (height, width) != self.shape:
-            raise CloudError(f"depth: {width}x{height} is not the size of the camera, {self.width}x{self.height}")
+        if (height, width) != camera.shape:
+            raise CloudError(f"depth: {width}x{height} is not the size of the camera, {camera.width}x{camera.height}")
         kind = depth.dtype.newbyteorder("=")
         scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else as_number("scale", scale)
         if not 0.0 < scale < np.inf:
             raise CloudError(f"scale: {scale} is not a number of metres above 0")
         _check_unit(depth, kind, scale)
-        whole = kind == np.uint16
+        self.camera = camera
+        self._kind: type[np.uint16 | np.float32] = np.uint16 if kind == np.uint16 else np.float32
         with np.errstate(over="ignore"):  # what float32 cannot hold is no depth
-            numbers = np.ascontiguousarray(depth, np.uint16 if whole else np.float32)
-        x, y = self.rays
-        xyz = np.empty((height, width, 3), np.float32)
-        (_deproject_whole if whole else _deproject_single)(
-            numbers, height, width, scale, x, y, bool(self.distortion), xyz
-        )
+            self._depth = np.ascontiguousarray(depth, self._kind)
+        self._scale = scale
+        self._rays = camera.rays
+
+    def points(self, step: int = 1) -> _Float32:
+        """Make the points of every `step`-th pixel of every `step`-th row: (h, w, 3) float32 [m]."""
+        height, width = self.camera.shape
+        xyz = np.empty((-(-height // step), -(-width // step), 3), np.float32)
+        self._write(xyz, xyz.shape[1], 0, 0, *xyz.shape[:2], step)
         return xyz
+
+    def write_points(self, xyz: _Float32, top: int, bottom: int, left: int, right: int) -> None:
+        """Write the points of some rows and columns to their places in (H, W, 3) float32 [m]."""
+        first = top * self.camera.width + left
+        self._write(xyz.reshape(-1, 3)[first:], self.camera.width, top, left, bottom - top, right - left, 1)
+
+    def count(self, low_m: float, high_m: float) -> tuple[int, int]:
+        """Count the pixels with a point, and those with a depth between two [m], both included."""
+        counts, (x, y) = np.empty(2, np.int64), self._rays
+        flat = self._depth.reshape(-1)
+        _COUNT[self._kind](flat, flat.size, self._scale, low_m, high_m, x, y, self._each, counts)
+        return int(counts[0]), int(counts[1])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.camera.shape
+
+    @property
+    def _each(self) -> bool:
+        """Whether each pixel has a ray, in place of each column and row."""
+        return bool(self.camera.distortion)
+
+    def _write(self, xyz: _Float32, line: int, top: int, left: int, height: int, width: int, step: int) -> None:
+        """Write the points of a part of the image, which starts at a row and a column."""
+        across = self.camera.width
+        first = top * across + left
+        x, y = (rays.reshape(-1) for rays in self._rays)
+        x, y = (x[first:], y[first:]) if self._each else (x[left:], y[top:])
+        size = (height, width, step, self._scale)
+        _DEPROJECT[self._kind](self._depth.reshape(-1)[first:], across, *size, x, y, self._each, xyz, line)
 
 
 def as_number(name: str, value: Any) -> float:
-    """A number as float; a `CloudError` names the argument if it is none."""
+    """Return a number as float; a `CloudError` names the argument if it is none."""
     try:
         return float(value)
     except (TypeError, ValueError) as err:
@@ -188,7 +239,7 @@ def as_number(name: str, value: Any) -> float:
 
 
 def as_image(depth: Any) -> npt.NDArray[Any]:
-    """A depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
+    """Return a depth image as an array; masked pixels are no depth. A `CloudError` if it is no array."""
     try:
         return np.asarray(np.ma.filled(depth, 0))
     except ValueError as err:
@@ -196,7 +247,7 @@ def as_image(depth: Any) -> npt.NDArray[Any]:
 
 
 def check_image(depth: npt.NDArray[Any]) -> tuple[int, int]:
-    """Rows and columns of a depth image; a `CloudError` if it is none."""
+    """Return rows and columns of a depth image; a `CloudError` if it is none."""
     if depth.ndim != 2:
         colour = " of a colour image" if depth.ndim == 3 and depth.shape[2] in (3, 4) else ""
         raise CloudError(f"depth: shape {depth.shape}{colour} is not (H, W)")
@@ -225,7 +276,7 @@ def _check_unit(depth: npt.NDArray[Any], kind: np.dtype[Any], scale: float) -> N
 
 
 def _coefficients(given: Any) -> tuple[float, ...]:
-    """Distortion coefficients without zeros at the end."""
+    """Return distortion coefficients without zeros at the end."""
     try:
         numbers = np.asarray(given, np.float64).ravel().tolist()
     except (TypeError, ValueError) as err:
@@ -270,7 +321,7 @@ def _undistorted(u: _Float64, v: _Float64, distortion: tuple[float, ...]) -> tup
     k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(distortion, (0, _COEFFICIENTS - len(distortion))).tolist()
 
     def radial(s: _Float64) -> tuple[_Float64, _Float64]:
-        """The factor of a ray at the square s of its radius, and its derivative by s."""
+        """Return the factor of a ray at the square s of its radius, and its derivative by s."""
         over, under = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))
         slope = (k1 + s * (2.0 * k2 + s * 3.0 * k3)) - over / under * (k4 + s * (2.0 * k5 + s * 3.0 * k6))
         return over / under, slope / under

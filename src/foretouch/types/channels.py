@@ -49,7 +49,7 @@ class Channel:
     resolution: float
 
     def text(self, value: float) -> str:
-        """A number for people: a whole one where the numbers are, else with three digits."""
+        """Return a number for people: a whole one where the numbers are, else with three digits."""
         return f"{value:.0f}" if self.resolution == 1.0 else f"{value:.3g}"
 
 
@@ -105,14 +105,14 @@ class Channels:
         return {name: np.flatnonzero(self.modality_of_value == k) for k, name in enumerate(self.modalities)}
 
     def columns(self, modalities: Sequence[str]) -> _Index:
-        """(M,) columns of some modalities, in this order; a `TactileError` names an unknown one."""
+        """Return (M,) columns of some modalities, in this order; a `TactileError` names an unknown one."""
         unknown = [name for name in modalities if name not in self.modality_columns]
         if unknown:
             raise TactileError(f"modality: {none_of(unknown[0], self.modalities)}")
         return np.concatenate([np.empty(0, np.intp), *(self.modality_columns[name] for name in modalities)])
 
     def part(self, values: _Floats, name: str) -> _Floats:
-        """Values of a channel or of a modality, from (..., D) values of a touch.
+        """Return values of a channel or of a modality, from (..., D) values of a touch.
 
         Args:
             values: (..., D) float64.
@@ -134,7 +134,7 @@ class Channels:
         return part[..., 0] if self.channels[names.index(name)].size == 1 else part
 
     def by_modality(self, values: npt.ArrayLike) -> Any:
-        """(D, ...) numbers of the values, from (M, ...) of the modalities."""
+        """Return (D, ...) numbers of the values, from (M, ...) of the modalities."""
         return np.asarray(values)[self.modality_of_value]
 
     @cached_property

@@ -2,6 +2,7 @@
 """Point clouds and planes."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.types.arrays import AnyArray, Bool, Float32, Float64, Floating, Index, UInt8
-from foretouch.types.camera import CameraModel, as_image, check_image
+from foretouch.types.camera import CameraModel, DepthImage, as_image, check_image
 
 SQUARABLE = (1e-145, 1e150)
 """Numbers between these have squares of full precision.
@@ -59,7 +60,7 @@ class Cloud:
         frame_id: str = "",
         stamp_ns: int = 0,
         rgb: UInt8 | None = None,
-    ) -> Self:
+    ) -> "Cloud":
         """Make the organised cloud of a depth image.
 
         Args:
@@ -82,7 +83,7 @@ class Cloud:
             K = CameraModel.of(K, width, height, distortion)  # noqa: N806
         elif distortion is not None:
             raise CloudError("distortion: is given twice, here and in the CameraModel")
-        return cls(K.points(image, scale), rgb, frame_id, stamp_ns, K)
+        return DepthCloud.of(DepthImage(image, K, scale), rgb, frame_id, stamp_ns)
 
     @property
     def organised(self) -> bool:
@@ -95,15 +96,50 @@ class Cloud:
         return self.xyz.size // 3
 
     def take(self, index: Index | Bool) -> "Cloud":
-        """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
+        """Return selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
         # take() is four times as fast as indexing here.
         return Cloud(self.xyz.reshape(-1, 3).take(flat, axis=0), rgb, self.frame_id, self.stamp_ns)
 
 
+class DepthCloud(Cloud):
+    """The cloud of a depth image, whose points are made when they are first asked for.
+
+    Attributes:
+        image: The depth image; None in a copy of the cloud with another field (`dataclasses.replace`).
+    """
+
+    image: DepthImage | None = None
+
+    @classmethod
+    def of(cls, image: DepthImage, rgb: UInt8 | None, frame_id: str, stamp_ns: int) -> Self:
+        """Make the cloud of an image (see `Cloud`)."""
+        no_points = np.broadcast_to(np.float32(np.nan), (*image.shape, 3))
+        fields = vars(Cloud(no_points, rgb, frame_id, stamp_ns, image.camera))
+        cloud = cls.__new__(cls)
+        vars(cloud).update({name: value for name, value in fields.items() if name != "xyz"}, image=image)
+        return cloud
+
+    @cached_property
+    def xyz(self) -> Float32:
+        """(H, W, 3) float32 [m]."""
+        assert self.image is not None  # noqa: S101  a copy has its points
+        return self.image.points()
+
+    @property
+    def organised(self) -> bool:
+        """See `Cloud`."""
+        return self.image is not None or super().organised
+
+    @property
+    def size(self) -> int:
+        """See `Cloud`."""
+        return super().size if self.image is None else self.image.shape[0] * self.image.shape[1]
+
+
 def _as_float32(xyz: Any) -> Float32:
-    """Any array of numbers as float32; what float32 cannot hold becomes infinite, which is no point."""
+    """Convert an array of numbers to float32; what float32 cannot hold becomes infinite, which is no point."""
     try:
         numbers = np.asarray(xyz)
     except ValueError as err:
@@ -123,7 +159,7 @@ class Plane:
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
-        """A plane from (a, b, c, d) of any scale.
+        """Return a plane from (a, b, c, d) of any scale.
 
         A `CloudError` if they or the offset are not finite or (a, b, c) is zero.
         """
@@ -152,7 +188,7 @@ class Plane:
         return Plane(-self.normal, -self.offset) if self.offset < 0.0 else self
 
     def height(self, xyz: Floating) -> Floating:
-        """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
+        """Return signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
 
 
@@ -161,7 +197,7 @@ ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 
 
 def assumed_table(cloud: Cloud) -> Plane:
-    """The table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
+    """Return the table of a cloud that holds only an object: as `ASSUMED_TABLE`, but through the farthest point."""
     depths = cloud.xyz[..., 2]
     depths = depths[np.isfinite(depths)]
     return Plane(ASSUMED_TABLE.normal, -float(depths.max())) if depths.size else ASSUMED_TABLE

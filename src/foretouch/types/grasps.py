@@ -29,7 +29,7 @@ class WayIn:
     hand: str = ""  # its description: a name of the package, or the path of a YAML file
 
     def with_contacts_swapped(self) -> Self:
-        """The same way to a grasp whose contacts have each other's names."""
+        """Return the same way to a grasp whose contacts have each other's names."""
         return replace(self, thumb_at="g1" if self.thumb_at == "g2" else "g2", approaches=self.approaches[::-1, ::-1])
 
 
@@ -112,7 +112,7 @@ class Grasps(Columns, Sequence[Grasp]):
 
     @classmethod
     def of(cls, grasps: Sequence[Grasp]) -> "Grasps":
-        """The columns of some grasps."""
+        """Return the columns of some grasps."""
         if isinstance(grasps, Grasps):
             return grasps
         if not grasps:
@@ -128,7 +128,7 @@ class Grasps(Columns, Sequence[Grasp]):
 
     @classmethod
     def unknown(cls, count: int) -> "Grasps":
-        """K rows of NaN."""
+        """Return K rows of NaN."""
         nothing = np.full((count, 3), np.nan)
         return cls(nothing, nothing, np.full((count, 3, 3), np.nan))
 

@@ -3,7 +3,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal, NamedTuple, Self, overload
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -41,18 +41,18 @@ class Touch:
 
     @classmethod
     def unknown(cls, channels: Channels) -> Self:
-        """A reading of which nothing is known: all NaN."""
+        """Return a reading of which nothing is known: all NaN."""
         return cls(np.full(channels.size, np.nan), channels)
 
     def __getitem__(self, name: str) -> Float64:
-        """Values of a channel, such as E: (F, N), or (F,) of a scalar; or of a modality, such as E_TH: (M,).
+        """Return values of a channel, such as E: (F, N), or (F,) of a scalar; or of a modality, such as E_TH: (M,).
 
         A `TactileError` if there is none of that name.
         """
         return self.channels.part(self.values, name)
 
     def parts(self) -> dict[str, float | Float64]:
-        """Values by modality: a number where it has one, else (M,) float64."""
+        """Return values by modality: a number where it has one, else (M,) float64."""
         parts = {name: self[name] for name in self.channels.modalities}
         return {name: float(part[0]) if len(part) == 1 else part for name, part in parts.items()}
 
@@ -115,7 +115,7 @@ class Predictions(Columns, Sequence["Prediction"]):
     def refused(
         cls, grasps: Grasps, channels: Channels, status: str | list[str], reason: str | list[str]
     ) -> "Predictions":
-        """Rows without a value for some grasps, with one status and reason or one each."""
+        """Return rows without a value for some grasps, with one status and reason or one each."""
         nothing = np.full((len(grasps), channels.size), np.nan)
         count = len(grasps)
         statuses = objects([status] * count if isinstance(status, str) else status)
@@ -128,7 +128,7 @@ class Predictions(Columns, Sequence["Prediction"]):
         return np.asarray(self.status == "ok", np.bool_)
 
     def flagged(self, flag: str, rows: Bool | bool = True) -> "Predictions":
-        """The same with one flag more on rows by a mask (K,), or on all."""
+        """Return the same with one flag more on rows by a mask (K,), or on all."""
         if not np.any(rows):
             return self
         marked = np.broadcast_to(rows, len(self)).tolist()
@@ -162,36 +162,24 @@ class Prediction:
 
     @classmethod
     def of(
-        cls,
-        grasp: Grasp,
-        value: Touch,
-        lower: Touch | None = None,
-        upper: Touch | None = None,
-        *,
-        reference: Reference = "none",
-        flags: Sequence[str] = (),
-        status: str = "ok",
-        reason: str = "",
-        evidence: Evidence = NO_EVIDENCE,
+        cls, grasp: Grasp, value: Touch, lower: Touch | None = None, upper: Touch | None = None, **others: Any
     ) -> Self:
-        """A prediction made of its parts; without bounds they are NaN."""
+        """Make a prediction of its parts.
+
+        Args:
+            grasp: The grasp.
+            value: The predicted reading.
+            lower: Lower bounds; NaN by default.
+            upper: Upper bounds; NaN by default.
+            others: Further columns of `Predictions` by name, such as `flags` and `reference`.
+        """
         lower, upper = (end or Touch.unknown(value.channels) for end in (lower, upper))
-        rows = Predictions(
-            value.values[None],
-            Grasps.of([grasp]),
-            value.channels,
-            lower.values[None],
-            upper.values[None],
-            flags=objects([tuple(flags)]),
-            status=objects([status]),
-            reason=objects([reason]),
-            reference=objects([reference]),
-            evidence=objects([evidence]),
-        )
-        return cls(rows)
+        columns = {name: objects([cell]) for name, cell in others.items()}
+        ends = {"lower": lower.values[None], "upper": upper.values[None]}
+        return cls(Predictions(value.values[None], Grasps.of([grasp]), value.channels, **ends, **columns))
 
     def __getitem__(self, name: str) -> Predicted:
-        """Values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
+        """Return values and bounds of a channel, such as E: (F, N), or (F,) of a scalar; a `TactileError` names an unknown one."""
         return Predicted(*(self.channels.part(end.values, name) for end in (self.value, self.lower, self.upper)))
 
     @property
@@ -236,7 +224,7 @@ class Prediction:
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """See `Predictions.flags`."""
+        """Flags such as `out_of_range` and `unfamiliar`; `Predictions.flags` lists all."""
         return tuple(self._rows.flags[self._k])
 
     @property

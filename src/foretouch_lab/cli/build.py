@@ -28,7 +28,7 @@ def _warn_of_other_hands(paths: Sequence[str]) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 0; a dataset that cannot be read is an error."""
+    """Run the command; the exit status is 0, and a dataset that cannot be read is an error."""
     _warn_of_other_hands(arguments.sources)
     with progress_bar("building", hidden=arguments.json) as advance:
         result = build_store(

@@ -20,7 +20,7 @@ _SCORED: Final = {
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """Model, dataset, and the split for the baselines."""
+    """Declare model, dataset, and the split for the baselines."""
     parser.add_argument("model", metavar="MODEL", help="name of a model, or path of its card, weights or model folder")
     parser.add_argument("dataset", metavar="DATASET", help="recorded dataset, training store or vision2tactile folders")
     parser.add_argument(
@@ -38,7 +38,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 0 whatever the scores."""
+    """Run the command; the exit status is 0 whatever the scores."""
     announce(f"reading {arguments.dataset}, fitting the baselines, predicting")
     data = load_dataset(arguments.dataset)
     options = {"seed": arguments.seed, "training_scores": arguments.training_scores}

@@ -13,7 +13,7 @@ from foretouch.cli.output import print_json, print_table, print_text, progress_b
 from foretouch.cli.parser import CommandParser
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
-from foretouch_lab.experiments import Experiment, find_experiment, list_experiments, run_sweep
+from foretouch_lab.experiments import Experiment, Sweep, find_experiment, list_experiments
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment, write_summary
 
@@ -21,7 +21,7 @@ ENVIRONMENT = "FORETOUCH_DATA"
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """Arguments of the command."""
+    """Declare the arguments of the command."""
     parser.add_argument(
         "name",
         metavar="NAME",
@@ -31,7 +31,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def add_sweep_arguments(parser: CommandParser, preset: str, presets: str) -> None:
-    """Arguments on the settings, data and output of a sweep, with the default preset and the help on presets."""
+    """Declare the arguments on settings, data and output of a sweep, with the default preset and the help on presets."""
     parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
     parser.add_argument(
         "-o",
@@ -89,38 +89,33 @@ def run_experiment(experiment: Experiment, arguments: argparse.Namespace) -> int
     if source is None and folder and experiment.data_folder is not None:
         source = Path(folder) / experiment.data_folder
     with progress_bar("reading the data", hidden=arguments.json) as update:
-        result = run_sweep(
-            experiment,
-            settings,
-            arguments.out,
-            preset=arguments.preset,
-            source=source,
-            resume=arguments.resume,
-            workers=arguments.workers or len(os.sched_getaffinity(0)),
-            address=arguments.address,
-            progress=_print_cell if arguments.json else lambda key, _seconds, _error, *counts: update(*counts, key),
-            finishing=partial(update, description="times"),
+        sweep = Sweep(
+            experiment, settings, arguments.out, preset=arguments.preset, source=source, resume=arguments.resume
         )
+        workers = arguments.workers or len(os.sched_getaffinity(0))
+        show = _print_cell if arguments.json else lambda key, _seconds, _error, *counts: update(*counts, key)
+        sweep.run(workers, arguments.address, show)
+        sweep.finish(partial(update, description="times"))
     summary = {
-        "status": "failed" if result.failures else "done",
+        "status": "failed" if sweep.failures else "done",
         "experiment": experiment.name,
-        **experiment.facts(result.rows),
-        "cells": result.cells,
-        "reused": result.reused,
-        "finished": result.finished,
-        "failed": result.failures,
-        "rows": len(result.rows),
-        "figures": _report(experiment, result.rows, arguments.out, result.origin) if result.rows else [],
-        "data_sha256": result.data_sha256,
+        **experiment.facts(sweep.rows),
+        "cells": len(sweep.cells),
+        "reused": sweep.reused,
+        "finished": sweep.finished,
+        "failed": sweep.failures,
+        "rows": len(sweep.rows),
+        "figures": _report(experiment, sweep.rows, arguments.out, sweep.origin) if sweep.rows else [],
+        "data_sha256": sweep.data_sha256,
         "path": str(arguments.out),
     }
     if arguments.json:
         print_json(summary)
     else:
-        _show(experiment, result.rows, summary)
-    for key, error in result.failures.items():
+        _show(experiment, sweep.rows, summary)
+    for key, error in sweep.failures.items():
         warn(f"{key}: {error}")
-    return 1 if result.failures else 0
+    return 1 if sweep.failures else 0
 
 
 def _redraw(experiment: Experiment, arguments: argparse.Namespace) -> int:

@@ -22,7 +22,7 @@ _SHEET_SAMPLES = 12
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """The scene, how many samples, and where to."""
+    """Declare the scene, how many samples, and where to."""
     parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
     parser.add_argument(
         "-n", "--count", type=positive_number, metavar="N", help="number of samples; required except with --explain"
@@ -52,7 +52,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 0; a slot that is given up is an error."""
+    """Run the command; the exit status is 0, and a slot that is given up is an error."""
     scene = _scene(arguments)
     if arguments.explain:
         return _explain(scene, arguments.json)

@@ -9,7 +9,7 @@ from foretouch_lab.experiments.framework.tradeoff import find_area, list_areas
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """Arguments of the command."""
+    """Declare the arguments of the command."""
     parser.add_argument("area", metavar="AREA", help="model, or another area; `list` prints all")
     add_sweep_arguments(parser, "small", "small (default): within 3 minutes, trains no network; full: all settings")
 

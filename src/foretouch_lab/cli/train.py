@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """Configuration, overrides, and where the run is written."""
+    """Declare configuration, overrides, and where the run is written."""
     parser.add_argument(
         "config",
         metavar="CONFIG",
@@ -50,7 +50,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 0 with a model on disk; an error stops the training, and the last good state stays."""
+    """Run the command; the exit status is 0 with a model on disk. An error stops the training, and the last good state stays."""
     from foretouch_lab.learning.training.run_config import load_run_config
 
     config = load_run_config(arguments.config, arguments.overrides)  # before the samples: errors appear at once

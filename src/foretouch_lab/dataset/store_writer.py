@@ -219,7 +219,7 @@ class _UniqueIds:
         self._last = 0
 
     def with_own_id(self, number: int, sample: Sample, renumbered: dict[str, str]) -> Sample:
-        """A sample of a source with an id of its own, which is added to `renumbered` if it is new.
+        """Return a sample of a source with an id of its own, which is added to `renumbered` if it is new.
 
         Raises a `DatasetError` if a source before holds the sample, whatever the ids.
         """

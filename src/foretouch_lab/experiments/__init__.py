@@ -13,6 +13,6 @@ from foretouch_lab.experiments.framework.experiment import (
     find_experiment,
     list_experiments,
 )
-from foretouch_lab.experiments.framework.sweep import SweepResult, run_sweep
+from foretouch_lab.experiments.framework.sweep import Sweep
 
-__all__ = ["Cell", "Experiment", "Row", "SweepResult", "Table", "find_experiment", "list_experiments", "run_sweep"]
+__all__ = ["Cell", "Experiment", "Row", "Sweep", "Table", "find_experiment", "list_experiments"]

@@ -67,7 +67,7 @@ def _folds(split: str, data: Dataset, seed: int) -> tuple[list[Sample], list[Fol
 
 
 def _cells(split: str, settings: HoldOutSettings, data: Dataset) -> list[Cell]:
-    """A cell for each seed, predictor and fold; the slow networks run with the first seed only."""
+    """Return a cell for each seed, predictor and fold; the slow networks run with the first seed only."""
     table = "" if split == _OBJECT else split
     return [
         Cell(
@@ -98,7 +98,7 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
         return error_rows(names, everything, actual, mean)
 
     def predict_after(touched: Indices, rest: Indices) -> Float64:
-        """(R, 50) predictions after touches."""
+        """Return (R, 50) predictions after touches."""
         if name == MODEL:
             return fitted.predict_after([tested[k] for k in touched], [tested[k] for k in rest])[0]
         return offset_corrected(everything, actual, touched)[rest]
@@ -117,7 +117,7 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
 
 
 def offset_corrected(predicted: Float64, labels: Float64, touched: Indices) -> Float64:
-    """(S, D) predictions of grasps on one object with its offset, estimated from n touches of it [counts].
+    """Return (S, D) predictions of grasps on one object with its offset, estimated from n touches of it [counts].
 
     With residuals r_i = label - prediction of the touched grasps this adds n / (n + a) · mean r_i: the posterior mean of
     the object's offset, where a is `SHRINKAGE`.
@@ -127,7 +127,7 @@ def offset_corrected(predicted: Float64, labels: Float64, touched: Indices) -> F
 
 
 def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
-    """For each draw, all grasps of an object in the order in which they would be touched.
+    """Return for each draw all grasps of an object in the order in which they would be touched.
 
     The draws follow from the name, the number of grasps and their own number alone: they are the same for every
     predictor, and 3 touches are the first of the 5. Raises `DatasetError` if no grasp would be left after `most`.
@@ -138,7 +138,7 @@ def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
 
 
 def _table(count: int) -> str:
-    """Name of the table after a number of touches."""
+    """Return the name of the table after a number of touches."""
     return "no touch" if count == 0 else f"after {count} touch" + ("es" if count > 1 else "")
 
 
@@ -166,7 +166,7 @@ def _draw_touches(rows: Rows, folder: Path) -> list[Path]:
 def _experiment(
     name: str, question: str, split: str, presets: Mapping[str, Mapping[str, Any]], **others: Any
 ) -> Experiment:
-    """One way to split."""
+    """Make the experiment of one way to split."""
     return Experiment(
         name=name,
         question=question,

@@ -133,7 +133,7 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
 def _tested(
     net: TouchNet, inputs: TrainingSet, test: Indices, size: int, way: str, mean: Float64
 ) -> Iterator[tuple[Indices, Any]]:
-    """Shuffled batches of test samples and their predictions [counts]; all ways see the same batches and points."""
+    """Iterate over shuffled batches of test samples and their predictions [counts]; all ways see the same batches and points."""
     import torch
 
     rng = np.random.default_rng(0)
@@ -152,13 +152,13 @@ def _tested(
 
 
 def _rmse(error: Any, modality: str, epsilon: float) -> float:
-    """RMSE of one batch over P1's divisor, with the ε of its code."""
+    """Return the RMSE of one batch over P1's divisor, with the ε of its code."""
     scale = P1_RANGES.ranges.of(modality)[1]
     return float(np.sqrt(((error / scale) ** 2).mean() + epsilon))
 
 
 def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
-    """By table, predictor and modality: both scores, over all parts of the table that are finished."""
+    """Return both scores by table, predictor and modality, over all parts of the table that are finished."""
     result: list[Row] = []
     for (table, modality), own in grouped(rows, "table", "modality"):
         scale = P1_RANGES.ranges.of(modality)[1]

@@ -52,7 +52,7 @@ VARIANTS: Final = (
 
 @lru_cache(maxsize=1)
 def described(data: Dataset) -> tuple[ContactPredictor, dict[str, int]]:
-    """The shipped recipe for the labelled samples, whose features are computed once; and the place of each by its id."""
+    """Return the shipped recipe for the labelled samples, whose features are computed once; and the place of each by its id."""
     samples = labelled(data)
     recipe: Any = load_run_config(SHIPPED)
     predictor = ContactPredictor(samples, labels_of(samples), recipe.contact)
@@ -67,7 +67,7 @@ class MeanEstimator:
         self._mean: Float64 = cast("ContactEstimator", model.estimator).mean
 
     def estimate(self, _: Cloud, grasps: Sequence[Grasp], _table: Plane | None = None) -> Estimate:
-        """See `Estimator.estimate`."""
+        """Return the mean for every grasp, as in the distribution of training."""
         return Estimate(np.tile(self._mean, (len(grasps), 1)), np.zeros(len(grasps), np.bool_))
 
 
@@ -77,14 +77,14 @@ def fewer_trees(estimator: ContactEstimator, count: int) -> ContactEstimator:
 
 
 def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactEstimator:
-    """A fitted model with fewer trees, or without the surroundings of the contacts."""
+    """Return a fitted model with fewer trees, or without the surroundings of the contacts."""
     if "trees" in values:
         return fewer_trees(estimator, values["trees"])
     return replace(estimator, surroundings=False) if "part" in values else estimator
 
 
 def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str, Row]:
-    """Errors on the folds of a split."""
+    """Return errors on the folds of a split."""
     samples = labelled(data)
     folds = make_folds(samples, split, 0)
     errors: dict[str, list[Row]] = {}
@@ -99,7 +99,7 @@ def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str
 
 
 def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[tuple[str, Float64]]:
-    """Predictions of the test side of a fold by all variants, which are fitted to its training side."""
+    """Iterate over predictions of the test side of a fold by all variants, which are fitted to its training side."""
     samples, (predictor, _) = labelled(data), described(data)
     labels, (train, test) = labels_of(samples), fold.sides(samples)
     fitted = predictor.fit(fold.train)
@@ -136,7 +136,7 @@ def _predictions(data: Dataset, folds: Sequence[Fold], fold: Fold) -> Iterator[t
 
 
 def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed:
-    """See `Area.timed`: predicts the touch of K grasps on a cloud of median size, (K, 50) counts."""
+    """Return what predicts the touch of K grasps on a cloud of median size, (K, 50) counts."""
     sample, grasps = _scene(data, max(settings.requests))
     shipped = load_model(SHIPPED)
     name, _, readings = variant.name.partition(_READINGS[:2])
@@ -155,7 +155,7 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
 
 
 def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
-    """Four eager networks of P2 on 750 points, one for each modality, of random weights: for their time alone."""
+    """Return four eager networks of P2 on 750 points, one for each modality, of random weights: for their time alone."""
     import torch
 
     from foretouch.models.network.config import ModelConfig
@@ -176,7 +176,7 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
 
 
 def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
-    """Predictions right after one more reading of the hand, which is added to the tracker in each call."""
+    """Return predictions right after one more reading of the hand, which is added to the tracker in each call."""
     expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
     reading, tracker = labels_of([sample])[0], model.new_tracker()
     tracker.start_object()
@@ -190,7 +190,7 @@ def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -
 
 
 def _scene(data: Dataset, count: int) -> tuple[Sample, list[Grasp]]:
-    """A sample whose cloud is of median size, with its grasp and others.
+    """Return a sample whose cloud is of median size, with its grasp and others.
 
     The others are between random points of the cloud, with the hand of its own grasp.
     """
@@ -205,7 +205,7 @@ def _scene(data: Dataset, count: int) -> tuple[Sample, list[Grasp]]:
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
-    """How many grasps the default model of the time of the table answers within a time."""
+    """Return how many grasps the default model of the time of the table answers within a time."""
     shipped = [row for row in rows if row["factor"] == "shipped"]
     name = shipped[0]["variant"]
     sizes = f"{', '.join(str(row['request']) for row in shipped)} grasps on a cloud"

@@ -33,7 +33,7 @@ _STEPS: Final = {"iou": "segmentation", "score": "grasp"}  # by the skill: the s
 
 
 def _variants() -> Iterator[Variant]:
-    """Each changes settings of one step alone."""
+    """Iterate over the variants, each of which changes settings of one step alone."""
     yield Variant("segmentation as shipped", "shipped", {"skill": "iou", "changes": {}})
     yield Variant("GeoGrasp as shipped", "shipped", {"skill": "score", "changes": {}})
     others: tuple[tuple[str, str, Mapping[str, float]], ...] = (
@@ -87,13 +87,13 @@ def _load(settings: PerceptionSettings, _path: Path) -> Scenes:
 
 
 def _pipeline(variant: Variant) -> Pipeline:
-    """The shipped pipeline with method `original`, all objects as targets, and the changed settings of one step."""
+    """Return the shipped pipeline with method `original`, all objects as targets, and the changed settings of one step."""
     changes = {f"{_STEPS[variant.values['skill']]}.{name}": value for name, value in variant.values["changes"].items()}
     return Pipeline(PipelineConfig().updated({"grasp.method": "original", "target.mode": "all", **changes}))
 
 
 def overlaps(labels: Int32, truth: Int32) -> list[float]:
-    """Intersection over union of each true object with the found one that covers it most."""
+    """Return the intersection over union of each true object with the found one that covers it most."""
     shares = []
     for label in range(FIRST_OBJECT, int(truth.max()) + 1):
         true = truth == label
@@ -103,7 +103,7 @@ def overlaps(labels: Int32, truth: Int32) -> list[float]:
 
 
 def _scores(pipeline: Pipeline, data: Scenes) -> Iterator[tuple[int, float]]:
-    """Scores of the best grasps at full resolution; objects without a grasp or a score are left out."""
+    """Iterate over scores of the best grasps at full resolution; objects without a grasp or a score are left out."""
     for number, target in data.targets:
         scorer, grasps = original_score(target.cloud, target.plane), pipeline.plan(target).grasps
         if grasps and scorer is not None and scorer.has_axis:
@@ -127,7 +127,7 @@ def _accuracy(skill: str, settings: PerceptionSettings, data: Scenes) -> Mapping
 
 
 def _mean(values: Sequence[tuple[int, float]], draws: int) -> ScoreEstimate:
-    """Mean over objects, each with the number of its scene, and its 95 % interval by drawing scenes."""
+    """Return the mean over objects, each with the number of its scene, and its 95 % interval by drawing scenes."""
     numbers, scene = np.unique([number for number, _ in values], return_inverse=True)
     sums, counts = np.bincount(scene, [value for _, value in values]), np.bincount(scene)
     drawn = np.random.default_rng(0).integers(0, len(numbers), (draws, len(numbers)))
@@ -136,7 +136,7 @@ def _mean(values: Sequence[tuple[int, float]], draws: int) -> ScoreEstimate:
 
 
 def _timed(variant: Variant, _settings: PerceptionSettings, data: Scenes) -> Timed:
-    """See `Area.timed`: segments generated scenes, or plans grasps on their objects, one after the other."""
+    """Return what segments generated scenes, or plans grasps on their objects, one after the other."""
     pipeline = _pipeline(variant)
     if variant.values["skill"] == "iou":
         calls: list[Callable[[], object]] = [partial(pipeline.segment, cloud) for cloud, _ in data.images[:_TIMED]]

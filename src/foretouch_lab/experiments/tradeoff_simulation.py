@@ -59,7 +59,7 @@ _EFFECTS: Final = {
 
 
 def _variants() -> Iterator[Variant]:
-    """Those of a scene; the first of each is what the others are compared with, and is tested on."""
+    """Iterate over the variants of each scene; the first is what the others are compared with, and is tested on."""
     for scene in (RIGID, SOFT):
         for name, cells in (("layer", _FINEST), *_LEVELS):
             text = "finest layer" if cells == _FINEST else f"{name} {cells}x{cells}"
@@ -100,13 +100,13 @@ class Scenes:
         return hashlib.sha256(" ".join(scene.sha256() for scene in self.scenes.values()).encode()).hexdigest()
 
     def changed(self, variant: Variant) -> SceneConfig:
-        """The scene of a variant."""
+        """Return the scene of a variant."""
         scene, changes = self.scenes[variant.values["scene"]], variant.values["changes"]
         return scene.updated(changes) if changes else scene
 
 
 def _prepare(_settings: SimulationSettings, source: Path | None, _out: Path) -> Path:
-    """The folder of the scenes, which must be there."""
+    """Return the folder of the scenes, which must be there."""
     folder = source or _FOLDER
     for name in (RIGID, SOFT, EVERYTHING):
         if not (folder / f"{name}.yaml").is_file():
@@ -121,7 +121,7 @@ def _load(_settings: SimulationSettings, path: Path) -> Scenes:
 
 
 def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[str, Row]:
-    """All variants of the scene that the column names, against the first of them."""
+    """Return all variants of the scene that the column names, against the first of them."""
     kind, _, name = skill.partition("_")
     variants = [variant for variant in VARIANTS if variant.values["scene"] == name]
     result: dict[str, Row] = {}
@@ -145,7 +145,7 @@ def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[st
 
 
 def _drops(scene: SceneConfig, count: int) -> dict[int, Float64]:
-    """(2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; those that fail are left out."""
+    """Return (2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; those that fail are left out."""
     engine, drops = Engine(scene, EFFECTS), {}
     for slot in range(count):
         try:
@@ -161,7 +161,7 @@ def _samples(scene: SceneConfig, count: int) -> list[Sample]:
 
 
 def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
-    """See `Area.timed`: simulates the first grasps that do not fail, one after the other."""
+    """Return what simulates the first grasps that do not fail, one after the other."""
     scene = data.changed(variant)
     engine, kept = Engine(scene, EFFECTS), []
     for slot in range(2 * _TIMED):

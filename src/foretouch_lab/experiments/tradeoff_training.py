@@ -28,7 +28,7 @@ _PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
 
 def _variants() -> Iterator[Variant]:
-    """The shipped models use all grasps (40 of 50 in a block of time) and objects."""
+    """Iterate over the variants; the shipped models use all grasps (40 of 50 in a block of time) and objects."""
     yield Variant("contact model as shipped", "shipped")
     yield Variant("mean of labels", "part", {"mean": True})
     for count in (5, 10, 20):
@@ -54,7 +54,7 @@ class TrainingSettings(TradeoffSettings):
 
 
 def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str, Row]:
-    """Errors on all folds, or for networks, which take a minute a fold, on the first one.
+    """Return errors on all folds, or for networks, which take a minute a fold, on the first one.
 
     `robot_h_<skill>` are the hours that a robot needs for the training grasps.
     """
@@ -84,19 +84,19 @@ def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str
 
 
 def _by_object(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
-    """Samples of each object, objects sorted by name."""
+    """Return samples of each object, objects sorted by name."""
     names = sorted({sample.object for sample in samples})
     return {name: [sample for sample in samples if sample.object == name] for name in names}
 
 
 def _robot_seconds(samples: Sequence[Sample]) -> float:
-    """Median time from one grasp of an object to the next, as they were recorded [s]."""
+    """Return the median time from one grasp of an object to the next, as they were recorded [s]."""
     gaps = [np.diff(sorted(sample.stamp_ns for sample in own)) for own in _by_object(samples).values()]
     return float(np.median(np.concatenate(gaps))) / 1e9
 
 
 def _chosen(values: Mapping[str, Any], train: Sequence[Sample]) -> list[Sample]:
-    """The training samples of a variant, drawn at random; smaller draws are part of larger ones."""
+    """Return the training samples of a variant, drawn at random; smaller draws are part of larger ones."""
     groups = _by_object(train)
     if "objects" in values:
         names = np.random.default_rng(0).permutation(list(groups))[: values["objects"]]
@@ -119,7 +119,7 @@ def _predict(
     train: Sequence[Sample],
     test: Sequence[Sample],
 ) -> Float64:
-    """(T, 50) predictions of test samples by a variant that is trained on some samples [counts]."""
+    """Return (T, 50) predictions of test samples by a variant that is trained on some samples [counts]."""
     if "mean" in values:
         return np.tile(labels_of(train).mean(axis=0), (len(test), 1))
     if "epochs" in values:
@@ -132,7 +132,7 @@ def _predict(
 
 
 def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed:
-    """See `Area.timed`: one fit of a contact model, or one epoch of a network, of the first block of time.
+    """Return one fit of a contact model, or one epoch of a network, of the first block of time.
 
     The features of a contact model are computed before: they cost the same at each setting, about 6 ms a grasp. It also
     predicts some test samples.

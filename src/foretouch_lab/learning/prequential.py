@@ -39,7 +39,7 @@ class TimedReadings:
     def of_samples(
         cls, samples: Sequence[Sample], labels: Float64, expected: Float64, rest: Float64, known: Bool | None = None
     ) -> Self:
-        """From labelled samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
+        """Take labelled samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
         tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
@@ -52,7 +52,7 @@ class TimedReadings:
         return cls(stamps, objects, labels, expected, known=known, **some)
 
     def ordered(self) -> Self:
-        """In order of time; grasps of equal stamps keep theirs.
+        """Return the readings in order of time; grasps of equal stamps keep their order.
 
         Raises:
             DatasetError: If there is no grasp, or one has no stamp.
@@ -62,20 +62,20 @@ class TimedReadings:
         return self.take(np.argsort(self.stamps_ns, kind="stable"))
 
     def take(self, index: Index | Bool) -> Self:
-        """Some of the grasps, by indices or a mask."""
+        """Return some of the grasps, by indices or a mask."""
         arrays = {name: array[index] for name, array in vars(self).items() if array is not None}
         return replace(self, **arrays)
 
     def tare(self, k: int) -> Float64 | None:
-        """(D,) tare of a grasp minus the rest level [counts]; None without."""
+        """Return (D,) tare of a grasp minus the rest level [counts]; None without."""
         return None if self.tares is None or np.isnan(self.tares[k]).all() else self.tares[k]
 
     def is_known(self, k: int) -> bool:
-        """Whether the object of a grasp is in the distribution of the training data."""
+        """Return whether the object of a grasp is in the distribution of the training data."""
         return self.known is not None and bool(self.known[k])
 
     def tdc_before(self, k: int) -> Float64 | None:
-        """(2,) temperature before a grasp: of its tare, else of its reading, since the hand knows it then [counts].
+        """Return (2,) temperature before a grasp: of its tare, else of its reading, since the hand knows it then [counts].
 
         The public recordings hold readings in contact alone, whose TDC the object may have changed.
         """
@@ -83,15 +83,15 @@ class TimedReadings:
         return _row(self.tdc, k) if tare is None or np.isnan(tare).all() else tare
 
     def begins(self) -> Bool:
-        """(S,) whether another object than before is touched."""
+        """Return (S,) whether another object than before is touched."""
         return np.concatenate([[True], self.objects[1:] != self.objects[:-1]])
 
     def runs(self) -> npt.NDArray[np.int_]:
-        """(S,) number of the run of grasps on one object that a grasp belongs to."""
+        """Return (S,) number of the run of grasps on one object that a grasp belongs to."""
         return np.cumsum(self.begins()) - 1
 
     def touches(self) -> npt.NDArray[np.int_]:
-        """(S,) touches of the object, since it was taken, before each grasp."""
+        """Return (S,) touches of the object, since it was taken, before each grasp."""
         first = np.flatnonzero(self.begins())
         return np.arange(len(self.stamps_ns)) - first[self.runs()]
 
@@ -101,7 +101,7 @@ def _row(rows: Float64 | None, k: int) -> Float64 | None:
 
 
 def other_objects_mean(recording: TimedReadings) -> Float64:
-    """(S, D) mean of all readings of other objects, earlier and later: the reference of the skill [counts].
+    """Return (S, D) mean of all readings of other objects, earlier and later: the reference of the skill [counts].
 
     Raises:
         DatasetError: If all readings are of one object.
@@ -162,7 +162,7 @@ def replay(tracker: SensorTracker, recording: TimedReadings, *, keep_sensors: bo
 
 
 def predict_after(calibration: Calibration, touched: TimedReadings, asked: TimedReadings) -> tuple[Float64, Float64]:
-    """Predictions of grasps on one object after touches of it, as `TouchModel.predict` makes them.
+    """Return predictions of grasps on one object after touches of it, as `TouchModel.predict` makes them.
 
     Args:
         calibration: Of the model that predicts by vision.
@@ -233,7 +233,7 @@ def replay_model(model: TouchModel, samples: Sequence[Sample], history: Sequence
 
 
 def with_readings(sample: Sample, **readings: Touch) -> Sample:
-    """The sample with another `touch` or `tare`; its cloud is not read."""
+    """Return the sample with another `touch` or `tare`; its cloud is not read."""
     changed = copy.copy(sample)
     vars(changed).update(readings)
     return changed

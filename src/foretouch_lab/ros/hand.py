@@ -28,7 +28,9 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.runtime.workers import Worker
 from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch.types import stamp_ns
@@ -119,7 +121,7 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self.serve(Trigger, "execute_grasp", self._on_execute, MutuallyExclusiveCallbackGroup())
         for k, name in enumerate(_GRASPING):
             self.serve(Trigger, f"press_{name.lower()}", partial(self._on_press, k), MutuallyExclusiveCallbackGroup())
-        self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
+        self.subscribe(InputTopic(GRASPS_TOPIC, GraspArray), self._on_grasps)
 
     def _start(self) -> None:
         self._stopping.clear()
@@ -142,22 +144,19 @@ class HandNode(ForetouchNode[HandNodeConfig]):
     def _config_changed(self, config: HandNodeConfig) -> None:
         self._faults.config = config.faults
 
-    def warnings(self) -> tuple[str, ...]:
-        """Whether this computer keeps up: the stamps of late readings are older than the readings."""
-        behind_s, self._behind_s = self._behind_s, 0.0
-        if behind_s <= 0.25:  # the difference of stamps and reception that grasps are rejected for by default
-            return ()
-        return (f"readings were {behind_s:.1f} s late: the computer is overloaded",)
+    def diagnose(self, report: Report) -> None:
+        """Report the phase of the hand, counts of grasps and messages, and whether this computer keeps up.
 
-    def notes(self) -> dict[str, str]:
-        """Phase of the hand, and counts of grasps and messages."""
-        return {
-            "phase": self.phase,
-            "tactile.sent": str(self._faults.passed),
-            "tactile.dropped.injected": str(self._faults.dropped),
-            "tactile.moved.injected": str(self._faults.moved),
-            **{f"executed.{outcome}": str(count) for outcome, count in self.executed.items()},
-        }
+        The stamps of late readings are older than the readings.
+        """
+        behind_s, self._behind_s = self._behind_s, 0.0
+        if behind_s > 0.25:  # the difference of stamps and reception that grasps are rejected for by default
+            report.warnings.append(f"readings were {behind_s:.1f} s late: the computer is overloaded")
+        report.values["phase"] = self.phase
+        counts = {"sent": self._faults.passed, "dropped.injected": self._faults.dropped}
+        counts["moved.injected"] = self._faults.moved
+        report.values |= {f"tactile.{name}": str(count) for name, count in counts.items()}
+        report.values |= {f"executed.{outcome}": str(count) for outcome, count in self.executed.items()}
 
     # Commands.
 

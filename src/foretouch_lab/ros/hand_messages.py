@@ -28,7 +28,7 @@ _ABSENT: Counts = np.zeros(1 + ELECTRODES, np.int16)
 
 
 def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds: int) -> BiotacAll:
-    """A message of all five fingers with a frame and a stamp [ns].
+    """Return a message of all five fingers with a frame and a stamp [ns].
 
     `fingers` holds (25,) int16 counts by finger, PDC then electrodes, or (29,) with PAC0, PAC1, TAC and TDC, which are
     0 otherwise. An absent finger sends zeros, as one without a BioTac does.
@@ -46,7 +46,7 @@ def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds:
 
 
 def sensor_to_msg(kind: type, sensor: Sensor, readings: Sequence[Float64], nanoseconds: int) -> Any:
-    """A message that the decoder of a described sensor reads (`foretouch.tactile.messages.described`).
+    """Return a message that the decoder of a described sensor reads (`foretouch.tactile.messages.described`).
 
     Args:
         kind: Class of the message (see `tactile_class`).

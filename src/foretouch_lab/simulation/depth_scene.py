@@ -19,7 +19,7 @@ Window = tuple[slice, slice]
 
 
 def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
-    """(3, 3) float64 intrinsics [px] of square pixels, a centred axis and a horizontal field of view; the D415 has 65 deg."""
+    """Return (3, 3) float64 intrinsics [px] of square pixels, a centred axis and a horizontal field of view; the D415 has 65 deg."""
     # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
     focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
     return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
@@ -37,7 +37,7 @@ class CameraView:
 
     @classmethod
     def towards_table(cls, width: int, height: int, distance_m: float, tilt_rad: float, hfov_deg: float = 65.0) -> Self:
-        """A camera that looks at the origin of the world.
+        """Return a camera that looks at the origin of the world.
 
         Args:
             width: [px]
@@ -53,7 +53,7 @@ class CameraView:
         return cls(width, height, pinhole_matrix(width, height, hfov_deg), -distance_m * forward, rotation)
 
     def directions(self, window: Window = (slice(None), slice(None))) -> Float64:
-        """(h, w, 3) float64 ray of each pixel in the world, one metre deep in the camera frame."""
+        """Return (h, w, 3) float64 ray of each pixel in the world, one metre deep in the camera frame."""
         x = (np.arange(self.width)[window[1]] - self.matrix[0, 2]) / self.matrix[0, 0]
         y = (np.arange(self.height)[window[0]] - self.matrix[1, 2]) / self.matrix[1, 1]
         axes = self.R_world_camera
@@ -61,15 +61,15 @@ class CameraView:
         return rays
 
     def to_camera(self, points: Float64) -> Float64:
-        """Points (..., 3) of the world in the camera frame [m]."""
+        """Return points (..., 3) of the world in the camera frame [m]."""
         return np.asarray((points - self.eye) @ self.R_world_camera, np.float64)
 
     def to_world(self, points: Float64) -> Float64:
-        """Points (..., 3) of the camera frame in the world [m]."""
+        """Return points (..., 3) of the camera frame in the world [m]."""
         return np.asarray(points @ self.R_world_camera.T + self.eye, np.float64)
 
     def bounds(self, points: Float64) -> Float64:
-        """(2, 2) float64 smallest and largest (column, row) of (n, 3) points; the whole line of sight if one is behind."""
+        """Return (2, 2) float64 smallest and largest (column, row) of (n, 3) points; the whole line of sight if one is behind."""
         local = self.to_camera(points)
         if (local[:, 2] <= 0.0).any():
             return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
@@ -77,13 +77,13 @@ class CameraView:
         return np.stack([pixels.min(axis=0), pixels.max(axis=0)])
 
     def window(self, points: Float64) -> Window:
-        """The pixels that can see the convex hull of points (n, 3)."""
+        """Return the pixels that can see the convex hull of points (n, 3)."""
         (left, top), (right, bottom) = self.bounds(points)
         columns = slice(int(max(0.0, np.floor(left))), int(min(self.width, np.ceil(right) + 1.0)))
         return slice(int(max(0.0, np.floor(top))), int(min(self.height, np.ceil(bottom) + 1.0))), columns
 
     def table_plane(self) -> Float64:
-        """(4,) float64 a, b, c, d of the table top in the camera frame, the normal towards the camera."""
+        """Return (4,) float64 a, b, c, d of the table top in the camera frame, the normal towards the camera."""
         return np.append(self.R_world_camera[2], self.eye[2])
 
 
@@ -96,7 +96,7 @@ _EDGE_M = 0.02  # a 3x3 window that spans more than this holds a depth edge
 
 
 def add_stereo_noise(depth: Float64, noise_m: float, rng: np.random.Generator) -> Float64:
-    """Noise that grows with the square of the depth and is correlated over the matching window.
+    """Add noise that grows with the square of the depth and is correlated over the matching window.
 
     A constant sub-pixel error s of the disparity gives sigma_z = s·z² / (f·B).
 
@@ -117,7 +117,7 @@ def add_stereo_noise(depth: Float64, noise_m: float, rng: np.random.Generator) -
 
 
 def add_flying_pixels(depth: Float64, rng: np.random.Generator) -> Float64:
-    """Pixels on a depth edge take a depth between the nearest and the farthest of their 3x3 window.
+    """Give pixels on a depth edge a depth between the nearest and the farthest of their 3x3 window.
 
     Args:
         depth: (H, W) float64 [m], inf where there is none.
@@ -139,7 +139,7 @@ def add_flying_pixels(depth: Float64, rng: np.random.Generator) -> Float64:
 
 
 def stereo_shadow(depth: Float64, focal_px: float, baseline_m: float = D415_BASELINE_M) -> Bool:
-    """Pixels that the second imager, to the right of the first, cannot see.
+    """Return pixels that the second imager, to the right of the first, cannot see.
 
     A pixel at column u of the depth (H, W) [m] is seen there at u - f·B/z. It is hidden if a pixel to its right, hence
     of something nearer, is seen at the same place or farther left.
@@ -189,7 +189,7 @@ class DepthImage:
     def cloud(
         self, frame_id: str = "camera_depth_optical_frame", stamp_ns: int = 0, *, with_rgb: bool = False
     ) -> Cloud:
-        """The frame as an organised cloud, NaN where there is no depth."""
+        """Return the frame as an organised cloud, NaN where there is no depth."""
         rgb = self.rgb if with_rgb else None
         return Cloud.from_depth(self.depth_mm, self.K, frame_id=frame_id, stamp_ns=stamp_ns, rgb=rgb)
 
@@ -204,7 +204,7 @@ class DepthScene:
     def render(
         self, rng: np.random.Generator | None = None, noise_m: float = 0.0, flying_pixels: bool = False
     ) -> DepthImage:
-        """One frame; without effects it is exact to the millimetre that the depth is rounded to.
+        """Render one frame; without effects it is exact to the millimetre that the depth is rounded to.
 
         Args:
             rng: Generator of noise and flying pixels; None leaves out both.
@@ -219,7 +219,7 @@ class DepthScene:
         return DepthImage(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
 
     def cast(self) -> tuple[Float64, Int32]:
-        """Exact depth and labels.
+        """Return exact depth and labels.
 
         Returns:
             (H, W) float64 [m] along the optical axis, inf where a ray meets nothing; (H, W) int32.
@@ -237,7 +237,7 @@ class DepthScene:
         return depth, labels
 
     def _colours(self, depth: Float64, labels: Int32) -> UInt8:
-        """A colour per label, darker where the surface turns away, by the slope of the depth."""
+        """Return a colour per label, darker where the surface turns away, by the slope of the depth."""
         index = np.where(labels < FIRST_OBJECT, labels, FIRST_OBJECT + (labels - FIRST_OBJECT) % (len(_COLOURS) - 2))
         z = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
         slope_v, slope_u = np.gradient(z)
@@ -256,7 +256,7 @@ def random_scene(
     view: Literal["any", "oblique", "top"] = "any",
     may_occlude: bool = False,
 ) -> DepthScene:
-    """Boxes, cans and balls that stand or lie on a table; they do not touch and are wholly inside the image.
+    """Return boxes, cans and balls that stand or lie on a table; they do not touch and are wholly inside the image.
 
     Args:
         rng: Generator of everything.
@@ -284,14 +284,14 @@ def random_scene(
 
 
 def table_depth(view: CameraView, rays: Float64) -> Float64:
-    """Depth of the table along rays (..., 3) of a view, inf beside it [m]."""
+    """Return the depth of the table along rays (..., 3) of a view, inf beside it [m]."""
     depth = -view.eye[2] / _downwards(rays)
     at = view.eye[:2] + depth[..., None] * rays[..., :2]
     return np.where((np.abs(at) <= TABLE_M / 2.0).all(axis=-1), depth, np.inf)
 
 
 def to_millimetres(depth: Float64) -> npt.NDArray[np.uint16]:
-    """[m] to whole millimetres, 0 where there is none or it does not fit."""
+    """Round depths [m] to whole millimetres, 0 where there is none or it does not fit."""
     rounded = np.rint(depth * 1000.0)
     return np.where((rounded > 0.0) & (rounded < 65536.0), rounded, 0.0).astype(np.uint16)
 
@@ -315,7 +315,7 @@ def _find_place(
 
 
 def _random_solid(rng: np.random.Generator) -> Primitive:
-    """A box, a can (standing or lying) or a ball that rests on z = 0 above the origin."""
+    """Return a box, a can (standing or lying) or a ball that rests on z = 0 above the origin."""
     kind = rng.integers(3)
     turn = about_z(rng.uniform(0.0, 2.0 * np.pi))
     if kind == 0:
@@ -343,7 +343,7 @@ def _collide(body: Primitive, other: Primitive) -> bool:
 
 
 def _overlap_in_image(body: Primitive, other: Primitive, view: CameraView) -> bool:
-    """Whether the rectangles around both, one pixel in a hundred apart, share a pixel."""
+    """Return whether the rectangles around both, one pixel in a hundred apart, share a pixel."""
     (low_a, high_a), (low_b, high_b) = view.bounds(body.corners()), view.bounds(other.corners())
     gap = 0.01 * view.width
     return bool((low_a < high_b + gap).all() and (low_b < high_a + gap).all())

@@ -93,14 +93,14 @@ class Effect:
     again: bool = False
 
     def reason(self, scene: SceneConfig, item: ObjectConfig) -> str | None:
-        """Why it runs with an object of a scene; None where nothing calls for it."""
+        """Return why it runs with an object of a scene; None where nothing calls for it."""
         if callable(self.when):
             return self.when(scene, item)
         return None if _field_of(self.when, scene, item) in (None, ()) else self.when
 
 
 def _field_of(path: str, scene: SceneConfig, item: ObjectConfig) -> Any:
-    """A field of a scene, such as `camera.noise`, or of the object, such as `objects.surface`; None where a group is absent."""
+    """Return a field of a scene, such as `camera.noise`, or of the object, such as `objects.surface`; None where a group is absent."""
     value: Any = item if path.startswith("objects.") else scene
     for name in path.removeprefix("objects.").split("."):
         value = None if value is None else getattr(value, name)
@@ -123,7 +123,7 @@ class Job:
         return _field_of(str(self.effect.when), self.scene, self.item)
 
     def rng(self) -> np.random.Generator:
-        """The effect's own stream; call it once, for each call starts it again."""
+        """Return the effect's own stream; call it once, for each call starts it again."""
         return self.key.stream(self.effect.name, again=self.effect.again)
 
 
@@ -173,7 +173,7 @@ class Engine:
         ]
 
     def explain(self) -> list[EffectPlan]:
-        """Which effects will run and which will not, without running any."""
+        """Return which effects will run and which will not, without running any."""
         plans = []
         for effect in self.effects:
             ran = [(item, why) for item in self.scene.objects if (why := effect.reason(self.scene, item)) is not None]

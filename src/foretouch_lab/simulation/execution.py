@@ -33,19 +33,19 @@ Counts = npt.NDArray[Any]
 
 
 def _calendar(job: Job, state: SampleState) -> None:
-    """The campaign passes with the time since the hand was switched on."""
+    """Let the campaign pass with the time since the hand was switched on."""
     assert job.world.campaign is not None  # noqa: S101  # the scene calls for this with a campaign only
     state.campaign_time = job.world.campaign.live(state.elapsed_s)
 
 
 def _drift(job: Job, state: SampleState) -> None:
-    """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
+    """Let the liquid warm on as long as the hand is on, in place of a tare of a drawn age."""
     before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), fingertip.SESSION_S)
     state.series += reading.drift_of(job.world, before + state.elapsed_s + state.times)
 
 
 def _at_rest(job: Job, state: SampleState) -> None:
-    """Nothing touches the fingertips."""
+    """Let nothing touch the fingertips."""
     array, rows, timeline = job.world.array, state.idle_rows, job.scene.fingers.timeline
     assert timeline is not None  # noqa: S101  # of the hand
     low = np.array([finger.rest for finger in state.sensors]) if array is None else array.rest
@@ -95,7 +95,7 @@ class GraspTrajectory:
         return not self.reason
 
     def phase(self, row: int) -> str:
-        """Phase of a row: `rest`, `approach`, `contact`, `hold` or `release`."""
+        """Return the phase of a row: `rest`, `approach`, `contact`, `hold` or `release`."""
         ends = (self.start, self.onset, self.contact, self.release)
         for end, name in zip(ends, ("rest", "approach", "contact", "hold"), strict=True):
             if end is None or row < end:
@@ -160,19 +160,19 @@ class SimulatedHand:
         )
 
     def press(self, finger: int) -> Counts:
-        """(25,) int16, or (V,) float64 of taxels: what a press by a person adds to the thumb, 0, or the middle finger, 1."""
+        """Return (25,) int16, or (V,) float64 of taxels: what a press by a person adds to the thumb, 0, or the middle finger, 1."""
         pressed, array = self._resting.world.fingers[finger], self._resting.world.array
         if array is not None:
             return array.press(finger)
         return np.asarray(read_press(pressed) - pressed.rest).round().astype(np.int16)
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
-        """As `GraspTrajectory.counts`, while nothing touches the fingertips; arguments as of `execute`."""
+        """Return counts as in a `GraspTrajectory` while nothing touches the fingertips; its arguments are those of `execute`."""
         key = SampleKey(self.scene.seed, 0, 0, repeat)
         return self._counts(self._resting.run(key, idle_rows=rows, elapsed_s=elapsed_s))
 
     def read(self, elapsed_s: float) -> Counts:
-        """The next row of readings without contact, each new, at a time since the hand was switched on [s]."""
+        """Return the next row of readings without contact, each new, at a time since the hand was switched on [s]."""
         if not len(self._rows):
             self._rows = self.rest(_BLOCK, self._repeat, elapsed_s)
             self._repeat += 1

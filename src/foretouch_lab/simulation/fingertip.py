@@ -72,7 +72,7 @@ SLIP_LENGTH_M: Final = 0.0005  # mean length of one slip
 def ou_noise(
     rows: int, channels: int, counts: float, memory_s: float, rate_hz: float, rng: np.random.Generator
 ) -> Float64:
-    """(rows, channels) Ornstein-Uhlenbeck noise, stationary from its first row.
+    """Return (rows, channels) Ornstein-Uhlenbeck noise, stationary from its first row.
 
     x_t = a x_{t-1} + √(1 - a²) ε_t with a = exp(-1 / (rate · memory)), of standard deviation `counts`.
     """
@@ -97,7 +97,7 @@ def scan(series: Float64, rng: np.random.Generator) -> Float64:
 
 
 def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s: float = CREEP_TIME_S) -> Float64:
-    """The skin as a standard linear solid: y = (1 - share) x + share · z, with dz/dt = (x - z) / time, at rest at first.
+    """Delay a series as the skin does, a standard linear solid: y = (1 - share) x + share · z, with dz/dt = (x - z) / time, at rest at first.
 
     A constant load creeps on, a released one leaves a rest that fades, and a cycle of load encloses an area:
     relaxation and hysteresis are one effect. `series` (T, ...) is the response x of an ideal fingertip, T at least 1.
@@ -112,17 +112,17 @@ def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s
 
 
 def warming(times_s: Float64, body_kelvin: float = BODY_KELVIN, warming_s: float = WARMING_S) -> Float64:
-    """(T,) float64: rise of the liquid's temperature [K] at times since power-on [s]."""
+    """Return (T,) float64: rise of the liquid's temperature [K] at times since power-on [s]."""
     return np.asarray(body_kelvin * -np.expm1(-times_s / warming_s))
 
 
 def temperature_drift(rise_k: Float64) -> Float64:
-    """(T, 25) float64: drift of PDC and electrodes [counts] by a rise of the temperature (T,) [K], not compensated in the sensor."""
+    """Return (T, 25) float64: drift of PDC and electrodes [counts] by a rise of the temperature (T,) [K], not compensated in the sensor."""
     return np.outer(rise_k, [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
 
 
 def slip_path(rows: int, rate_hz: float, rng: np.random.Generator) -> Float64:
-    """(rows,) float64 [m]: how far the object has slid in the tangent plane, starting at 0, never back.
+    """Return (rows,) float64 [m]: how far the object has slid in the tangent plane, starting at 0, never back.
 
     It sticks for exponentially distributed times and slips by exponentially distributed lengths, which keep the mean speed.
     """
@@ -190,14 +190,14 @@ class Finger:
 
 
 def draw_finger(config: SimulatedFingerConfig, rng: np.random.Generator) -> Finger:
-    """One fingertip of a kind."""
+    """Return one fingertip of a kind."""
     rest = config.electrode_rest + REST_SPREAD * rng.standard_normal(ELECTRODES)
     gain = np.exp(GAIN_SPREAD * rng.standard_normal(ELECTRODES))
     return Finger(config.pdc_rest, config.pdc_span, np.clip(rest, *_REST_LIMITS), gain)
 
 
 def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: ContactSolution) -> Float64:
-    """Counts of a fingertip in contact, before noise and rounding; without force, its rest to the bit.
+    """Return counts of a fingertip in contact, before noise and rounding; without force, its rest to the bit.
 
     Args:
         pad: Shape of the pad and of the window.
@@ -220,14 +220,14 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
 
 
 def read_press(finger: Finger) -> Float64:
-    """(25,) counts [counts] of a fingertip whose whole pad is pressed by a person, halfway to its largest pressure."""
+    """Return (25,) counts [counts] of a fingertip whose whole pad is pressed by a person, halfway to its largest pressure."""
     approach = 0.5 * THINNING_M * np.maximum(-BIOTAC_SP.layout.normals[:, 2], 0.0)
     electrodes = electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
     return np.append(finger.pdc_rest + 0.5 * finger.pdc_span, electrodes)
 
 
 def electrode_weights(pad: PadConfig, window: PadWindow) -> Float64:
-    """(24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1."""
+    """Return (24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1."""
     points = window.points.reshape(-1, 3)
     normals = BIOTAC_SP.layout.normals
     places = BIOTAC_SP.layout.positions + pad.layer_m * normals
@@ -245,7 +245,7 @@ def electrode_weights(pad: PadConfig, window: PadWindow) -> Float64:
 
 
 def electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
-    """Counts (..., 24) of electrodes, not yet rounded, by the approach of the skin [m] and the counts without contact."""
+    """Return counts (..., 24) of electrodes, not yet rounded, by the approach of the skin [m] and the counts without contact."""
     impedance_kohm = to_kohm(rest) * np.exp(np.clip(gain * approach / THINNING_M, -_MAX_EXPONENT, _MAX_EXPONENT))
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
 

@@ -40,7 +40,7 @@ class MessageFaults:
         self._first: dict[str, Any] = {}
 
     def stamp(self, true_ns: int) -> int | None:
-        """The stamp of a message that was measured at a time [ns], or None for one that is lost.
+        """Return the stamp of a message that was measured at a time [ns], or None for one that is lost.
 
         Both draws are made for every message, so that one fault does not move the other's numbers.
         """
@@ -54,7 +54,7 @@ class MessageFaults:
         return max(0, true_ns + shift_ns)
 
     def readings(self, fingers: Mapping[str, _T]) -> dict[str, _T]:
-        """The readings that a message carries, by finger: of the wrong one, or those of the first message."""
+        """Return the readings that a message carries, by finger: of the wrong one, or those of the first message."""
         sent, frozen = dict(fingers), self.config.frozen
         if frozen:
             sent[frozen] = self._first.setdefault(frozen, sent[frozen])

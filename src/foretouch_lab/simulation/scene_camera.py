@@ -38,7 +38,7 @@ class FrameMaker:
         self._engine = Engine(scene, (*view.PLACING, *view.FRAME_EFFECTS))
 
     def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
-        """One image.
+        """Return one image.
 
         Args:
             slot: Which sample of the scene.
@@ -57,7 +57,7 @@ class FrameMaker:
         return self._image(state.depth, (colours * shade[..., None]).astype(np.uint8), state.labels)
 
     def nothing(self) -> DepthImage:
-        """An image without depth, and black."""
+        """Return an image without depth, and black."""
         shape = self._engine.world.rays.shape
         return self._image(np.zeros(shape[:2]), np.zeros(shape, np.uint8), np.zeros(shape[:2], np.int32))
 
@@ -91,7 +91,7 @@ class _SceneImages:
         self.fault = ""  # why the last sample is not shown
 
     def __call__(self, number: int) -> tuple[DepthImage, int]:
-        """The image with this number, and its stamp [ns]."""
+        """Return the image with this number, and its stamp [ns]."""
         # Whole milliseconds come back from the library's double-precision stamps as they went in.
         taken_ns = self._clock_ns() // _MS_NS * _MS_NS
         slot = self._schedule.slot(taken_ns)
@@ -113,12 +113,12 @@ class _SceneImages:
 
 
 def scheduled_camera(schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
-    """As `scene_camera`, of the scene that the schedule names; a `ConfigError` if it breaks a rule."""
+    """Start the camera of the scene that the schedule names; a `ConfigError` if it breaks a rule."""
     return scene_camera(scheduled_scene(schedule), schedule, fps)
 
 
 def scene_camera(scene: SceneConfig, schedule: ScheduleConfig, fps: int) -> SyntheticCamera:
-    """A device that streams a scene, not yet started.
+    """Return a device that streams a scene, not yet started.
 
     Args:
         scene: The scene; its camera decides size and lens.

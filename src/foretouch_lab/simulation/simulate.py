@@ -54,7 +54,7 @@ class Simulation:
         return dict(Counter(failure.reason for failure in self.failures).most_common())
 
     def samples(self, count: int, workers: int = 1) -> Iterator[Sample]:
-        """The first samples, in the order of their slots.
+        """Iterate over the first samples, in the order of their slots.
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, targets and
         contacts of both fingers, and PAC, TAC and TDC where the scene calls for them. Where a campaign repeats a grasp,
@@ -84,7 +84,7 @@ class Simulation:
 
 
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
-    """Which effects will run and which will not, without running any."""
+    """Return which effects will run and which will not, without running any."""
     return _engine_of(scene).explain()
 
 
@@ -115,7 +115,7 @@ def _make_block(scene: SceneConfig, slots: range) -> _Block:
 
 
 def _tries(engine: Engine, slot: int) -> list[SampleKey]:
-    """What is tried in a slot, in this order."""
+    """Return what is tried in a slot, in this order."""
     scene, attempts = engine.scene, range(engine.scene.max_attempts)
     if scene.campaign is not None and scene.campaign.repeats(slot):
         made, _ = _first_success(engine, _tries(engine, slot - 1))
@@ -162,7 +162,7 @@ def _sample(scene: SceneConfig, slot: int, key: SampleKey, state: SampleState) -
 
 
 def _campaign_values(state: SampleState) -> dict[str, float]:
-    """Where in the campaign a sample is, and its true rest levels: PDC, and the mean of the electrodes [counts]."""
+    """Return where in the campaign a sample is, and its true rest levels: PDC, and the mean of the electrodes [counts]."""
     now = state.campaign_time
     values = {"session": float(now.session), "visit": float(now.visit), "powered_s": now.powered_s}
     for finger, sensor, moved in zip(("th", "mf"), state.sensors, state.level[0], strict=True):
@@ -172,7 +172,7 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
 
 
 def _other_values(state: SampleState) -> dict[str, float]:
-    """PAC, TAC and TDC in contact as far as they are simulated, and those of the tare with `tare_` [counts]."""
+    """Return PAC, TAC and TDC in contact as far as they are simulated, and those of the tare with `tare_` [counts]."""
     rows = {"": state.others[state.hold_row]}
     if state.tare is not None:
         rows["tare_"] = np.median(state.others[: int(np.argmax(state.load > 0.0))], axis=0)
@@ -195,7 +195,7 @@ def _given_up(failures: list[Failure]) -> SimulationError:
 
 
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
-    """Blocks in order from several processes, a few made ahead of the reader."""
+    """Iterate over blocks in order from several processes, a few made ahead of the reader."""
     with one_thread_each(), process_pool(workers) as pool:
         pending: deque[Future[_Block]] = deque()
         try:

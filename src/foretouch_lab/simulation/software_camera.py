@@ -52,13 +52,13 @@ class SyntheticCamera:
     reopens = True
 
     def find(self) -> Any:
-        """See `DeviceSource`."""
+        """Return the camera; a `CameraError` while it is unplugged."""
         if not self.plugged:
             raise CameraError("synthetic camera: is unplugged")
         return self._device
 
     def present(self, device: Any) -> bool:  # noqa: ARG002
-        """See `DeviceSource`."""
+        """Return whether it is plugged in."""
         return self.plugged
 
     def feed(self) -> int:

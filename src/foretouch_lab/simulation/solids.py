@@ -25,13 +25,13 @@ LYING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 def about_z(angle: float) -> Float64:
-    """(3, 3) rotation about the vertical by an angle [rad]."""
+    """Return (3, 3) rotation about the vertical by an angle [rad]."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def footprint_m(solid: "Body | Primitive") -> float:
-    """Radius of a vertical cylinder about a solid's middle that holds it [m]."""
+    """Return the radius of a vertical cylinder about a solid's middle that holds it [m]."""
     return float(np.linalg.norm((solid.corners() - solid.position)[:, :2], axis=1).max())
 
 
@@ -59,7 +59,7 @@ class Body:
         return unit_mesh(self.shape, self.variant)
 
     def corners(self) -> Float64:
-        """(8, 3) float64, corners of its bounding box in the world [m]."""
+        """Return (8, 3) float64, corners of its bounding box in the world [m]."""
         return self.position + (_UNIT_CORNERS * self.size) @ self.rotation.T
 
     def cast(self, origins: Float64, directions: Float64) -> Hits:
@@ -78,12 +78,12 @@ class Body:
         return Hits(np.where(t < _MISS, t, np.inf), answer["Ng"])
 
     def world_normals(self, normal: Float32) -> Float64:
-        """Normals of unit-box faces (n, 3) as outward unit normals (n, 3) float64 in the world."""
+        """Return normals of unit-box faces (n, 3) as outward unit normals (n, 3) float64 in the world."""
         turned = (normal / self.size) @ self.rotation.T  # normals go by the inverse transpose
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True), np.float64)
 
     def lowest(self) -> float:
-        """Height of its lowest point in the world [m]."""
+        """Return the height of its lowest point in the world [m]."""
         return float(self.position[2] + (self.mesh.vertices @ (self.size * self.rotation[2])).min())
 
 
@@ -109,7 +109,7 @@ class Primitive:
     rotation: Float64 = field(default_factory=lambda: np.eye(3))  # (3, 3) float64, its axes as columns in the world
 
     def cast(self, origin: Float64, directions: Float64) -> Float64:
-        """Where rays enter the solid.
+        """Return where rays enter the solid.
 
         Args:
             origin: (3,) float64, world [m], outside the solid.
@@ -133,12 +133,12 @@ class Primitive:
         return t.reshape(directions.shape[:-1])
 
     def corners(self) -> Float64:
-        """(8, 3) float64, corners of its oriented bounding box, world [m]."""
+        """Return (8, 3) float64, corners of its oriented bounding box, world [m]."""
         return self.position + (_UNIT_CORNERS * self.size) @ self.rotation.T
 
 
 def _slab(origin: Float64, directions: Float64, half: Float64) -> tuple[Float64, Float64]:
-    """Where rays enter and leave |x_i| <= half_i, each (n, k); a parallel ray is always in or never."""
+    """Return where rays enter and leave |x_i| <= half_i, each (n, k); a parallel ray is always in or never."""
     with np.errstate(divide="ignore", invalid="ignore"):
         low = (-half - origin) / directions
         high = (half - origin) / directions
@@ -152,7 +152,7 @@ def _slab(origin: Float64, directions: Float64, half: Float64) -> tuple[Float64,
 
 
 def _ball(origin: Float64, directions: Float64, radius: float) -> tuple[Float64, Float64]:
-    """Where rays enter and leave |x| <= radius, each (n,), in 2-D (a mantle) or 3-D (a ball)."""
+    """Return where rays enter and leave |x| <= radius, each (n,), in 2-D (a mantle) or 3-D (a ball)."""
     a = np.einsum("ij,ij->i", directions, directions)
     b = directions @ origin
     c = float(origin @ origin) - radius**2

@@ -78,7 +78,7 @@ class TaxelArray:
 
     @classmethod
     def of(cls, sensor: Sensor, config: TaxelConfig, pad: PadConfig, rng: np.random.Generator) -> Self:
-        """The fingertips of one hand; a `ConfigError` as of `require_channels`."""
+        """Return the fingertips of one hand; a `ConfigError` as of `require_channels`."""
         size = _sizes(sensor)
         middle, curvature, half = _shape(sensor, size)
         pad = pad.replace(window_m=2.0 * float(half.max()))
@@ -96,7 +96,7 @@ class TaxelArray:
         )
 
     def aimed(self, pitch_rad: float, roll_rad: float) -> ContactFrame:
-        """The frame that a finger aims with: where the pad has this normal, of a flat one its middle.
+        """Return the frame that a finger aims with: where the pad has this normal, of a flat one its middle.
 
         Args:
             pitch_rad: From the normal of the middle towards the tip [rad].
@@ -111,7 +111,7 @@ class TaxelArray:
         return ContactFrame(self.middle.points(x, y, -_depth(self.curvature, x, y)), rotation)
 
     def aligned(self, frame: ContactFrame, point: Float64, normal: Float64) -> ContactFrame:
-        """The pad's frame after it has turned about the point where it touches a surface of this outward normal."""
+        """Return the pad's frame after it has turned about the point where it touches a surface of this outward normal."""
         share = self.config.alignment
         towards = (1.0 - share) * frame.normal - share * normal
         towards /= np.linalg.norm(towards)
@@ -121,19 +121,19 @@ class TaxelArray:
         return ContactFrame(point + turn @ (frame.origin - point), turn @ frame.rotation)
 
     def read(self, finger: int, tractions: Float64) -> Float64:
-        """(V,) values of a finger, 0 or 1, by the tractions (N, N, 3) on its window [Pa], before noise and rounding."""
+        """Return (V,) values of a finger, 0 or 1, by the tractions (N, N, 3) on its window [Pa], before noise and rounding."""
         forces = self.weights @ (tractions.reshape(-1, 3) * self.pad.step_m**2) @ self.middle.rotation.T
         along = np.einsum("ni,nai->an", forces, self.axes) * [[1.0], [1.0], [-1.0]]
         parts = [along[axis] if of_taxels else along[axis, :].sum(keepdims=True) for axis, _, of_taxels in self._parts]
         return np.asarray(self.rest[finger] + self.gain[finger] * np.concatenate(parts))
 
     def press(self, finger: int) -> Float64:
-        """(V,) what a person adds to the values of a finger by pressing every taxel with half of its full scale."""
+        """Return (V,) what a person adds to the values of a finger by pressing every taxel with half of its full scale."""
         force = np.concatenate([np.full(part.stop - part.start, float(axis == 2)) for axis, part, _ in self._parts])
         return np.asarray(0.5 * FULL_SCALE_N * self.gain[finger] * force)
 
     def with_crosstalk(self, series: Float64) -> Float64:
-        """A series (T, 2, V) in which neighbours, and the other axes, read a part of each force."""
+        """Return a series (T, 2, V) in which neighbours, and the other axes, read a part of each force."""
         force = (series - self.rest) / self.gain
         mixed, taxels = force.copy(), [(axis, part) for axis, part, of_taxels in self._parts if of_taxels]
         normal = dict(taxels).get(2)
@@ -144,18 +144,18 @@ class TaxelArray:
         return np.asarray(self.rest + self.gain * mixed)
 
     def session(self, rng: np.random.Generator) -> Float64:
-        """(2, V): how far rest levels of one session are from the mean; those that are zero stay."""
+        """Return (2, V): how far rest levels of one session are from the mean; those that are zero stay."""
         tared = _each([channel.rest == "tare" for channel, _ in self.sensor.predicted], self.sensor.predicted)
         return np.asarray(SESSION_N * self.gain * tared * rng.standard_normal(self.gain.shape))
 
     def noise(self, rows: int, rng: np.random.Generator) -> Float64:
-        """(T, 2, V) white noise, of the standard deviation that the description states."""
+        """Return (T, 2, V) white noise, of the standard deviation that the description states."""
         stated = _each([channel.noise or 0.0 for channel, _ in self.sensor.predicted], self.sensor.predicted)
         deviation = np.where(stated > 0.0, stated, NOISE_N * np.abs(self.gain))
         return deviation * rng.standard_normal((rows, *deviation.shape))
 
     def quantise(self, series: Float64) -> Float64:
-        """A series (T, 2, V) as messages hold it: within saturation and range, and rounded as the type of the channel.
+        """Return a series (T, 2, V) as messages hold it: within saturation and range, and rounded as the type of the channel.
 
         Dead taxels have the mean of their nearest neighbours, as in recordings. A `TactileError` if a value is not finite.
         """
@@ -207,7 +207,7 @@ def require_channels(sensor: Sensor) -> None:
 
 
 def _each(numbers: Sequence[Any], channels: list[tuple[ChannelConfig, int]]) -> Float64:
-    """(V, ...) of the values, from those of the channels."""
+    """Return (V, ...) of the values, from those of the channels."""
     return np.repeat(np.array(numbers, np.float64), [count for _, count in channels], axis=0)
 
 
@@ -225,7 +225,7 @@ def _axis(channel: ChannelConfig, sensor: Sensor) -> int:
 
 
 def _rest_and_gain(channel: ChannelConfig, area_m2: float) -> tuple[float, float, float, float]:
-    """Mean and spread of the rest level, gain per newton and spread of its logarithm."""
+    """Return the mean and spread of the rest level, gain per newton and spread of its logarithm."""
     sign = -1.0 if channel.contact == "fall" else 1.0
     if channel.unit in ("N", "Pa"):
         gain = 1.0 if channel.unit == "N" else 1.0 / area_m2
@@ -242,7 +242,7 @@ def _rest_and_gain(channel: ChannelConfig, area_m2: float) -> tuple[float, float
 
 
 def _sizes(sensor: Sensor) -> Float64:
-    """(N, 2) extent of the taxels [m]: as stated, else as far as to the next one."""
+    """Return (N, 2) extent of the taxels [m]: as stated, else as far as to the next one."""
     stated = np.broadcast_to(sensor.config.array.size if sensor.config.array else 0.0, (sensor.size, 2))
     size = np.where(stated > 0.0, stated, _distances(sensor.layout.positions).min(axis=1)[:, None])
     if not np.isfinite(size).all():
@@ -251,7 +251,7 @@ def _sizes(sensor: Sensor) -> Float64:
 
 
 def _shape(sensor: Sensor, size: Float64) -> tuple[ContactFrame, Float64, Float64]:
-    """Frame of the pad's middle, K, and half of its extent."""
+    """Return the frame of the pad's middle, K, and half of its extent."""
     positions, normals = sensor.layout.positions, sensor.layout.normals
     mean = normals.mean(axis=0)
     if np.linalg.norm(mean) < _STEEPEST:
@@ -280,12 +280,12 @@ def _window(pad: PadConfig, middle: ContactFrame, curvature: Float64, half_m: Fl
 
 
 def _depth(curvature: Float64, x: Any, y: Any) -> Any:
-    """Depth of the pad below its middle [m] at places x, y."""
+    """Return the depth of the pad below its middle [m] at places x, y."""
     return 0.5 * (curvature[0, 0] * x * x + 2.0 * curvature[0, 1] * x * y + curvature[1, 1] * y * y)
 
 
 def _weights(cells: Float64, positions: Float64, axes: Float64, size: Float64, spread_m: float) -> Float64:
-    """(N, cells): the part of a force on each cell that is spread onto each taxel; 0 beside the pad, where cells are NaN."""
+    """Return (N, cells): the part of a force on each cell that is spread onto each taxel; 0 beside the pad, where cells are NaN."""
     from scipy.special import erf
 
     offset = np.nan_to_num(cells) - positions[:, None]
@@ -298,7 +298,7 @@ def _weights(cells: Float64, positions: Float64, axes: Float64, size: Float64, s
 
 
 def _tangents(normals: Float64, x: Float64) -> Float64:
-    """(N, 3) unit vectors across normals, as near to x as they allow; where x is a normal, to y of the same frame."""
+    """Return (N, 3) unit vectors across normals, as near to x as they allow; where x is a normal, to y of the same frame."""
     along = x - (normals @ x)[:, None] * normals
     other = np.roll(x, 1) - (normals @ np.roll(x, 1))[:, None] * normals
     along = np.where(np.linalg.norm(along, axis=1, keepdims=True) < 1e-6, other, along)
@@ -306,7 +306,7 @@ def _tangents(normals: Float64, x: Float64) -> Float64:
 
 
 def _distances(positions: Float64) -> Float64:
-    """(N, N) from each taxel to each other [m]; infinite to itself."""
+    """Return (N, N) from each taxel to each other [m]; infinite to itself."""
     distance = np.asarray(np.linalg.norm(positions[:, None] - positions, axis=2))
     np.fill_diagonal(distance, np.inf)
     return distance

@@ -42,7 +42,7 @@ class SampleKey:
     repeat: int = 0  # how often the same grasp of the same object was executed before, from 0
 
     def stream(self, name: str, *, again: bool = False) -> np.random.Generator:
-        """The stream of one effect in this sample.
+        """Return the stream of one effect in this sample.
 
         Args:
             name: Of the effect.
@@ -80,7 +80,7 @@ class CampaignTime:
 
 
 def object_index(scene: SceneConfig, slot: int) -> int:
-    """Which object a slot shows: objects take turns, in a campaign visit by visit and in an order that changes."""
+    """Return which object a slot shows: objects take turns, in a campaign visit by visit and in an order that changes."""
     count = len(scene.objects)
     if scene.campaign is None:
         return slot % count
@@ -97,7 +97,7 @@ class Campaign:
     first: tuple[Finger, Finger]  # thumb and middle finger as they are mounted at first
 
     def time_of(self, slot: int) -> CampaignTime:
-        """When the grasp of a slot is executed; a `SimulationError` if it is beyond the last session."""
+        """Return when the grasp of a slot is executed; a `SimulationError` if it is beyond the last session."""
         config = self.config
         visit, grasp = divmod(slot, config.grasps)
         session, place = divmod(visit, config.objects)
@@ -106,26 +106,26 @@ class Campaign:
         return self._time(session, float(self._powered_s[session][place, grasp]), visit, grasp)
 
     def live(self, elapsed_s: float) -> CampaignTime:
-        """The time of a live hand that was switched on some time ago [s], and stays on until the next session."""
+        """Return the time of a live hand that was switched on some time ago [s], and stays on until the next session."""
         time_s = self.config.live_speed * max(0.0, elapsed_s)
         starts = np.asarray(self.config.days) * calendar.DAY_S
         session = max(0, int(np.searchsorted(starts, time_s, side="right")) - 1)
         return replace(self._time(session, time_s - float(starts[session])), speed=self.config.live_speed)
 
     def fingers(self, session: int) -> tuple[Finger, Finger]:
-        """Thumb and middle finger as they are mounted in a session."""
+        """Return thumb and middle finger as they are mounted in a session."""
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
 
     def kelvin(self, session: int, visit: int) -> tuple[Float64, float]:
-        """(2,) temperature of both fingers at power-on, and that of the object of a visit minus theirs [K]."""
+        """Return (2,) temperature of both fingers at power-on, and that of the object of a visit minus theirs [K]."""
         shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
         rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
         start = calendar.SESSION_KELVIN * shared + calendar.FINGER_KELVIN * np.array(own)
         return start, draw(rng, calendar.OBJECT_KELVIN)
 
     def slopes(self, session: int) -> Float64:
-        """(2, 24) float64: counts of the electrodes that are mounted in a session per count of TDC."""
+        """Return (2, 24) float64: counts of the electrodes that are mounted in a session per count of TDC."""
         drawn = []
         for finger, (name, mean) in enumerate(zip(_FINGERS, (calendar.SLOPE_TH, calendar.SLOPE_MF), strict=True)):
             rng = SampleKey(self.scene.seed, self._exchanges_before(finger, session)).stream(f"slopes of the {name}")
@@ -133,7 +133,7 @@ class Campaign:
         return np.array(drawn)
 
     def drift(self, now: CampaignTime, times_s: Float64, load: Float64) -> Float64:
-        """(T, 2, 25) float64 [counts]: how far PDC and electrodes of both fingers have drifted.
+        """Return (T, 2, 25) float64 [counts]: how far PDC and electrodes of both fingers have drifted.
 
         Args:
             now: Of the grasp.
@@ -157,7 +157,7 @@ class Campaign:
         return CampaignTime(_START_NS + round(time_s * 1e9), time_s, powered_s, session, visit, grasp)
 
     def _exchanges(self, finger: int) -> list[calendar.ExchangeConfig]:
-        """Of one finger, in order of time."""
+        """Return the exchanges of one finger, in order of time."""
         return sorted((e for e in self.config.exchanges if e.finger == _FINGERS[finger]), key=attrgetter("session"))
 
     def _exchanges_before(self, finger: int, session: int) -> int:
@@ -222,7 +222,7 @@ class World:
 
     @classmethod
     def of(cls, scene: SceneConfig) -> Self:
-        """From a scene."""
+        """Make the world of a scene."""
         view = scene.camera.view()
         plane = Plane.from_coefficients(view.table_plane())
         hand = SampleKey(scene.fingers.hand, 0).stream("fingers of the scene")
@@ -234,7 +234,7 @@ class World:
         return cls(view, view.directions(), plane, fingers, array, campaign)
 
     def channels(self) -> Channels:
-        """What the values of a touch are."""
+        """Return what the values of a touch are."""
         return BIOTAC if self.array is None else self.array.sensor.channels
 
 
@@ -243,7 +243,7 @@ def _distance_s(term: calendar.DriftTermConfig) -> float:
 
 
 def _interpolated(path: Float64, term: calendar.DriftTermConfig, at_s: Float64) -> Float64:
-    """(T, C) of a path (K, C); the first and the last value beyond its ends."""
+    """Return (T, C) of a path (K, C); the first and the last value beyond its ends."""
     place = np.clip(at_s / _distance_s(term), 0.0, len(path) - 1)
     low = np.minimum(place.astype(np.int64), len(path) - 2)
     share = (place - low)[:, None]

@@ -36,8 +36,8 @@ def test_noisy_clouds_of_a_still_scene_keep_their_ids_though_the_order_by_distan
     for _ in range(150):
         depth = _put(_put(_put(_table(), 60, 60), 60, 220), 140, 140)
         raw = _segmented((depth + rng.normal(0.0, 0.001, depth.shape)).astype(np.float32))
-        kept = identity.keep(raw)
         orders.add((_place(raw, 80, 80), _place(raw, 80, 240)))
+        kept = identity.keep(raw)
         ids.add((_place(kept, 80, 80), _place(kept, 80, 240), _place(kept, 160, 160)))
         assert {object_.id for object_ in kept.objects} == set(np.unique(kept.labels)) - {0}
     assert len(orders) == 2  # the test is one: without identity, ids change

@@ -9,17 +9,24 @@ from scipy import ndimage
 
 from foretouch.cloud.segmentation.clusters import FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
 from foretouch.cloud.segmentation.objects import Segment
+from foretouch.types.camera import DepthImage
 
 Array = np.ndarray[Any, Any]
 
 
-def count_range(xyz, crop) -> tuple[int, int]:
+def count_range(source, crop) -> tuple[int, int]:
+    xyz = _points(source)
     return np.count_nonzero(np.isfinite(xyz[..., 2])), np.count_nonzero(in_range(xyz[..., 2], crop))
 
 
-def every(xyz, stride: int, crop) -> tuple[Array, Array]:
+def every(source, stride: int, crop) -> tuple[Array, Array]:
+    xyz = _points(source)
     coarse = np.ascontiguousarray(xyz[::stride, ::stride])
     return coarse, np.flatnonzero(in_range(coarse[..., 2], crop))
+
+
+def _points(source) -> Array:
+    return source.points() if isinstance(source, DepthImage) else source
 
 
 def counts(distance, offsets, reach) -> Array:
@@ -64,8 +71,10 @@ def write_ids(image, window, ids) -> int:
     return np.count_nonzero(new)
 
 
-def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None) -> list[Clusters]:
+def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None, write=None) -> list[Clusters]:
     """Windows around the patches of the coarse grid, each labelled on the grid and then refined."""
+    if write is not None:
+        write(0, xyz.shape[0], 0, xyz.shape[1])
     min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
 
     def step(z, slope):

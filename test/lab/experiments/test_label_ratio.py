@@ -11,7 +11,7 @@ import torch
 
 from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
-from foretouch_lab.experiments import find_experiment, run_sweep
+from foretouch_lab.experiments import Sweep, find_experiment
 from foretouch_lab.experiments.framework.manifest import RESULTS_FILE
 from foretouch_lab.experiments.label_ratio import LabelRatioSettings
 from foretouch_lab.experiments.label_ratio.training import (
@@ -92,17 +92,24 @@ def test_a_store_is_made_once_and_refused_for_another_scene(tmp_path: Path, stor
         prepare_simulated(settings_of(samples=11), clean, tmp_path)
     experiment = find_experiment("label_ratio")
     with pytest.raises(ConfigError, match="give --data a scene"):
-        run_sweep(experiment, settings_of(), tmp_path / "out")
+        Sweep(experiment, settings_of(), tmp_path / "out")
+
+
+def swept(out: Path, settings: Any, store: Path) -> Sweep:
+    sweep = Sweep(find_experiment("label_ratio"), settings, out, source=store, resume=True)
+    sweep.run()
+    sweep.finish()
+    return sweep
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_a_run_may_be_extended_by_ratios_modalities_and_trials(store: Path, tmp_path: Path) -> None:
     """And one that was cut gives the same table."""
-    experiment, out = find_experiment("label_ratio"), tmp_path / "out"
+    out = tmp_path / "out"
     tiny = {**TINY, "ratios": [50, 90], "seeds": [0]}
-    assert run_sweep(experiment, settings_of(**{**tiny, "ratios": [90]}), out, source=store).finished == 3
+    assert swept(out, settings_of(**{**tiny, "ratios": [90]}), store).finished == 3
     both = settings_of(**{**tiny, "modalities": ["PDC_TH", "E_MF"]})
-    result = run_sweep(experiment, both, out, source=store, resume=True)
+    result = swept(out, both, store)
     assert (result.reused, result.finished, result.failures) == (3, 10, {})
     assert [(r["modality"], r["ratio"]) for r in result.rows] == [(m, r) for m in ("PDC_TH", "E_MF") for r in (50, 90)]
     assert all(0.0 < row["trees_rmse"] != row["mean_rmse"] for row in result.rows)
@@ -110,8 +117,8 @@ def test_a_run_may_be_extended_by_ratios_modalities_and_trials(store: Path, tmp_
     (cut / RESULTS_FILE).unlink()
     for cell in sorted((cut / "cells").glob("*E_MF*")):
         cell.unlink()
-    again = run_sweep(experiment, both, cut, source=store, resume=True)
-    assert (again.reused, again.cells) == (6, 10)
+    again = swept(cut, both, store)
+    assert (again.reused, len(again.cells)) == (6, 10)
     assert (out / RESULTS_FILE).read_bytes() == (cut / RESULTS_FILE).read_bytes()
 
 

@@ -14,7 +14,7 @@ from every_case import every_case, every_refusal
 from own_experiments.counting import EXPERIMENT, CountingSettings
 
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError
-from foretouch_lab.experiments import Cell, run_sweep
+from foretouch_lab.experiments import Cell, Sweep
 from foretouch_lab.experiments.framework.manifest import read_results, write_results, write_summary
 from foretouch_lab.experiments.framework.sweep import run_cell
 
@@ -26,9 +26,12 @@ PATH = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])  # where 
 def sweep(tmp_path: Path, numbers: Path):
     """Runs the experiment `counting` into a folder."""
 
-    def run(name: str = "out", **options):
-        changes = options.pop("settings", {})
-        return run_sweep(EXPERIMENT, CountingSettings(**changes), tmp_path / name, source=numbers, **options)
+    def run(name: str = "out", settings=None, resume: bool = False, **options):
+        given = CountingSettings(**settings or {})
+        result = Sweep(EXPERIMENT, given, tmp_path / name, source=numbers, resume=resume)
+        result.run(**options)
+        result.finish()
+        return result
 
     return run
 
@@ -115,7 +118,7 @@ def test_more_cells_keep_those_that_are_finished(sweep, out, trace, in_this_proc
     more = sweep(settings={"cells": 5, **hurt}, resume=True)
     assert (more.reused, more.finished, len(more.rows)) == (2, 4, 8)
     fewer = sweep(settings={"cells": 3, "shown": 1, **hurt}, resume=True)
-    assert (fewer.reused, fewer.cells, len(fewer.rows)) == (2, 3, 1)
+    assert (fewer.reused, len(fewer.cells), len(fewer.rows)) == (2, 3, 1)
     assert json.loads((out / "manifest.json").read_text())["settings"]["cells"] == 3
 
 

@@ -41,7 +41,7 @@ def decoded(client, topic, content):
 
 def subscribed(graph, node, client, *topics):
     client.subscribe(*topics)
-    graph.until(lambda: set(topics) <= set(node.notes()["topics"].split()))
+    graph.until(lambda: set(topics) <= set(node.reported().values["topics"].split()))
     for topic in topics:
         graph.until(lambda topic=topic: graph.probe.count_subscribers(topic) > 0)
 
@@ -49,7 +49,7 @@ def subscribed(graph, node, client, *topics):
 def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, monkeypatch):
     sensor = packaged_sensor("xela_uskin_4x4")
     model = constant_model(sensor, counted(sensor))
-    monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
     heard = graph.listen(TouchPredictionArray, "touch")
     _, bridge = graph.add("perception", "bridge", port=0, cloud_kb=100_000)  # whole clouds
     publisher = graph.talk(PointCloud2, "points")
@@ -86,7 +86,7 @@ def test_it_subscribes_only_to_what_a_client_asks_for(graph):
     with WebSocketClient(bridge.url) as client:
         client.learn(TOUCH, POINTS, "/diagnostics", "/rh/tactile")
         subscribed(graph, bridge, client, TOUCH)
-        assert bridge.notes()["topics"] == TOUCH
+        assert bridge.reported().values["topics"] == TOUCH
         client.unsubscribe_all()
         graph.until(lambda: graph.probe.count_subscribers(TOUCH) == 0)
         client.subscribe(POINTS)

@@ -53,7 +53,7 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     sensor = packaged_sensor("xela_uskin_4x4")
     rest = run(config).tare.values
     model = constant_model(sensor, rest, make_calibration(0, sensor.channels, rest))
-    monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
     monkeypatch.setattr("foretouch.models.history_keeper.HistoryKeeper.changed", lambda _: None)
     messages = graph.listen(SensStream, HAND)
     (hand,) = graph.add("hand", scene__path=str(path), scene__samples=1, **SHORT)
@@ -73,8 +73,8 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     graph.until(lambda: hand.executed["success"] == 1)
     graph.until(lambda: recorder.status().samples == 1)
     for node in (recorder, predictor):
-        assert not any("unreadable" in key and value != "0" for key, value in node.notes().items())
+        assert not any("unreadable" in key and value != "0" for key, value in node.reported().values.items())
     recorder.end()
     (one,) = open_samples(tmp_path / "set").records()
     np.testing.assert_allclose(one.sample.touch.values, sample.touch.values, atol=400.0)  # noise and slow changes
-    assert predictor.notes()["tare_age_s"] != "none"
+    assert predictor.reported().values["tare_age_s"] != "none"

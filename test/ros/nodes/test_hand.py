@@ -69,7 +69,7 @@ def test_a_grasp_is_felt_when_and_as_strongly_as_the_hand_reports(graph, start):
         for message in messages:
             np.testing.assert_array_equal(finger_counts(message, "TH"), [touch["PDC_TH"][0], *touch["E_TH"]])
             np.testing.assert_array_equal(finger_counts(message, "MF"), [touch["PDC_MF"][0], *touch["E_MF"]])
-    assert (node.statistics.summary().used, node.notes()["executed.success"]) == (1, "1")
+    assert (node.statistics.summary().used, node.reported().values["executed.success"]) == (1, "1")
 
 
 def test_messages_come_at_100_hz_with_even_stamps_noise_and_zeros_where_there_is_no_sensor(graph, start):

@@ -32,7 +32,7 @@ def uskin(monkeypatch):
     """A model of the uSkin with a dead taxel, in place of any."""
     sensor = sensor_with_dead("xela_uskin_4x4", 5)
     model = constant_model(sensor, counted(sensor))
-    monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
     return model
 
 
@@ -42,7 +42,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     sensor = packaged_sensor("xela_uskin_4x4")
     calibration = make_calibration(0, sensor.channels, counted(sensor))
     model = constant_model(sensor, counted(sensor), calibration)
-    monkeypatch.setattr("foretouch.ros.touch.predictor.load_model", lambda _: model)
+    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
     monitor = MonitorNode(sensor=sensor)
     graph.serve(monitor)
     node, send, _ = predictor()
@@ -71,10 +71,10 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     target = Object("1", can_with_grasps(1)[0], ASSUMED_TABLE)
     _draw([(None, target, one, None)], str(tmp_path / "a.png"), sensor)
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    (warning,) = [text for text in node.warnings() if "adapt" in text]
+    (warning,) = [text for text in node.reported().warnings if "adapt" in text]
     assert "/rh/tactile: is of biotac_sp" in warning
     assert "not xela_uskin_4x4" in warning
-    assert node.notes()["regime"] == warning
+    assert node.reported().values["regime"] == warning
 
 
 def test_another_sensor_is_predicted_by_the_service_and_the_action(graph, uskin):

@@ -18,9 +18,9 @@ from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.messages.requests import RefusalError
-from foretouch.ros.touch import grasp_actions
-from foretouch.ros.touch.config import COSTS
-from foretouch.ros.touch.grasp_actions import cost_of, planner_feedback
+from foretouch.ros.steps import sampling
+from foretouch.ros.steps.sampling import cost_of, planner_feedback
+from foretouch.ros.steps.touch_settings import COSTS
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane
 
@@ -42,9 +42,9 @@ def send_latest(graph, node, target):
 
 
 def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card, scene_cloud, monkeypatch):
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
     (node,) = graph.add("touch_predictor", model=model_card, max_grasps=5, sample_cost="harder_finger")
-    assert "sample_grasp_poses" in node.notes()
+    assert "sample_grasp_poses" in node.reported().values
     status, result, feedback = graph.goal(SampleGrasps, "sample_grasp_poses", SampleGrasps.Goal())
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
     assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
@@ -78,7 +78,7 @@ def test_without_its_package_the_action_is_not_offered(graph, model_card, monkey
     for module in ("moveit_task_constructor_msgs", "moveit_task_constructor_msgs.action"):
         monkeypatch.setitem(sys.modules, module, None)
     (node,) = graph.add("touch_predictor", model=model_card)
-    assert "sample_grasp_poses" not in node.notes()
+    assert "sample_grasp_poses" not in node.reported().values
     graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
     assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
 
@@ -99,12 +99,12 @@ def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():
 
 
 def test_a_package_that_cannot_be_loaded_is_told_from_one_that_is_absent(monkeypatch):
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("no_such_msgs", "SampleGraspPoses"))
-    assert grasp_actions.planner_action_class() == (None, "")
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "Absent"))
-    kind, fault = grasp_actions.planner_action_class()
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("no_such_msgs", "SampleGraspPoses"))
+    assert sampling.planner_action_class() == (None, "")
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("foretouch_msgs", "Absent"))
+    kind, fault = sampling.planner_action_class()
     assert kind is None
     assert "sample_grasp_poses: not offered: foretouch_msgs/Absent" in fault
     assert "AttributeError" in fault
-    monkeypatch.setattr(grasp_actions, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
-    assert grasp_actions.planner_action_class() == (SampleGrasps, "")
+    monkeypatch.setattr(sampling, "PLANNER_TYPE", ("foretouch_msgs", "SampleGrasps"))
+    assert sampling.planner_action_class() == (SampleGrasps, "")

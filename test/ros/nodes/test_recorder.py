@@ -134,7 +134,7 @@ def test_a_publisher_of_another_sensor_is_named(lone_graph, tmp_path):
         "sender = node.create_publisher(String, '/rh/tactile', 1)\nwhile True: time.sleep(1)"
     )
     line = "/rh/tactile: a publisher sends std_msgs/msg/String, not foretouch_msgs/msg/BiotacAll: nothing is received from it"
-    lone_graph.until(lambda: node.warnings() == (line,))
+    lone_graph.until(lambda: node.reported().warnings == [line])
 
 
 def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(graph, tmp_path):

@@ -122,7 +122,7 @@ def test_a_pause_records_nothing_counts_what_it_leaves_out_and_ends(graph, tmp_p
     pause = lambda on: graph.call(SetBool, "pause_recording", SetBool.Request(data=on)).message  # noqa: E731
     assert pause(True) == "paused: nothing is recorded"
     assert pause(True) == "paused already"
-    graph.until(lambda: node.notes()["phase"] == "paused")
+    graph.until(lambda: node.reported().values["phase"] == "paused")
     written = accounts(node.status())["/rh/tactile"].written
     robot.grasp("g-1", 1)
     graph.until(lambda: sum(topic.received for topic in node.status().topics) == sum(robot.sent.values()))

@@ -85,7 +85,7 @@ def test_every_cloud_is_played_once_in_order_and_in_time_as_recorded_and_the_end
     assert (node.outcome, dict(node.played)) == ("finished", {"/foretouch/points": 11})
     summary = node.statistics.summary()
     assert (summary.received, summary.used, summary.waiting) == (11, 11, 0)
-    values = node.notes()
+    values = node.reported().values
     assert (values["replay"], values["clouds"], values["played./foretouch/points"]) == ("finished", "11", "11")
 
 
@@ -145,7 +145,7 @@ def test_other_topics_are_played_too_and_the_unknown_are_named(graph, tmp_path, 
     node, received = play(graph, tmp_path / "bag", {**CLOUDS, "/said": String})
     assert [message.data for message in received["/said"]] == ["word 0", "word 1", "word 2"]
     assert node.played == {"/foretouch/points": 3, "/said": 3}
-    notes = node.notes()
+    notes = node.reported().values
     assert notes["left_out./secret"] == "type nobodys_msgs/msg/Secret is not installed (3 messages)"
     assert notes["left_out./foretouch/remark"] == "this graph publishes under /foretouch itself (3 messages)"
 
@@ -214,7 +214,7 @@ def test_in_lockstep_a_cloud_waits_for_the_answer_to_the_last_and_a_missing_one_
     node.trigger_deactivate()
     node.trigger_activate()
     assert node.ended.wait(20.0)
-    assert (node.played["/foretouch/points"], node.notes()["unanswered"]) == (4, "4")
+    assert (node.played["/foretouch/points"], node.reported().values["unanswered"]) == (4, "4")
 
 
 def test_a_source_that_breaks_off_or_is_none_is_a_failure_with_its_reason(graph, bag, tmp_path, capfd):
@@ -224,7 +224,7 @@ def test_a_source_that_breaks_off_or_is_none_is_a_failure_with_its_reason(graph,
     node, received = play(graph, path)
     assert (len(received["points"]), node.outcome) == (5, "failed")
     assert f"what is intact was read; `foretouch dataset repair {file}` makes a complete file of it" in node.reason
-    assert node.errors() == (node.reason,)
+    assert node.reported().errors == [node.reason]
     for nothing, reason in (("", "path: is empty"), ("/nowhere", "/nowhere: does not exist")):
         node = start(graph, nothing)
         assert node.state_name == "unconfigured"

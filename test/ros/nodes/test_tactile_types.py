@@ -34,8 +34,8 @@ def test_recorder_and_touch_predictor_accept_it(graph, tmp_path, monkeypatch):
     graph.matched("/rh/tactile", subscribers=2)
     hand.grasp("g", 0)
     graph.until(lambda: recorder.status().samples == 1)
-    graph.until(lambda: predictor.notes()["tactile.received"] == str(hand.sent["/rh/tactile"]))
-    assert predictor.notes()["tactile.unreadable"] == "0"
+    graph.until(lambda: predictor.reported().values["tactile.received"] == str(hand.sent["/rh/tactile"]))
+    assert predictor.reported().values["tactile.unreadable"] == "0"
     recorder.end()
     dataset = RecordedDataset(tmp_path / "set")
     one = dataset[0]

@@ -100,7 +100,7 @@ def test_an_internal_error_is_a_status_and_configuring_again_restores_service_an
         raise FloatingPointError("overflow")
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(planner.node._step.predictor), "answer", fail)
+        patch.setattr(type(planner.node._step.predictor), "predict", fail)
         answer = planner.ask()
         assert (answer.status, answer.reason) == (Status.FAILED, "FloatingPointError: overflow")
         assert answer.header.frame_id == "cam"
@@ -112,12 +112,12 @@ def test_an_internal_error_is_a_status_and_configuring_again_restores_service_an
 
 def test_a_model_of_the_simulated_hand_warns_of_readings_that_come_from_another(graph, monkeypatch):
     (node,) = graph.add("touch_predictor", tactile_topic="/other/tactile")
-    assert node.warnings() == ()
+    assert node.reported().warnings == []
     sender = graph.talk(BiotacAll, "/other/tactile")
     graph.until(lambda: node.get_publishers_info_by_topic("/other/tactile"))
-    assert node.warnings() == ()  # the default model is not made for one hand only
+    assert node.reported().warnings == []  # the default model is not made for one hand only
     monkeypatch.setattr(type(node._step.predictor.model), "simulated", True)
-    (line,) = node.warnings()
+    (line,) = node.reported().warnings
     model = node._step.predictor.model.name
     assert line.startswith(f"model {model} is made for the simulated hand only, but /other/tactile comes from ")
     del sender
@@ -142,7 +142,7 @@ def test_each_of_many_requests_and_goals_at_once_is_answered_or_refused_and_coun
     graph.until(lambda: all(end.done() for end in ends))
     assert {end.result().status for end in ends} <= {GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED}
     counts = Counter()
-    for name, count in planner.node.notes().items():
+    for name, count in planner.node.reported().values.items():
         if name.startswith("requests."):
             counts[name.split(".")[1]] += int(count)
     assert counts == asked

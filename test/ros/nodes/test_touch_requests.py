@@ -2,6 +2,8 @@
 """Requests and goals to one running touch predictor: what is answered, and what is refused with which reason."""
 
 import math
+from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.requests import plan_targets
-from foretouch.types import Cloud
+from foretouch.types import Cloud, Grasps
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, Status
 from foretouch_msgs.srv import PredictTouch
@@ -192,22 +194,23 @@ def test_sampled_grasps_come_cheapest_first_and_match_their_poses(planner):
 
 
 def test_a_cancel_takes_effect_within_a_hundred_grasps(planner, monkeypatch):
-    graph, real, sizes, handles = planner.graph, type(planner.node._step.predictor).answer, [], []
+    graph, step, sizes, handles = planner.graph, planner.node._step, [], []
+    real = step.answer_plans
 
     def many(pipeline, targets, header):
-        array, plans = plan_targets(pipeline, targets, header)
-        array.grasps = list(array.grasps) * 1000
-        return array, plans
+        array, (plan,) = plan_targets(pipeline, targets, header)
+        array.grasps = [deepcopy(grasp) for grasp in array.grasps for _ in range(1000)]
+        return array, [replace(plan, grasps=Grasps.of([grasp for grasp in plan.grasps for _ in range(1000)]))]
 
-    def slow(predictor, targets, grasps, *rest):
-        sizes.append(len(grasps))
+    def slow(targets, plans, grasps):
+        sizes.append(len(grasps.grasps))
         if len(sizes) == 2:
             cancelled = handles[0].cancel_goal_async()
             graph.until(cancelled.done)
-        return real(predictor, targets, grasps, *rest)
+        return real(targets, plans, grasps)
 
-    monkeypatch.setattr("foretouch.ros.messages.requests.plan_targets", many)
-    monkeypatch.setattr(type(planner.node._step.predictor), "answer", slow)
+    monkeypatch.setattr("foretouch.ros.steps.sampling.plan_targets", many)
+    monkeypatch.setattr(step, "answer_plans", slow)
     sent = graph.action_client(SampleGrasps, "sample_grasps").send_goal_async(planner.goal())
     sent.add_done_callback(lambda future: handles.append(future.result()))
     graph.until(lambda: handles)

@@ -7,7 +7,8 @@ import pytest
 
 from foretouch.dataset.session_check import SessionCheck
 from foretouch.ros.recorder.check_feed import CheckFeed
-from foretouch.ros.recorder.subscriptions import InputTopic, SerializedMessage
+from foretouch.ros.recorder.subscriptions import RecordedTopic
+from foretouch.ros.runtime.subscription import SerializedMessage
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch_msgs.msg import BiotacAll
@@ -21,8 +22,8 @@ def test_messages_that_cannot_be_decoded_are_counted_and_named() -> None:
     reader = make_reader(TactileConfig())
     check = SessionCheck(("TH", "MF"), reader)
     queues = []
-    topics = {TACTILE: SimpleNamespace(topic=InputTopic(TACTILE, BiotacAll, 10))}
-    inputs = SimpleNamespace(inputs=topics, open=queues.append, close=lambda: None)
+    topics = {TACTILE: RecordedTopic(TACTILE, BiotacAll, role="tactile")}
+    inputs = SimpleNamespace(topics=topics, open=queues.append, close=lambda: None)
     feed = CheckFeed(check, inputs, reader)
     for number in range(7):
         queues[0].put(SerializedMessage(TACTILE, b"\0\1\0\0 not a message", number, number, None))

@@ -5,13 +5,9 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from foretouch.ros.runtime.diagnostics import InputStatistics, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 
 pytestmark = pytest.mark.ros
-
-
-def values(status):
-    return {pair.key: pair.value for pair in status.values}
 
 
 def test_every_input_is_accounted_for_with_the_quantiles_of_numpy_and_none_before_the_first():
@@ -29,22 +25,29 @@ def test_every_input_is_accounted_for_with_the_quantiles_of_numpy_and_none_befor
     np.testing.assert_allclose(now.input_age_ms, np.percentile(ages * 1e3, [50, 95]))
 
 
+def report_of(statistics, silence_s=None):
+    report = Report()
+    statistics.add_to(report, silence_s)
+    return report
+
+
 def test_silence_is_a_warning_where_inputs_are_expected_drops_are_reported_once_and_an_error_outweighs_both():
     statistics = InputStatistics()
-    before = statistics.summary()
-    silent = diagnostic_status("n", "active", before, silence_s=5.0)
-    assert (silent.level, silent.message) == (DiagnosticStatus.WARN, "no input yet")
-    for status in (diagnostic_status("n", "active", before), diagnostic_status("n", "inactive", before, silence_s=5.0)):
-        assert status.level == DiagnosticStatus.OK
-    found = {"errors": ("model: x is damaged",), "warnings": ("w",), "notes": {"model": "m"}}
-    status = diagnostic_status("n", "active", before, **found)
+    silent = report_of(statistics, 5.0)
+    assert silent.warnings == ["no input yet"]
+    assert report_of(statistics).warnings == []
+    status = silent.to_msg("n", "fine")
+    assert (status.level, status.message) == (DiagnosticStatus.WARN, "no input yet")
+    silent.errors.append("model: x is damaged")
+    silent.values["model"] = "m"
+    status = silent.to_msg("n", "fine")
     assert (status.level, status.message) == (DiagnosticStatus.ERROR, "model: x is damaged")
-    assert values(status)["model"] == "m"
+    assert {pair.key: pair.value for pair in status.values}["model"] == "m"
     statistics.receive()
     statistics.drop("superseded")
     statistics.lose(3)
-    now = statistics.summary()
-    status = diagnostic_status("n", "active", now, before)
-    assert status.message == "dropped: 1 superseded, 3 lost in transport"
-    assert (values(status)["dropped.superseded"], values(status)["lost_on_the_way"]) == ("1", "3")
-    assert diagnostic_status("n", "active", now, now).level == DiagnosticStatus.OK
+    report = report_of(statistics, 5.0)
+    assert report.warnings == ["dropped: 1 superseded, 3 lost in transport"]
+    assert (report.values["dropped.superseded"], report.values["lost_on_the_way"]) == ("1", "3")
+    status = report_of(statistics).to_msg("n", "fine")
+    assert (status.level, status.message) == (DiagnosticStatus.OK, "fine")

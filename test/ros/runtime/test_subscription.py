@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from foretouch.errors import ConfigError
 from foretouch.ros.graph import node_class
-from foretouch.ros.runtime.subscription import Losses
+from foretouch.ros.runtime.subscription import InputTopic, Losses
 from foretouch_msgs.msg import TablePlane
 
 pytestmark = pytest.mark.ros
@@ -43,7 +43,9 @@ def test_a_message_that_is_replaced_in_the_queue_is_counted(graph):
     tables.publish(TablePlane())
     graph.until(lambda: node.statistics.summary().received)
     blocked, released = threading.Event(), threading.Event()
-    node.subscribe(TablePlane, "other", lambda _: (blocked.set(), released.wait()))  # it takes all inputs of the node
+    node.subscribe(
+        InputTopic("other", TablePlane), lambda _: (blocked.set(), released.wait())
+    )  # it takes all inputs of the node
     other = graph.talk_matched(TablePlane, "other")
     other.publish(TablePlane())
     assert blocked.wait(5.0)
@@ -73,7 +75,7 @@ class Receiver:
         graph.serve(self.node)
         self.stamps = []
         hear = lambda message: self.stamps.append(message.header.stamp.nanosec)  # noqa: E731
-        self.node.subscribe(TablePlane, "other", hear, latched=latched)
+        self.node.subscribe(InputTopic("other", TablePlane, latched=latched), hear)
 
     @property
     def qos(self):

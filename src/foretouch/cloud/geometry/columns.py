@@ -16,7 +16,7 @@ _bounds = Kernel("bounds")
 
 
 def centred_columns(points: Float64) -> tuple[Float64, Float64, Float64]:
-    """(3,) mean of (N, 3) points, N > 0, (3, N) their coordinates from it, and (3, 3) the covariance of these.
+    """Return (3,) mean of (N, 3) points, N > 0, (3, N) their coordinates from it, and (3, 3) the covariance of these.
 
     Equal to `points.mean(axis=0)` and the difference from it.
     """
@@ -26,20 +26,20 @@ def centred_columns(points: Float64) -> tuple[Float64, Float64, Float64]:
 
 
 def bounds(points: Float32) -> tuple[Float64, Float64]:
-    """(3,) smallest and (3,) largest coordinates of those of (N, 3) points that are finite; inf and -inf without one."""
+    """Return (3,) smallest and (3,) largest coordinates of those of (N, 3) points that are finite; inf and -inf without one."""
     low, high = np.empty(3), np.empty(3)
     _bounds(np.ascontiguousarray(points), len(points), low, high)
     return low, high
 
 
 def distances(columns: Float64) -> Float64:
-    """(N,) of (3, N) coordinates from the origin."""
+    """Return (N,) distances of (3, N) coordinates from the origin."""
     x, y, z = columns
     return np.asarray(np.sqrt(x * x + y * y + z * z), np.float64)
 
 
 def quantiles(values: Float64, shares: Sequence[float]) -> list[float]:
-    """Of (N,) values, N > 0: equal to `np.quantile`."""
+    """Return quantiles of (N,) values, N > 0, equal to `np.quantile`."""
     ordered, last = np.sort(values), len(values) - 1  # the sort is vectorised; a partition by several indices is not
     result = []
     for share in shares:

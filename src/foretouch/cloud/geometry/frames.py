@@ -64,5 +64,5 @@ def has_depth(xyz: Float32) -> Bool:
 
 
 def _share(chosen: Bool) -> float:
-    """Share of the chosen ones; 1 of none."""
+    """Return the share of the chosen ones; 1 of none."""
     return np.count_nonzero(chosen) / chosen.size if chosen.size else 1.0

@@ -69,7 +69,7 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
 
 
 def _unit(length: float) -> str:
-    """A question that is added to the refusal of a length that is likely in millimetres."""
+    """Return a question that is added to the refusal of a length that is likely in millimetres."""
     return "; is it in metres? Multiply millimetres by 0.001" if abs(length) > 10.0 else ""
 
 

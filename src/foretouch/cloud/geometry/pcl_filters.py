@@ -26,7 +26,7 @@ Voxels = tuple[Int64, Int64]
 
 
 def cell_means(values: Floating, voxels: Voxels) -> Float64:
-    """(M, C) float64 means of (N, C) values over the points of each cell; a NaN propagates within its column."""
+    """Return (M, C) float64 means of (N, C) values over the points of each cell; a NaN propagates within its column."""
     cell, counts = voxels
     means = np.empty((len(counts), values.shape[1]))
     values = np.ascontiguousarray(values, np.float64)
@@ -65,7 +65,7 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> Voxels:
 
 
 def normals_and_curvature(xyz: Float32, query: Integer, radius_m: float = 0.03) -> tuple[Float64, Float64]:
-    """Normals and curvature of chosen points, by fitting a plane to the neighbours of each.
+    """Return normals and curvature of chosen points, by fitting a plane to the neighbours of each.
 
     Neighbours, including the point itself, are strictly closer than the radius. The normal is the minor eigenvector of
     their covariance, oriented towards the sensor at the origin; curvature is the smallest eigenvalue over their sum.
@@ -89,7 +89,7 @@ def normals_and_curvature(xyz: Float32, query: Integer, radius_m: float = 0.03) 
 
 
 def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
-    """Number of points (N, 3), finite, for which `normals_and_curvature` would find no normal; N may be 0."""
+    """Return the number of points (N, 3), finite, for which `normals_and_curvature` would find no normal; N may be 0."""
     if len(xyz) == 0:
         return 0
     # All points in a small cube are neighbours of each other: if they span a plane, so do the neighbours of each.
@@ -106,7 +106,7 @@ def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> Bool:
-    """Points that can be neighbours of any of `around`, by bounding box."""
+    """Return points that can be neighbours of any of `around`, by bounding box."""
     margin = np.float32(radius_m * _MARGIN)
     inside: Bool = np.ones(len(xyz), np.bool_)
     for column, middle in zip(np.ascontiguousarray(xyz.T), around.T, strict=True):
@@ -116,7 +116,7 @@ def _in_box(xyz: Float32, around: Float32, radius_m: float) -> Bool:
 
 
 def _summed_moments(near: Float32, points: Float32, radius_m: float) -> Float64:
-    """(Q, 10) float64: sums of the moments of each point's neighbours among `near`."""
+    """Return (Q, 10) float64: sums of the moments of each point's neighbours among `near`."""
     sums = np.empty((len(points), 10))
     _moments_within(near, len(near), points, len(points), float(np.float32(radius_m) ** 2), near[0], sums)
     if sums[0, 0] < 0.0:
@@ -125,7 +125,7 @@ def _summed_moments(near: Float32, points: Float32, radius_m: float) -> Float64:
 
 
 def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> Bool:
-    """(N,) bool, inliers of statistical outlier removal: mean neighbour distance <= mean + deviations · std over the cloud.
+    """Return (N,) bool, inliers of statistical outlier removal: mean neighbour distance <= mean + deviations · std over the cloud.
 
     The standard deviation is that of a sample (n - 1). A single point is an inlier.
 
@@ -141,7 +141,7 @@ def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> 
 
 
 def mean_neighbour_distance(xyz: Float32, k: int) -> Float32:
-    """(N,) float32 [m]: mean distance from each of (N, 3) finite points to its k nearest neighbours, excluding itself.
+    """Return (N,) float32 [m]: mean distance from each of (N, 3) finite points to its k nearest neighbours, excluding itself.
 
     All other points if there are fewer; zero for a single point.
     """
@@ -157,7 +157,7 @@ def mean_neighbour_distance(xyz: Float32, k: int) -> Float32:
 
 
 def _tree_mean_distance(xyz: Float32, query: Int64, k: int) -> Float32:
-    """For the points that the compiled search gives up: in a pile of thousands, or so far away that squares overflow."""
+    """Measure the points that the compiled search gives up: in a pile of thousands, or so far away that squares overflow."""
     from scipy.spatial import cKDTree
 
     index = cKDTree(xyz).query(xyz[query], k + 1)[1]

@@ -33,7 +33,7 @@ class PixelGrid:
 
     @classmethod
     def from_pixels(cls, pixels: Integer, image_shape: tuple[int, int]) -> Self | None:
-        """A grid from flat, row-major indices into an image; None if it would be large and almost empty.
+        """Return a grid from flat, row-major indices into an image; None if it would be large and almost empty.
 
         Time and memory are those of the smallest rectangle around the pixels, which a message may place anywhere.
 
@@ -82,7 +82,7 @@ class PixelGrid:
 
     @classmethod
     def _cropped(cls, row: Int64, column: Int64, *, ascending: bool = False) -> Self | None:
-        """Indices relative to the first row and column; None if two points share a pixel, unless they are in ascending order."""
+        """Return indices relative to the first row and column; None if two points share a pixel, unless they are in ascending order."""
         if len(row) == 0:
             return cls(row, column, 0, 0)
         row, column = row - row.min(), column - column.min()
@@ -139,7 +139,7 @@ class _Cells(NamedTuple):
 
 
 def _on_lattice(xyz: Float32, low_m: float, high_m: float, tangent: float) -> _Cells | None:
-    """The cells of the finite points (N, 3) within a range of depth; None if their rays form no lattice."""
+    """Return the cells of the finite points (N, 3) within a range of depth; None if their rays form no lattice."""
     some = xyz
     if len(xyz) > _LATTICE_SAMPLE:
         some = xyz[np.random.default_rng(0).integers(len(xyz), size=_LATTICE_SAMPLE)]

@@ -15,7 +15,7 @@ _MIN_SCALE_M = 1e-6  # a smaller cloud is one point and the rounding of float32
 
 
 def sample_indices(size: int, n: int, rng: np.random.Generator) -> Int64:
-    """(n,) int64 indices of `n` of `size` points at random, all different; of fewer all, and some repeatedly.
+    """Return (n,) int64 indices of `n` of `size` points at random, all different; of fewer all, and some repeatedly.
 
     Raises:
         CloudError: If there is no point, or `n` is not positive.
@@ -36,7 +36,7 @@ class UnitSphereFrame:
 
     @classmethod
     def fit(cls, xyz: Floating) -> Self:
-        """The frame of a cloud.
+        """Return the frame of a cloud.
 
         Args:
             xyz: (N, 3) floating [m], finite, N > 0.
@@ -58,5 +58,5 @@ class UnitSphereFrame:
         return cls(centre, scale)
 
     def apply_points(self, points: Floating) -> Float64:
-        """(..., 3) [m] to the unit sphere, float64."""
+        """Map (..., 3) points [m] to the unit sphere, as float64."""
         return (np.asarray(points, np.float64) - self.centre) / self.scale

@@ -15,6 +15,7 @@ Unorganised points are connected if their voxels touch. Occupied voxels are a so
 a grid would be the scene's, and a single far point would make it huge.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -66,6 +67,10 @@ class ClusterConfig(Settings):
     )
 
 
+WritePoints = Callable[[int, int, int, int], None]
+"""Writes points of an image by their first row, end of rows, first column and end of columns."""
+
+
 class Clusters(NamedTuple):
     """Cluster labels of a window of the cloud."""
 
@@ -93,6 +98,7 @@ def label_organised(
     threshold: HeightThreshold,
     config: ClusterConfig,
     rays: RayFilter | None = None,
+    write: WritePoints | None = None,
 ) -> list[Clusters]:
     """Label an organised cloud.
 
@@ -104,6 +110,7 @@ def label_organised(
         threshold: Height threshold above the table.
         config: Settings.
         rays: Drops and counts points beside the ray of their pixel, if given.
+        write: Writes the points that are read into `xyz`; None if all are there.
 
     Returns:
         Labelled windows of the image, one around each patch above the table. The rectangles may overlap, but
@@ -131,6 +138,8 @@ def label_organised(
     spans = boxes[: sizes[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
     spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
     low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
+    if write is not None and len(spans):
+        write(int(low[0]), int(high[1]), int(low[2]), int(high[3]))
     marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
     marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
     windows: list[Clusters] = []

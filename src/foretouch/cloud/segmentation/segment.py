@@ -7,6 +7,7 @@ Every result has a status and a reason, and every point is counted: received = u
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ from foretouch.cloud.segmentation.clusters import (
     ClusterConfig,
     CropConfig,
     HeightThreshold,
+    WritePoints,
     in_range,
     label_organised,
     label_unorganised,
@@ -32,6 +34,8 @@ from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32, Float64, Index, Int32, Plane
+from foretouch.types.camera import DepthImage
+from foretouch.types.cloud import DepthCloud
 
 SegmentationStatus = Literal[
     "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
@@ -113,7 +117,8 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     counts = dict.fromkeys(names, 0)
     ms: dict[str, float] = {}
     with timed(ms, "total"):
-        cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
+        if _image_of(cloud) is None:
+            cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
         status, reason, plane, objects, background, outline, labels = _of_imagelist(cloud, config, counts, ms)
         if status != "ok" and cloud.camera is None and (frame := not_optical(cloud.xyz)):
             status, reason = "unknown_frame", frame
@@ -154,26 +159,30 @@ def _listed(of_image: Segment, cloud: Cloud, place: Int32) -> Segment:
 
 
 def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
-    xyz = cloud.xyz
-    labels, nothing = np.zeros(xyz.shape[:-1], np.int32), ((), (), np.empty((0, 3)))
+    source = _image_of(cloud) or cloud.xyz
+    labels, nothing = (
+        np.zeros(source.shape[:2] if cloud.organised else cloud.size, np.int32),
+        ((), (), np.empty((0, 3))),
+    )
     with timed(ms, "crop"):
-        finite, usable = _count_depths(xyz, config.crop)
+        finite, usable = _count_depths(source, config.crop)
         counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
     if usable == 0:
-        return "empty_cloud", _why_empty(xyz[..., 2], config.crop), None, *nothing, labels
+        return "empty_cloud", _why_empty(cloud.xyz[..., 2], config.crop), None, *nothing, labels
     if usable < _MIN_POINTS:
         return "too_few_points", f"{usable} points in range, fewer than {_MIN_POINTS}", None, *nothing, labels
     with timed(ms, "plane"):
-        image = xyz.ndim == 3 and min(xyz.shape[:2]) > 1  # whose pixels determine rays; a single row is a list
+        image = cloud.organised and min(labels.shape) > 1  # whose pixels determine rays; a single row is a list
         if not image:
-            xyz, counts["off_ray"] = _in_view(xyz, config)
-        coarse, stride, index = _coarse(xyz, config.crop, config.grid_rows)
+            source, counts["off_ray"] = _in_view(cloud.xyz, config)
+        coarse, stride, index = _coarse(source, config.crop, config.grid_rows)
+        xyz, write = _writable(source, coarse, stride)
         if len(index) > _PLANE_POINTS:  # evenly distributed
             index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, fault = None, ""
         if image and cloud.camera is None:  # else each point is on its ray
-            rays = _rays(sample, index, coarse.shape[1], stride, xyz.shape[1])
+            rays = _rays(sample, index, coarse.shape[1], stride, labels.shape[1])
             sample, fault = sample[~rays.off_sample], rays.reason
             counts["off_ray"] = rays.count_dropped(xyz)
         elif not image:
@@ -187,7 +196,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         limits = config.clusters
         threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
         if cloud.organised:
-            windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
+            windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays, write)
             pitch = pixel_pitch(coarse)
             windows, parts = split_clusters(xyz, windows, threshold, pitch / stride, config.split)
             reasons, outline = find_background(coarse, stride, windows, threshold, pitch)
@@ -199,10 +208,16 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         if rays is not None:
             counts["off_ray"] = rays.count_dropped(xyz)
     with timed(ms, "objects"):
-        objects, background, numbers = extract_objects(cloud, windows, threshold, limits, labels, reasons)
+        made = Cloud(xyz, cloud.rgb, cloud.frame_id, cloud.stamp_ns) if isinstance(source, DepthImage) else cloud
+        objects, background, numbers = extract_objects(made, windows, threshold, limits, labels, reasons)
         counts |= numbers
     reason = "" if objects else _why_no_object(counts["n_rejected"], counts["n_background"], limits)
     return "ok" if objects else "no_object", reason, plane, objects, background, outline, labels
+
+
+def _image_of(cloud: Cloud) -> DepthImage | None:
+    """The depth image whose points are made where they are read; None for a cloud of points."""
+    return cloud.image if isinstance(cloud, DepthCloud) else None
 
 
 def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -> RayFilter:
@@ -213,36 +228,51 @@ def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -
     return rays
 
 
-def _count_depths(xyz: Float32, config: CropConfig) -> tuple[int, int]:
-    """Points with a finite depth, and those in range, of (N, 3) or (H, W, 3) float32 contiguous points [m].
+def _count_depths(source: Float32 | DepthImage, config: CropConfig) -> tuple[int, int]:
+    """Points with a finite depth, and those in range, of a depth image, or of (N, 3) or (H, W, 3) float32 contiguous points [m].
 
     Only z is checked: a pixel without depth has no z.
     """
+    if isinstance(source, DepthImage):
+        return source.count(config.min_range_m, config.max_range_m)
     counts = np.empty(2, np.int64)
-    _count_range(xyz, xyz.size // 3, config.min_range_m, config.max_range_m, counts)
+    _count_range(source, source.size // 3, config.min_range_m, config.max_range_m, counts)
     return int(counts[0]), int(counts[1])
 
 
-def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int, Index]:
+def _coarse(source: Float32 | DepthImage, config: CropConfig, grid_rows: int) -> tuple[Float32, int, Index]:
     """Every k-th pixel of an image, so that about `grid_rows` rows are left, unless few of them are in range.
 
     Returns:
         The coarse image, its stride, and the flat indices of its points in range.
     """
-    stride = 1 if xyz.ndim == 2 else int(min(max(min(xyz.shape[:2]) // grid_rows, 1), 8))
+    is_image = isinstance(source, DepthImage) or source.ndim == 3
+    stride = int(min(max(min(source.shape[:2]) // grid_rows, 1), 8)) if is_image else 1
     if stride > 1:
-        coarse, index = _every(xyz, stride, config)
+        coarse, index = _every(source, stride, config)
         if len(index) >= _SPARSE:
             return coarse, stride, index
+    xyz = source.points() if isinstance(source, DepthImage) else source
     return xyz, 1, np.flatnonzero(in_range(xyz[..., 2], config))
 
 
-def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, Index]:
+def _every(source: Float32 | DepthImage, stride: int, config: CropConfig) -> tuple[Float32, Index]:
     """Every n-th row and column of an image, and the flat indices of the points in range."""
-    coarse = np.empty((-(-xyz.shape[0] // stride), -(-xyz.shape[1] // stride), 3), np.float32)
+    xyz, step = (source.points(stride), 1) if isinstance(source, DepthImage) else (source, stride)
+    coarse = np.empty((-(-xyz.shape[0] // step), -(-xyz.shape[1] // step), 3), np.float32)
     index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)
-    _coarse_grid(xyz, *xyz.shape[:2], stride, config.min_range_m, config.max_range_m, coarse, index, count)
+    _coarse_grid(xyz, *xyz.shape[:2], step, config.min_range_m, config.max_range_m, coarse, index, count)
     return coarse, index[: count[0]]
+
+
+def _writable(source: Float32 | DepthImage, coarse: Float32, stride: int) -> tuple[Float32, WritePoints | None]:
+    """All points, and what writes a part of them where it is read, for a depth image whose coarse points suffice elsewhere."""
+    if not isinstance(source, DepthImage):
+        return source, None
+    if stride == 1:
+        return coarse, None
+    xyz = np.empty((*source.shape, 3), np.float32)
+    return xyz, partial(source.write_points, xyz)
 
 
 def _in_view(xyz: Float32, config: SegmentationConfig) -> tuple[Float32, int]:

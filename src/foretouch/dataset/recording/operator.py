@@ -80,7 +80,7 @@ class Operator:
         return next((number for number, edit in own.items() if edit.action == "pause"), 0)
 
     def state(self) -> OperatorState:
-        """The state; grasps are counted anew after each change."""
+        """Return the state; grasps are counted anew after each change."""
         known = (len(self._log.edits), len(self._grasps))
         if known != self._known:
             grasps = edited(self._grasps, self._log)
@@ -110,7 +110,7 @@ class Operator:
         return done
 
     def add_sample(self, record: SampleRecord, recorded: str) -> None:
-        """A sample was written under an id; what waits for it is done."""
+        """Note that a sample was written under an id, and do what waits for it."""
         self._grasps[recorded] = summarise(record)
         if record.sample.touch is not None:
             self._touched.append(recorded)
@@ -118,7 +118,7 @@ class Operator:
             self.end_wait()
 
     def add_rejected(self, grasp_id: str, message: str) -> None:
-        """An executed grasp makes no sample."""
+        """Note that an executed grasp makes no sample."""
         self._sample_of.setdefault(grasp_id, f": no sample: {message}")
         self.end_wait(message)
 
@@ -232,7 +232,7 @@ def summarise(record: SampleRecord) -> GraspSummary:
 
 
 def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, GraspSummary]:
-    """The grasps with the edits applied; the keys stay the ids as recorded."""
+    """Return the grasps with the edits applied; the keys stay the ids as recorded."""
     result = {}
     for recorded, grasp in grasps.items():
         label, outcome, _, dropped = edits.changes(recorded)
@@ -242,7 +242,7 @@ def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, Gras
 
 
 def count_outcomes(grasps: Iterable[GraspSummary], plan: Sequence[str] = ()) -> dict[str, Counter[str]]:
-    """Executed grasps by object and outcome; those of the plan first."""
+    """Return executed grasps by object and outcome; those of the plan first."""
     counts: dict[str, Counter[str]] = {name: Counter() for name in plan}
     for grasp in grasps:
         if grasp.touched:

@@ -40,6 +40,7 @@ from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
 from foretouch.types import Cloud, Grasp, Sample, Touch, stamp_ns
+from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -130,16 +131,20 @@ def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> S
         camera=properties_text(identity.camera),
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
+    _require_finite(message, sensor.channels)
+    return message
+
+
+def _require_finite(message: SimpleNamespace, channels: Channels) -> None:
+    """Refuse numbers that are not finite, but for NaN of taxels that were not read."""
     for name in _FINITE:
         values = np.asarray(getattr(message, name, 0.0))
-        read = name in _READINGS and values.size
-        if not (
-            is_storable(values.reshape(-1, sensor.channels.size), sensor.channels)
-            if read
-            else np.isfinite(values).all()
-        ):
+        if name in _READINGS and values.size:
+            finite = is_storable(values.reshape(-1, channels.size), channels)
+        else:
+            finite = bool(np.isfinite(values).all())
+        if not finite:
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
-    return message
 
 
 def serialize_cloud(cloud: Cloud) -> bytes:

@@ -5,7 +5,7 @@ import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -20,13 +20,6 @@ from foretouch_msgs.msg import Status, TouchPredictionArray, TouchPredictionBatc
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 
 _ENDS = (("values", "scalars"), ("lower", "scalars_lower"), ("upper", "scalars_upper"))
-
-
-class Refusal(NamedTuple):
-    """Why a grasp gets no prediction: a status of `foretouch_msgs/Status`, and the reason as text."""
-
-    status: int
-    reason: str
 
 
 @dataclass(eq=False)
@@ -45,11 +38,11 @@ class TouchAnswer:
     rotations: Float64 | None = None  # (K, 3, 3) that were computed for it, in the frame of the header; zeros for none
 
     @cached_property
-    def summary(self) -> Refusal:
-        """OK without a reason if any prediction is, else the refusal of the first."""
+    def summary(self) -> tuple[int, str]:
+        """OK without a reason if any prediction is, else status and reason of the first."""
         if self.predictions.ok.any() or not len(self.predictions):
-            return Refusal(Status.OK, "")
-        return Refusal(status_code(self.predictions[0].status), self.predictions[0].reason)
+            return Status.OK, ""
+        return status_code(self.predictions.status[0]), self.predictions.reason[0]
 
     @property
     def answered(self) -> list[GraspMsg | Grasp]:
@@ -80,7 +73,8 @@ class TouchAnswer:
             )
             for k, grasp in enumerate(self.grasps)
         ]
-        return TouchPredictionArray(header=self.header, predictions=made, **self.summary._asdict())
+        status, reason = self.summary
+        return TouchPredictionArray(header=self.header, predictions=made, status=status, reason=reason)
 
     @property
     def batch(self) -> TouchPredictionBatch:
@@ -97,7 +91,8 @@ class TouchAnswer:
             reasons=columns.reason.tolist(),
             flags=names,
             flagged=array.array("B", flagged.tobytes()),
-            **self.summary._asdict(),
+            status=self.summary[0],
+            reason=self.summary[1],
             **_adapted(columns, int(columns.ok.argmax())),
             **self._shared,
             **{name: array.array("f", table.tobytes()) for name, table in self._numbers.items()},

@@ -14,12 +14,17 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_cloud
-from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, LimitError
+from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
 from foretouch.grasp import GraspHold, GraspPlan, Obstacles
+from foretouch.grasp.messages import decode_grasp, has_orientation
+from foretouch.grasp.pose import joined_faults, rotation_faults
 from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
-from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Plane, stamp_ns
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Grasps, Plane, stamp_ns
+from foretouch.types.arrays import Bool, objects
+from foretouch.types.grasps import contact_faults
+from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
 _CODES: dict[str, int] = {name.lower(): getattr(Status, name) for name in dir(Status) if name.isupper()}
@@ -37,19 +42,6 @@ def status_name(code: int) -> str:
     return _NAMES.get(code, f"status {code}")
 
 
-@dataclass(frozen=True, eq=False)
-class GraspArrays:
-    """Grasps of a request that holds arrays."""
-
-    contacts: Float64  # (K, 2, 3) float64 [m], g1 and g2
-    rotations: Float64 | None  # (K, 3, 3) float64; None: all are computed
-    object_id: str  # of the object that they are on, "" for the only one
-    id: str  # before the numbers of the grasps; "" if they have no ids
-
-    def __len__(self) -> int:
-        return len(self.contacts)
-
-
 class RefusalError(ForetouchError):
     """An input cannot be answered: a status of `foretouch_msgs/Status`, not OK, and the reason as text."""
 
@@ -59,13 +51,57 @@ class RefusalError(ForetouchError):
         self.reason = str(self)
 
 
-class Latest(NamedTuple):
-    """The newest objects on a table, for requests that bring no cloud."""
+class Targets(NamedTuple):
+    """The objects of one cloud, on which requests have grasps planned or predicted."""
 
-    header: Header  # of their cloud
-    targets: tuple[Object, ...]
+    header: Header  # of the cloud
+    objects: tuple[Object, ...]
     message: Callable[[], PointCloud2]  # makes their `object_cloud`
-    refusal: RefusalError | None = None  # why there is no table
+    refusal: RefusalError | None = None  # why their table is not known
+
+
+@dataclass(frozen=True, eq=False)
+class RequestedGrasps:
+    """The grasps of a request, which gives them as messages or as arrays."""
+
+    grasps: Grasps  # K rows; NaN where one cannot be read, and an orientation of no meaning where it is not given
+    turned: Bool  # (K,) which have an orientation
+    reasons: list[str]  # why one cannot be read; "" for those that can
+    messages: Sequence[GraspMsg] | None = None  # as they came; None for arrays
+
+    @classmethod
+    def of_messages(cls, messages: Sequence[GraspMsg]) -> "RequestedGrasps":
+        """Read grasps from messages, each of which may be refused."""
+        grasps, reasons = Grasps.unknown(len(messages)), [""] * len(messages)
+        turned = np.array([has_orientation(message) for message in messages], np.bool_)
+        known: dict[int, Grasp] = {}
+        for k, message in enumerate(messages):
+            grasps.object_id[k] = message.object_id
+            try:
+                known[k] = decode_grasp(message, None if turned[k] else np.eye(3))
+            except GraspError as err:
+                reasons[k] = str(err)
+        return cls(grasps.put(list(known), Grasps.of(list(known.values()))), turned, reasons, messages)
+
+    @classmethod
+    def of_arrays(cls, request: Any) -> "RequestedGrasps":
+        """Read grasps from the arrays of a `PredictTouch.Request`; a `RefusalError`, BAD_REQUEST, if their sizes differ."""
+        contacts, rotations = (np.array(values, np.float64) for values in (request.contacts, request.rotations))
+        if len(request.grasps):
+            raise RefusalError(Status.BAD_REQUEST, "contacts: grasps are given too")
+        count = contacts.size // 6
+        for name, array, size in (("contacts", contacts, 6), ("rotations", rotations, 9)):
+            if array.size % size or array.size // size not in {0, count}:
+                expected = f"{count} x 9" if size == 9 else "a multiple of 6"
+                raise RefusalError(Status.BAD_REQUEST, f"{name}: {array.size} numbers are not {expected}")
+        given = rotations.size > 0
+        turned = rotations.reshape(-1, 3, 3) if given else np.tile(np.eye(3), (count, 1, 1))
+        g1, g2 = contacts.reshape(-1, 2, 3).swapaxes(0, 1)
+        names = [f"{request.id}/{k}" if request.id else "" for k in range(count)]
+        grasps = Grasps(g1, g2, turned, id=objects(names), object_id=objects([request.object_id] * count))
+        return cls(
+            grasps, np.full(count, given), joined_faults(contact_faults(g1, g2, turned), rotation_faults(turned))
+        )
 
 
 @contextmanager
@@ -83,19 +119,6 @@ def read_serialized(data: bytes, kind: type[_M]) -> _M:
     except Exception as err:  # rclpy declares no type for it
         raise DatasetError(f"{kind.__name__}: {len(data)} bytes cannot be deserialized: {err}") from err
     return message
-
-
-def read_arrays(request: Any) -> GraspArrays:
-    """The grasps of a `PredictTouch.Request` that holds arrays; a `RefusalError`, BAD_REQUEST, if their sizes differ."""
-    contacts, rotations = (np.array(values, np.float64) for values in (request.contacts, request.rotations))
-    if len(request.grasps):
-        raise RefusalError(Status.BAD_REQUEST, "contacts: grasps are given too")
-    for name, array, size in (("contacts", contacts, 6), ("rotations", rotations, 9)):
-        if array.size % size or array.size // size not in {0, contacts.size // 6}:
-            expected = f"{contacts.size // 6} x 9" if size == 9 else "a multiple of 6"
-            raise RefusalError(Status.BAD_REQUEST, f"{name}: {array.size} numbers are not {expected}")
-    turned = rotations.reshape(-1, 3, 3) if rotations.size else None
-    return GraspArrays(contacts.reshape(-1, 2, 3), turned, request.object_id, request.id)
 
 
 def read_cloud(message: PointCloud2) -> Cloud:
@@ -153,24 +176,30 @@ def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) 
     return tuple(replace(target, obstacles=obstacles) for target in read_targets(message, plane, limits))
 
 
-def requested_targets(
-    cloud: PointCloud2, table: Sequence[PlaneMsg], latest: Latest | None, limits: ObjectLimits
-) -> tuple[Header, tuple[Object, ...], bool]:
-    """Convert cloud and table, none or one, of a request: a cloud that is only a header stands for the latest one, with its table.
+def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits) -> Targets:
+    """Convert cloud and table of a request, for which a cloud that is only a header stands for the latest one, with its table.
 
-    Returns the header of the cloud, its objects, and whether their table is known. Raises as `read_targets` and `read_plane`; a
-    `RefusalError` too, EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if it is in another frame.
+    Args:
+        request: Holds a `cloud`, and a `table` with one plane or none.
+        latest: The newest objects, if there are any.
+        limits: Of objects.
+
+    Raises:
+        RefusalError: As `read_targets` and `read_plane`; EMPTY_CLOUD without a latest cloud, UNKNOWN_FRAME if that is in another frame.
     """
+    cloud, table = request.cloud, request.table
     plane = read_plane(table[0]) if table else None
     if cloud.fields or not cloud.header.frame_id:
-        return cloud.header, read_targets(cloud, plane or ASSUMED_TABLE, limits), plane is not None
+        unknown = None if table else RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
+        return Targets(cloud.header, read_targets(cloud, plane or ASSUMED_TABLE, limits), lambda: cloud, unknown)
     if latest is None:
         raise no_latest_cloud()
     check_frames("cloud", cloud.header, latest.header)
-    if not latest.targets:
+    if not latest.objects:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
-    targets = latest.targets if plane is None else tuple(replace(target, plane=plane) for target in latest.targets)
-    return latest.header, targets, plane is not None or latest.refusal is None
+    if plane is None:
+        return latest
+    return latest._replace(objects=tuple(replace(target, plane=plane) for target in latest.objects), refusal=None)
 
 
 def no_latest_cloud() -> RefusalError:

@@ -23,9 +23,10 @@ from foretouch.config import setting
 from foretouch.dataset.recording.sample_codec import Definitions
 from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.subscriptions import InputTopic, SerializedInput, SerializedMessage, sample_topics
+from foretouch.ros.recorder.subscriptions import RecordedTopic, sample_topics
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
-from foretouch.ros.runtime.subscription import type_name
+from foretouch.ros.runtime.subscription import InputTopic, SerializedMessage, type_name
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
 _DEPTH: Final = 100
@@ -49,7 +50,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
     def __init__(self, name: str = "bridge", **options: Any) -> None:
         self.url = ""  # where clients connect, while it is active
         self._served: dict[str, tuple[InputTopic, Any]] = {}  # topics with their channels, by full name
-        self._asked: dict[str, SerializedInput] = {}  # while a client asks for the topic
+        self._asked: set[str] = set()  # full names of the topics that clients ask for
         self._server: Any = None
         self._thinned = 0  # clouds of which every n-th point was served
         self._lock = threading.Lock()
@@ -61,8 +62,8 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         definitions = Definitions()
         others = {"objects": ObjectArray, "markers": MarkerArray, "recorder_status": RecorderStatus}
         topics = sample_topics(self.config, depth=_DEPTH, cloud_depth=_CLOUD_DEPTH, points_depth=_CLOUD_DEPTH)
-        topics += [InputTopic(topic, kind, _DEPTH) for topic, kind in others.items()]
-        for topic in (*topics, InputTopic("/diagnostics", DiagnosticArray, _DEPTH)):
+        topics += [RecordedTopic(topic, kind, _DEPTH) for topic, kind in others.items()]
+        for topic in (*topics, RecordedTopic("/diagnostics", DiagnosticArray, _DEPTH)):
             name, kind = self.resolve_topic_name(topic.name), type_name(topic.message)
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definitions.text(kind).encode())
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)
@@ -94,36 +95,30 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             ending.start()  # a client that does not read must not hold up the end of the graph
             ending.join(_END_S)
         with self._lock:
-            for subscription in self._asked.values():
-                subscription.destroy()
-            self._asked.clear()
+            while self._asked:
+                self.unsubscribe(self._served[self._asked.pop()][0].name)
         self.url = ""
 
     def _teardown(self) -> None:
         self._served.clear()
 
-    def notes(self) -> dict[str, str]:
-        """What clients ask for, for /diagnostics."""
+    def diagnose(self, report: Report) -> None:
+        """Report what clients ask for."""
         with self._lock:
-            asked = dict(self._asked)
-        return {
-            "url": self.url,
-            "topics": " ".join(sorted(asked)),
-            "clouds_thinned": str(self._thinned),
-            "lost_on_the_way": str(sum(subscription.losses.count for subscription in asked.values())),
-        }
+            report.values |= {"url": self.url, "topics": " ".join(sorted(self._asked))}
+        report.values["clouds_thinned"] = str(self._thinned)
 
     def _follow_clients(self) -> None:
         """Subscribe to what clients ask for, and to nothing else."""
         with self._lock:
             for name, (topic, channel) in self._served.items():
-                if self._server is None or not channel.has_sinks():
-                    if name in self._asked:
-                        self._asked.pop(name).destroy()
-                elif name in self._asked:
-                    self._asked[name].follow()
-                else:
-                    self._asked[name] = SerializedInput(self, topic, self._forward)
+                wanted = self._server is not None and channel.has_sinks()
+                if wanted and name not in self._asked:
+                    self._asked.add(name)
+                    self.subscribe(topic, self._forward)
+                elif name in self._asked and not wanted:
+                    self._asked.remove(name)
+                    self.unsubscribe(topic.name)
 
     def _forward(self, message: SerializedMessage) -> None:
         arrived = self.statistics.receive()

@@ -22,6 +22,7 @@ from foretouch.config import setting
 from foretouch.errors import CloudError, ForetouchError
 from foretouch.laboratory import needs_laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 
 DEPTH_TOPIC: Final = "depth/image_rect_raw"
@@ -96,32 +97,21 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         """Whether a recording was played to its end."""
         return (camera := self._camera) is not None and camera.status.state == "ended"
 
-    def errors(self) -> tuple[str, ...]:
-        """State and reason of a camera that is absent, stalled or being reopened."""
+    def diagnose(self, report: Report) -> None:
+        """Report the camera's state and counts, and why a scene is not shown."""
+        report.values["source"] = self.config.source
         if self._failure:
-            return (self._failure,)
-        if (camera := self._camera) is None or camera.status.is_ok:
-            return ()
-        return (f"{camera.status.state}: {camera.status.reason}",)
-
-    def warnings(self) -> tuple[str, ...]:
-        """Why a scene is not shown."""
-        fault = getattr(self.synthetic.frame, "fault", "") if self.synthetic else ""
-        return (fault,) if fault else ()
-
-    def notes(self) -> dict[str, str]:
-        """The camera's state and counts."""
-        if (camera := self._camera) is None:
-            return {"source": self.config.source, "camera": "closed"}
-        status = camera.status
-        return {
-            "source": self.config.source,
-            "camera": status.state,
-            "reason": status.reason,
-            "device": status.device,
-            "opened": str(status.opened),
-            "failures": str(status.failures),
-        }
+            report.errors.append(self._failure)
+        if fault := getattr(self.synthetic.frame, "fault", "") if self.synthetic else "":
+            report.warnings.append(fault)
+        if self._camera is None:
+            report.values["camera"] = "closed"
+            return
+        status = self._camera.status
+        if not (status.is_ok or self._failure):
+            report.errors.append(f"{status.state}: {status.reason}")
+        report.values |= {"camera": status.state, "reason": status.reason, "device": status.device}
+        report.values |= {"opened": str(status.opened), "failures": str(status.failures)}
 
     # The thread.
 

@@ -54,6 +54,19 @@ class View:
     # Last level, line and numbers by node name.
     nodes: dict[str, tuple[int, str, dict[str, str]]] = field(default_factory=dict)
 
+    def count_reason(self, reason: str) -> None:
+        """Count the kind of a reason, and keep the range of its numbers."""
+        kind = _NUMBER.sub("#", reason)
+        if kind not in self.reasons and len(self.reasons) >= _KINDS:
+            self.reasons["other"] += 1
+            return
+        self.reasons[kind] += 1
+        numbers = [float(text) for text in _NUMBER.findall(reason)]
+        ranges = self.numbers.get(kind, [(number, number) for number in numbers])
+        self.numbers[kind] = [
+            (min(low, number), max(high, number)) for (low, high), number in zip(ranges, numbers, strict=True)
+        ]
+
 
 Drawable: TypeAlias = tuple[Cloud | None, Object, TouchPrediction, TouchCut | None]
 """The whole cloud, if it was received; the object; its prediction; and the readings of the grasp, if it was executed."""
@@ -170,7 +183,7 @@ class MonitorNode(GuardedCallbacks, Node):
             self._view.answers[status_name(message.status)] += 1
             self._closed = self._view.answers.total() == self._count
             if message.reason:
-                self._count_reason(message.reason)
+                self._view.count_reason(message.reason)
             self._view.last = message
             if message.predictions:
                 self._drawable.append(message)
@@ -182,19 +195,6 @@ class MonitorNode(GuardedCallbacks, Node):
                     )
             if self._on_touch is not None:
                 self._on_touch(message)
-
-    def _count_reason(self, reason: str) -> None:
-        """Count the kind of a reason, and keep the range of its numbers."""
-        view, kind = self._view, _NUMBER.sub("#", reason)
-        if kind not in view.reasons and len(view.reasons) >= _KINDS:
-            view.reasons["other"] += 1
-            return
-        view.reasons[kind] += 1
-        numbers = [float(text) for text in _NUMBER.findall(reason)]
-        ranges = view.numbers.get(kind, [(number, number) for number in numbers])
-        view.numbers[kind] = [
-            (min(low, number), max(high, number)) for (low, high), number in zip(ranges, numbers, strict=True)
-        ]
 
     def _receive_cloud(self, data: bytes) -> None:
         self._assemble("cloud", SerializedCloud(data, partial(read_serialized, data, PointCloud2)))

@@ -15,7 +15,7 @@ from foretouch.config import setting
 from foretouch.grasp import GraspPlan
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.requests import Latest, RefusalError, read_objects, status_code
+from foretouch.ros.messages.requests import RefusalError, Targets, read_objects, status_code
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
@@ -23,7 +23,7 @@ from foretouch.ros.steps.grasping import GraspSettings, GraspStep
 from foretouch.ros.steps.segmentation import SegmentationSettings, SegmentationStep
 from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
-from foretouch.ros.touch.config import TouchSettings
+from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.types import stamp_ns
 from foretouch_msgs.msg import GraspArray, TablePlane
@@ -78,7 +78,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
     ) -> tuple[int, str]:
         """Plan and predict on targets, none with the status and reason; `message` makes their `object_cloud`."""
         header = item.header
-        self._touch.latest = Latest(header, tuple(targets), message, None if targets else RefusalError(status, reason))
+        self._touch.latest = Targets(header, tuple(targets), message, None if targets else RefusalError(status, reason))
         grasps = GraspArray(header=header, status=status, reason=reason)
         plans: Sequence[GraspPlan] = ()
         if targets:

@@ -25,7 +25,8 @@ from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
 from foretouch.ros.messages.tactile import TactileInput
 from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
-from foretouch.ros.recorder.subscriptions import RecorderSubscriptions, depth_topics, robot_topics, sample_topics
+from foretouch.ros.recorder.subscriptions import RecorderInputs, depth_topics, robot_topics, sample_topics
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReader
@@ -115,7 +116,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     exclusive_topics = (GRASPS_TOPIC,)
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
-        self.input_topics: RecorderSubscriptions | None = None
+        self.inputs: RecorderInputs | None = None  # once it is configured
         self._session: RecordingSession | None = None  # the current one, or the last
         self._told = False  # whether it is logged that it has ended by itself
         super().__init__(name, RecorderConfig, **options)
@@ -130,8 +131,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         others, missing = robot_topics(depth=1000)
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
-        self.input_topics = RecorderSubscriptions(self, [*topics, *others])
-        self.closing.callback(self.input_topics.destroy)
+        self.inputs = RecorderInputs(self, [*topics, *others])
         group = MutuallyExclusiveCallbackGroup()
         self.closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
         services: tuple[tuple[Any, str, Callable[[Any, Any], str]], ...] = (
@@ -153,36 +153,27 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def _stop(self) -> None:
         self.end()
 
-    def _teardown(self) -> None:
-        self.input_topics = None
-
-    def errors(self) -> tuple[str, ...]:
-        """Why the last recording ended by itself."""
-        return (self.reason,) if self.reason else ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """Publishers that nothing is received from."""
-        return () if self.input_topics is None else self.input_topics.excluded
-
-    def notes(self) -> dict[str, str]:
-        """The counts, for /diagnostics."""
-        status = self.status()
-        return {
-            "phase": ("paused" if self.session_status().operator.paused else "recording")
-            if status.recording
-            else "idle",
-            "object": self.session_status().operator.object,
-            "received": str(status.received),
-            "used": str(status.used),
-            "dropped": str(sum(status.drop_counts)),
-            "lost_on_the_way": str(status.lost),
-            "rate_hz": f"{sum(topic.rate for topic in status.topics):.2f}",
-            "samples": str(status.samples),
-            "unlabelled": str(status.unlabelled),
-            **{f"executed.{r}": str(n) for r, n in zip(status.outcomes, status.outcome_counts, strict=True)},
-            **{f"tactile.{name}": str(count) for name, count in self.session_status().anomalies.items()},
-            **{f"sensor.{name}": s for name, s in zip(status.sensors, status.sensor_states, strict=True)},
+    def diagnose(self, report: Report) -> None:
+        """Report the counts, and why the last recording ended by itself."""
+        status, session = self.status(), self.session_status()
+        if self.reason:
+            report.errors.append(self.reason)
+        phase = "idle" if not status.recording else "paused" if session.operator.paused else "recording"
+        counts = {
+            "received": status.received,
+            "used": status.used,
+            "dropped": sum(status.drop_counts),
+            "lost_on_the_way": status.lost,
+            "samples": status.samples,
+            "unlabelled": status.unlabelled,
+            **{f"executed.{name}": count for name, count in zip(status.outcomes, status.outcome_counts, strict=True)},
+            **{f"tactile.{name}": count for name, count in session.anomalies.items()},
         }
+        report.values |= {"phase": phase, "object": session.operator.object}
+        report.values |= {key: str(count) for key, count in counts.items()}
+        report.values["rate_hz"] = f"{sum(topic.rate for topic in status.topics):.2f}"
+        sensors = zip(status.sensors, status.sensor_states, strict=True)
+        report.values |= {f"sensor.{name}": state for name, state in sensors}
 
     # Recording.
 
@@ -227,8 +218,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if self.recording:
             raise ConfigError(f"{self._running().writer.path} is being recorded; stop it first")
         self.end()
-        topics, config = self.input_topics, self.config
-        assert topics is not None  # noqa: S101  made by setup
+        inputs, config = self.inputs, self.config
+        assert inputs is not None  # noqa: S101  made by setup
         label = label or next(iter(config.objects), "")
         for name in filter(None, (label, *config.objects)):
             check_name(name, "object")
@@ -244,11 +235,9 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         )
         assembler = SampleAssembler(assembling, self.reader)
         operator = Operator(writer, assembler, config.objects, lambda: self.get_clock().now().nanoseconds)
-        self._told, warn = False, self.get_logger().warning
-        queue_bytes = config.queue_mb * 1_000_000
-        self._session = RecordingSession(
-            writer, topics, assembler, operator, config.tactile_topic, queue_bytes, warn, self._hold.publish
-        )
+        self._told = False
+        queue_bytes, warn = config.queue_mb * 1_000_000, self.get_logger().warning
+        self._session = RecordingSession(writer, inputs, assembler, operator, queue_bytes, warn, self._hold.publish)
         self.get_logger().info(f"recording into {writer.file}")
         return target
 
@@ -260,8 +249,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def status(self) -> RecorderStatus:
         """The current `recorder_status`."""
-        statistics = {} if self.input_topics is None else self.input_topics.statistics()
-        return status_to_msg(self._session, statistics, self.get_clock().now().nanoseconds)
+        return status_to_msg(self._session, self.inputs, self.get_clock().now().nanoseconds)
 
     # Services and the timer.
 
@@ -311,9 +299,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         return "; ".join(self.act(action, text, request.grasp_id) for action, text in edits)
 
     def _tick(self) -> None:
-        inputs = self.input_topics
-        for text in () if inputs is None else inputs.tick():
-            self.get_logger().info(text)
+        if self.inputs is not None:
+            self.inputs.tick()
         if self.reason and not self.recording and not self._told:
             self._told = True
             self.end()  # messages from now on are not received

@@ -33,6 +33,7 @@ from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, ent
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
@@ -233,20 +234,15 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         """Whether there is nothing more to play."""
         return self.ended.is_set() and self.outcome != "stopped"  # a stopped node may be activated again
 
-    def errors(self) -> tuple[str, ...]:
-        """Why the replay failed."""
-        return (self.reason,) if self.has_failed else ()
-
-    def notes(self) -> dict[str, str]:
-        """State of the replay, and counts by topic."""
-        return {
-            "replay": self.outcome,
-            "source": self.config.path,
-            "clouds": str(len(self._source) if self._source is not None else 0),
-            "unanswered": str(self.unanswered),
-            **{f"played.{topic}": str(count) for topic, count in self.played.items()},
-            **{f"left_out.{topic}": reason for topic, reason in self._left_out.items()},
-        }
+    def diagnose(self, report: Report) -> None:
+        """Report the state of the replay, and counts by topic."""
+        if self.has_failed:
+            report.errors.append(self.reason)
+        clouds = len(self._source) if self._source is not None else 0
+        report.values |= {"replay": self.outcome, "source": self.config.path, "clouds": str(clouds)}
+        report.values["unanswered"] = str(self.unanswered)
+        report.values |= {f"played.{topic}": str(count) for topic, count in self.played.items()}
+        report.values |= {f"left_out.{topic}": reason for topic, reason in self._left_out.items()}
 
     # The thread.
 

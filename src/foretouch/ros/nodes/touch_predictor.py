@@ -8,8 +8,9 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.pipeline import Object
 from foretouch.ros.messages.requests import (
-    Latest,
     RefusalError,
+    RequestedGrasps,
+    Targets,
     check_frames,
     passed_on,
     read_objects,
@@ -18,9 +19,10 @@ from foretouch.ros.messages.requests import (
 )
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
 from foretouch.ros.runtime.processing_node import Input
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
-from foretouch.ros.touch.config import TouchSettings
+from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, stamp_ns
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
@@ -46,7 +48,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
     def _setup(self) -> None:
         self._step = TouchStep(self)  # before subscribing, so that no answer is lost
         self.steps = (self._step, TouchServices(self, self._step))
-        self.subscribe(TablePlane, "table", self._remember_table)
+        self.subscribe(InputTopic("table", TablePlane), self._remember_table)
         super()._setup()
 
     def _answer(self, item: Input) -> tuple[int, str]:
@@ -58,7 +60,7 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         table = self._tables.get(stamp_ns(cloud.header.stamp))  # without one, the camera is taken to look straight down
         plane = read_table(table, item.header) if table else ASSUMED_TABLE
         targets = read_targets(cloud, plane, self.config.limits)
-        answer = self._step.answer(targets, grasps.grasps, item.header, None)
+        answer = self._step.answer(targets, RequestedGrasps.of_messages(grasps.grasps), item.header)
         self._step.publish(answer, grasps, lambda: cloud)
         return answer.summary
 
@@ -78,4 +80,4 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
             targets = read_objects(cloud, table, self.config.limits)
         except RefusalError as err:
             refusal = err
-        self._step.latest = Latest(cloud.header, targets, lambda: cloud, refusal)
+        self._step.latest = Targets(cloud.header, targets, lambda: cloud, refusal)

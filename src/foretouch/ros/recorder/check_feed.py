@@ -14,9 +14,9 @@ from foretouch.dataset.session_check import SessionCheck
 from foretouch.errors import ForetouchError
 from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.ros.messages.requests import read_serialized
-from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage
+from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderInputs
+from foretouch.ros.runtime.subscription import SerializedMessage
 from foretouch.tactile.messages.table import TactileReader
-from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Cloud
 from foretouch_msgs.msg import TablePlane
 
@@ -28,10 +28,10 @@ _CLOUDS = 5  # of the camera that are kept until the object's cloud of the same 
 class CheckFeed:
     """Receives until `close`; messages that cannot be decoded are counted."""
 
-    def __init__(self, check: SessionCheck, inputs: RecorderSubscriptions, reader: TactileReader) -> None:
+    def __init__(self, check: SessionCheck, inputs: RecorderInputs, reader: TactileReader) -> None:
         self._check, self._inputs, self._reader = check, inputs, reader
         self._clouds: OrderedDict[int, SerializedMessage] = OrderedDict()  # or depth images
-        images = (name for name, stream in inputs.inputs.items() if stream.topic.message in _IMAGES)
+        images = (name for name, topic in inputs.topics.items() if topic.message in _IMAGES)
         self._infos = CameraInfos(next(images, ""))
         self._queue = MessageQueue(_QUEUE_BYTES)
         inputs.open(self._queue)
@@ -51,27 +51,29 @@ class CheckFeed:
         self._inputs.close()
 
     def _add(self, message: SerializedMessage) -> None:
-        topic, check = self._inputs.inputs[message.topic].topic, self._check
-        if topic.message is CameraInfo:
-            self._infos.add(read_serialized(message.data, CameraInfo), time.monotonic())
-        elif topic.name == "points" or topic.message in _IMAGES:
-            stamp, _ = read_header(message.data)
-            check.add_message("camera", message.received_ns, stamp)
-            self._clouds[stamp] = message
-            if len(self._clouds) > _CLOUDS:
-                self._clouds.popitem(last=False)
-        elif topic.name == "table":
-            check.table = plane_from_msg(read_serialized(message.data, TablePlane).plane)
-        elif topic.name == CLOUD_TOPIC:
-            scene = self._clouds.get(read_header(message.data)[0])
-            objects = decode_objects(read_serialized(message.data, PointCloud2))
-            if scene is not None and objects:
-                check.scene = self._scene(scene).xyz
-                check.targets = [object_.cloud.xyz for object_ in objects]
-        elif topic.name == next(iter(self._inputs.inputs.values())).topic.name:  # the hand's is the first
-            check.add_reading(self._reader.read(read_serialized(message.data, topic.message)), message.received_ns)
+        topic, check = self._inputs.topics[message.topic], self._check
+        match topic.role:
+            case "info":
+                self._infos.add(read_serialized(message.data, CameraInfo), time.monotonic())
+            case "scene":
+                stamp, _ = read_header(message.data)
+                check.add_message("camera", message.received_ns, stamp)
+                self._clouds[stamp] = message
+                if len(self._clouds) > _CLOUDS:
+                    self._clouds.popitem(last=False)
+            case "table":
+                check.table = plane_from_msg(read_serialized(message.data, TablePlane).plane)
+            case "cloud":
+                scene = self._clouds.get(read_header(message.data)[0])
+                objects = decode_objects(read_serialized(message.data, PointCloud2))
+                if scene is not None and objects:
+                    check.scene = self._scene(scene).xyz
+                    check.targets = [object_.cloud.xyz for object_ in objects]
+            case "tactile":
+                reading = self._reader.read(read_serialized(message.data, topic.message))
+                check.add_reading(reading, message.received_ns)
 
     def _scene(self, message: SerializedMessage) -> Cloud:
-        kind = self._inputs.inputs[message.topic].topic.message
+        kind = self._inputs.topics[message.topic].message
         content: Any = read_serialized(message.data, kind)
         return self._infos.cloud(content, time.monotonic()) if kind in _IMAGES else decode_cloud(content)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Any, Final, get_args
 
 from foretouch.cloud.messages import read_header
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
@@ -29,16 +29,15 @@ from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
-from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderSubscriptions, SerializedMessage, TopicStatistics
-from foretouch.ros.runtime.subscription import type_name
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderInputs, names_and_counts
+from foretouch.ros.runtime.subscription import SerializedMessage, type_name
 from foretouch.types import Sample, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
-from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
 _PREDICTIONS: Final = 1000  # messages that are kept until their grasps are executed: half a minute at 30 Hz
 
 
+_ROLES: Final[Mapping[str, Role]] = {role: role for role in get_args(Role)}  # of messages that samples are made of
 _NO_HOLD: Final = TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet")
 
 
@@ -60,8 +59,14 @@ class SessionStatus:
 class RecordingSession:
     """Records until `close`, or until the disk is full or fails, or the file is removed.
 
-    The open `writer` is closed here. Of the `topics`, so many bytes of messages may wait for the disk, `tactile_topic` is that of the
-    hand, and nothing more is received at the end; `publish` gets for each grasp whether it will hold.
+    Args:
+        writer: Open; it is closed here.
+        inputs: What is received.
+        assembler: Makes samples of the messages.
+        operator: Its actions are done under the lock of the assembler.
+        queue_bytes: Limit of the messages that wait for the disk.
+        warn: Called with a line about a grasp without a sample, or a message that cannot be decoded.
+        publish: Called for each grasp with the chance that it holds.
 
     Attributes:
         status: The state; replaced as a whole.
@@ -71,10 +76,9 @@ class RecordingSession:
     def __init__(
         self,
         writer: RecordingWriter,
-        topics: RecorderSubscriptions,
+        inputs: RecorderInputs,
         assembler: SampleAssembler,
         operator: Operator,
-        tactile_topic: str,
         queue_bytes: int,
         warn: Callable[[str], object],
         publish: Callable[[TouchHold], object],
@@ -83,7 +87,7 @@ class RecordingSession:
         self.began_s = time.monotonic()
         self.status = SessionStatus()
         self.ended = threading.Event()
-        self._topics = topics
+        self._inputs = inputs
         self._queue = MessageQueue(queue_bytes)
         self._assembler = assembler
         self._assembler_lock = threading.Lock()  # labels and the operator's actions come from other threads
@@ -91,31 +95,19 @@ class RecordingSession:
         self._dropping = False  # what is received in a pause
         self._predictions: OrderedDict[int, bytes] = OrderedDict()  # serialised, by the stamp of their cloud
         self._last: tuple[TouchPrediction | None, TouchCut] | None = None
-        roles: dict[str, Role | Literal["touch"]] = {
-            tactile_topic: "tactile",
-            CLOUD_TOPIC: "cloud",
-            GRASPS_TOPIC: "grasps",
-            EXECUTED_TOPIC: "executed",
-            "touch": "touch",
-        }
-        self._inputs = {
-            name: (roles[stream.topic.name], stream.topic.message)
-            for name, stream in topics.inputs.items()
-            if stream.topic.name in roles
-        }
-        for name, stream in topics.inputs.items():
-            writer.add_topic(name, type_name(stream.topic.message))
         self._warn = warn
         self._hold, self._publish = HoldEvaluator(writer.sensor), publish
         self._unreadable: Counter[str] = Counter()
         self._last_sample = ""
         self._errors_ns: deque[int] = deque(maxlen=1000)
         self._sizes: deque[tuple[float, int]] = deque()
-        writer.before_end = self._account_for_rest
         self._error = ""
         self.ended_s = 0.0  # `time.monotonic`, once it has ended
+        for name, topic in inputs.topics.items():
+            writer.add_topic(name, type_name(topic.message))
+        writer.before_end = self._account_for_rest
         self._update_status()
-        topics.open(self._queue)
+        inputs.open(self._queue)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -131,7 +123,7 @@ class RecordingSession:
 
     def close(self) -> None:
         """Write all messages received so far, complete pending grasps, and close the file; may be called more than once."""
-        self._topics.close()
+        self._inputs.close()
         self._queue.close()
         self._thread.join()
 
@@ -171,8 +163,8 @@ class RecordingSession:
         self._account_for_losses()
 
     def _account_for_losses(self) -> None:
-        for topic, count in self._topics.lost().items():
-            self.writer.lose(topic, count)
+        for topic, stream in self._inputs.streams.items():
+            self.writer.lose(topic, stream.losses.count)
 
     def _process(self, messages: list[SerializedMessage], refused: Counter[str], *, ending: bool = False) -> None:
         for topic, count in refused.items():
@@ -233,12 +225,13 @@ class RecordingSession:
 
     def _assemble(self, serialized: SerializedMessage) -> None:
         """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
-        role, message_class = self._inputs.get(serialized.topic, (None, object))
-        if role is None:
+        topic = self._inputs.topics[serialized.topic]
+        role = _ROLES.get(topic.role)
+        if role is None and topic.role != "touch":
             return
-        decode = partial(read_serialized, serialized.data, message_class)
+        decode = partial(read_serialized, serialized.data, topic.message)
         try:
-            if role == "touch":
+            if role is None:
                 self._predictions[read_header(serialized.data)[0]] = serialized.data
                 if len(self._predictions) > _PREDICTIONS:
                     self._predictions.popitem(last=False)
@@ -271,6 +264,7 @@ class RecordingSession:
         errors = [error * 1e-9 for error in self._errors_ns] or [math.nan]
         with self._assembler_lock:
             sensors = assembler.sensor_states(now)
+            outcomes, outcome_counts = names_and_counts(assembler.results)
             message = RecorderStatus(
                 path=str(writer.path),
                 bytes_written=size,
@@ -278,7 +272,8 @@ class RecordingSession:
                 unlabelled=writer.samples - writer.labelled,
                 status=Status.FAILED if self._error else Status.OK,
                 reason=self._error,
-                **_counts("outcomes", "outcome_counts", assembler.results),
+                outcomes=outcomes,
+                outcome_counts=outcome_counts,
                 last_sample=self._last_sample,
                 pairing_error=errors[-1],
                 pairing_error_max=max(errors),
@@ -297,41 +292,24 @@ class RecordingSession:
             )
 
 
-def status_to_msg(
-    session: RecordingSession | None, statistics: Mapping[str, TopicStatistics], now_ns: int
-) -> RecorderStatus:
-    """The recorder's state as a message with a stamp [ns]: of the current session, or of the last one; None before the first.
+def status_to_msg(session: RecordingSession | None, inputs: RecorderInputs | None, now_ns: int) -> RecorderStatus:
+    """Convert the recorder's state to a message.
 
-    `statistics` are by topic.
+    Args:
+        session: The current session, or the last one; None before the first.
+        inputs: What the recorder receives; None before it was configured.
+        now_ns: Stamp [ns].
     """
     state = SessionStatus() if session is None else session.status
-    received = {name: account for name, account in state.accounts.items() if name != SAMPLE_TOPIC}
-    accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
-    topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
-    drops = _counts("drop_reasons", "drop_counts", sum((account.dropped for account in accounts.values()), Counter()))
+    accounts = {name: account for name, account in state.accounts.items() if name != SAMPLE_TOPIC}
+    topics = [] if inputs is None else inputs.accounts(accounts)
     message = copy(state.message)
     if session is not None:
         message.recording = not session.ended.is_set()
         message.duration = duration_to_msg((session.ended_s or time.monotonic()) - session.began_s)
     message.header, message.topics = header_to_msg("", now_ns), topics
     message.received, message.used = sum(topic.received for topic in topics), sum(topic.written for topic in topics)
-    message.lost, message.drop_reasons, message.drop_counts = sum(topic.lost for topic in topics), *drops.values()
+    message.lost = sum(topic.lost for topic in topics)
+    dropped: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
+    message.drop_reasons, message.drop_counts = names_and_counts(dropped)
     return message
-
-
-def _topic(name: str, account: TopicCounts, topic: TopicStatistics) -> TopicAccountMsg:
-    return TopicAccountMsg(
-        topic=name,
-        received=account.received + topic.waiting,
-        written=account.written,
-        waiting=account.pending + topic.waiting,
-        **_counts("drop_reasons", "drop_counts", account.dropped),
-        lost=account.lost,
-        reliable=topic.reliable,
-        rate=topic.rate_hz,
-    )
-
-
-def _counts(names: str, counts: str, counted: Counter[str]) -> dict[str, Sequence[str] | Sequence[int]]:
-    present = {name: count for name, count in sorted(counted.items()) if count > 0}
-    return {names: list(present), counts: list(present.values())}

@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions that receive serialised messages: those of the recorder, with their queue and statistics, and of the bridge."""
+"""What the recorder receives: serialised messages of its topics, their queue and their counts."""
 
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.bounded_queue import BoundedQueue
 from foretouch.cloud.io.depth_messages import info_topic
+from foretouch.dataset.recording.records import TopicCounts
 from foretouch.ros.messages.tactile import TactileInput, tactile_class
-from foretouch.ros.runtime.subscription import FollowingSubscription
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.ros.runtime.subscription import InputTopic, SerializedMessage
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TopicAccount, TouchPredictionArray
 
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
 
@@ -34,78 +34,38 @@ _LATCHED: Final = ("/tf_static", "/robot_description")
 
 
 @dataclass(frozen=True)
-class InputTopic:
-    """A topic whose serialised messages are received."""
+class RecordedTopic(InputTopic):
+    """A topic whose messages are received serialised."""
 
-    name: str  # before remapping, which may be relative to the namespace
-    message: type  # class of its messages
-    depth: int  # queue size of the middleware
+    raw: bool = True
+    role: str = ""  # what its messages are for samples or checks; "" for neither
     optional: bool = False  # whether nothing is reported of it until a message arrives
-    latched: bool = False  # whether its publishers send their last messages to late subscribers (transient local)
 
 
-@dataclass(frozen=True, slots=True)
-class SerializedMessage:
-    """A message as it was received."""
-
-    topic: str  # full name
-    data: bytes  # CDR
-    received_ns: int  # when the middleware received it [ns]
-    sent_ns: int  # when it was published [ns]
-    sequence: int | None  # sequence number of its publisher; None where the middleware has none
-
-
-class SerializedInput(FollowingSubscription):
-    """The subscription of a node to one topic, whose messages are passed on as bytes.
-
-    Args:
-        node: The node.
-        topic: The topic.
-        receive: Called with every message, in the thread of the executor; must return at once.
-    """
-
-    def __init__(self, node: Node, topic: InputTopic, receive: Callable[[SerializedMessage], None]) -> None:
-        self.topic = topic
-        self._forward = receive
-        super().__init__(
-            node,
-            topic.message,
-            topic.name,
-            self._pass_on,
-            depth=topic.depth,
-            group=MutuallyExclusiveCallbackGroup(),
-            latched=topic.latched,
-            raw=True,
-        )
-
-    def _pass_on(self, data: bytes, info: Any) -> None:
-        times = info["received_timestamp"], info["source_timestamp"]
-        self._forward(SerializedMessage(self.name, data, *times, info.get("publication_sequence_number")))
-
-
-def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[InputTopic]:
-    """The topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
+def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[RecordedTopic]:
+    """List the topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
     topics = [
-        InputTopic(config.tactile_topic, tactile_class(config.tactile.message_type), depth),
-        InputTopic(CLOUD_TOPIC, PointCloud2, cloud_depth),
-        InputTopic("table", TablePlane, depth),
-        InputTopic(GRASPS_TOPIC, GraspArray, depth),
-        InputTopic("touch", TouchPredictionArray, depth),
-        InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth),
+        RecordedTopic(config.tactile_topic, tactile_class(config.tactile.message_type), depth, role="tactile"),
+        RecordedTopic(CLOUD_TOPIC, PointCloud2, cloud_depth, role="cloud"),
+        RecordedTopic("table", TablePlane, depth, role="table"),
+        RecordedTopic(GRASPS_TOPIC, GraspArray, depth, role="grasps"),
+        RecordedTopic("touch", TouchPredictionArray, depth, role="touch"),
+        RecordedTopic(EXECUTED_TOPIC, ExecutedGrasp, depth, role="executed"),
     ]
     if points_depth:
-        topics.append(InputTopic("points", PointCloud2, points_depth))
+        topics.append(RecordedTopic("points", PointCloud2, points_depth, role="scene"))
     return topics
 
 
-def depth_topics(images: str, depth: int) -> list[InputTopic]:
-    """The topic of depth images, raw or `compressedDepth`, and of the camera infos beside it."""
+def depth_topics(images: str, depth: int) -> list[RecordedTopic]:
+    """List the topic of depth images, raw or `compressedDepth`, and of the camera infos beside it."""
     kind = CompressedImage if images.endswith("/compressedDepth") else Image
-    return [InputTopic(images, kind, depth), InputTopic(info_topic(images), CameraInfo, 10 * depth)]
+    infos = RecordedTopic(info_topic(images), CameraInfo, 10 * depth, role="info")
+    return [RecordedTopic(images, kind, depth, role="scene"), infos]
 
 
-def robot_topics(depth: int) -> tuple[list[InputTopic], list[str]]:
-    """The topics of the robot, which are recorded as far as they are published, and the packages that are missing for some."""
+def robot_topics(depth: int) -> tuple[list[RecordedTopic], list[str]]:
+    """List the topics of the robot, which are recorded as far as they are published, and the packages that are missing for some."""
     topics, missing = [], set()
     for name, type_name in _ROBOT_TOPICS.items():
         package, _, kind = type_name.split("/")
@@ -114,7 +74,7 @@ def robot_topics(depth: int) -> tuple[list[InputTopic], list[str]]:
         except ImportError:
             missing.add(package)
             continue
-        topics.append(InputTopic(name, message, depth, optional=True, latched=name in _LATCHED))
+        topics.append(RecordedTopic(name, message, depth, optional=True, latched=name in _LATCHED))
     return topics, sorted(missing)
 
 
@@ -146,41 +106,33 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
             self._refused[message.topic] += 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class TopicStatistics:
-    """Statistics of a topic beside the session's message counts."""
+class RecorderInputs:
+    """The subscriptions of the recorder; without a session, messages are only counted.
 
-    waiting: int = 0  # messages in the queue
-    reliable: bool = True  # whether lost messages are sent again
-    rate_hz: float = 0.0  # rate of arrival [Hz]
+    Args:
+        node: Subscribes; it must be configuring.
+        topics: What to subscribe to.
 
-
-class RecorderSubscriptions:
-    """All subscriptions of the recorder; without a session, messages are only counted.
-
-    `inputs` are the subscriptions by full name of the topic. `excluded` has a line for each type of publishers, as of the last
-    `tick`, that no message is received from.
+    Attributes:
+        topics: The topics by full name.
+        streams: The subscriptions to them.
     """
 
-    def __init__(self, node: Node, topics: Sequence[InputTopic]) -> None:
-        self.inputs: dict[str, SerializedInput] = {}
-        self.excluded: tuple[str, ...] = ()
+    def __init__(self, node: ForetouchNode[Any], topics: Sequence[RecordedTopic]) -> None:
         self._queue: MessageQueue | None = None
         self._latched: deque[SerializedMessage] = deque(maxlen=_LATCHED_KEPT)
         self._lock = threading.Lock()  # a latched message is written once in a session
         self._arrived: Counter[str] = Counter()
         self._ticks = deque([(time.monotonic(), Counter[str]())], maxlen=11)
-        try:
-            for topic in topics:
-                stream = SerializedInput(node, topic, partial(self._receive, latched=topic.latched))
-                self.inputs[stream.name] = stream
-        except BaseException:  # such as an override that names no policy
-            self.destroy()
-            raise
+        self.topics = {node.resolve_topic_name(topic.name): topic for topic in topics}
+        self.streams = {
+            name: node.subscribe(topic, partial(self._receive, latched=bool(topic.latched)))
+            for name, topic in self.topics.items()
+        }
 
     def open(self, queue: MessageQueue) -> None:
         """Begin a session: restart the counts, and put messages into its queue, first the latched ones of before."""
-        for stream in self.inputs.values():
+        for stream in self.streams.values():
             stream.losses.count = 0
         with self._lock:
             for message in self._latched:
@@ -191,40 +143,26 @@ class RecorderSubscriptions:
         """End the session."""
         self._queue = None
 
-    def lost(self) -> dict[str, int]:
-        """Messages that the middleware has lost since `open`, by topic."""
-        return {name: stream.losses.count for name, stream in self.inputs.items()}
-
-    def tick(self) -> list[str]:
-        """Update the rates and adapt to the publishers; gives a line for each replaced subscription and new `excluded` type."""
+    def tick(self) -> None:
+        """Update the rates."""
         self._ticks.append((time.monotonic(), Counter(self._arrived)))
-        before = self.excluded
-        self.excluded = tuple(text for stream in self.inputs.values() for text in stream.excluded())
-        return [text for text in self.excluded if text not in before] + [
-            f"{stream.name}: subscribed with {'reliable' if stream.reliable else 'best effort'} QoS, as its publishers offer"
-            for stream in self.inputs.values()
-            if stream.follow()
-        ]
 
-    def statistics(self) -> dict[str, TopicStatistics]:
-        """Current statistics of each topic."""
+    def accounts(self, counts: Mapping[str, TopicCounts]) -> list[TopicAccount]:
+        """Make the accounts of the topics, from what a session has counted, and what waits for it."""
         queue = self._queue
         waiting: Counter[str] = Counter() if queue is None else queue.waiting()
         (first_s, first), (last_s, last) = self._ticks[0], self._ticks[-1]
-        return {
-            name: TopicStatistics(
-                waiting=waiting[name],
-                reliable=stream.reliable,
-                rate_hz=(last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0,
-            )
-            for name, stream in self.inputs.items()
-            if self._arrived[name] or not stream.topic.optional
-        }
-
-    def destroy(self) -> None:
-        """End all subscriptions."""
-        for stream in self.inputs.values():
-            stream.destroy()
+        made = []
+        for name, stream in self.streams.items():
+            if self.topics[name].optional and not (name in counts or self._arrived[name]):
+                continue
+            count = counts.get(name, TopicCounts())
+            account = TopicAccount(topic=name, written=count.written, lost=count.lost, reliable=stream.reliable)
+            account.received, account.waiting = count.received + waiting[name], count.pending + waiting[name]
+            account.drop_reasons, account.drop_counts = names_and_counts(count.dropped)
+            account.rate = (last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0
+            made.append(account)
+        return made
 
     def _receive(self, message: SerializedMessage, *, latched: bool) -> None:
         self._arrived[message.topic] += 1
@@ -233,3 +171,9 @@ class RecorderSubscriptions:
                 self._latched.append(message)
             if (queue := self._queue) is not None:
                 queue.put(message)
+
+
+def names_and_counts(counted: Mapping[str, int]) -> tuple[list[str], list[int]]:
+    """List what was counted at least once, in order of the names, as messages hold it."""
+    present = {name: count for name, count in sorted(counted.items()) if count > 0}
+    return list(present), list(present.values())

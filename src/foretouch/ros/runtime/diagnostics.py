@@ -1,18 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node reports in /diagnostics: its state, rate, ages and latencies, and what became of every input."""
+"""What a node reports in /diagnostics: its state, rate, ages and latencies, and what became of every input.
 
-import os
+The package `diagnostic_updater` of ROS makes such reports, but it is not on PyPI.
+"""
+
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 _WINDOW: Final = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
+
+
+@dataclass
+class Report:
+    """One report of a node, to which each part of it adds."""
+
+    errors: list[str] = field(default_factory=list)  # what keeps the node from working
+    warnings: list[str] = field(default_factory=list)  # what the operator should know although the node works
+    values: dict[str, str] = field(default_factory=dict)  # all else, by key
+
+    def to_msg(self, name: str, fine: str) -> DiagnosticStatus:
+        """Convert to the message of a node; its text is what is wrong, else `fine`."""
+        level = (
+            DiagnosticStatus.ERROR if self.errors else DiagnosticStatus.WARN if self.warnings else DiagnosticStatus.OK
+        )
+        text = "; ".join(self.errors or self.warnings) or fine
+        values = [KeyValue(key=key, value=value) for key, value in self.values.items()]
+        return DiagnosticStatus(level=level, name=name, message=text, hardware_id="none", values=values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +57,7 @@ class InputStatistics:
         self._lock = threading.Lock()
         self._received = self._used = self._lost = 0
         self._dropped: Counter[str] = Counter()
+        self._reported: Counter[str] = Counter()  # drops and losses that are in the reports so far
         self._ages: deque[float] = deque(maxlen=_WINDOW)
         self._latencies: deque[float] = deque(maxlen=_WINDOW)
         self._answers: deque[float] = deque(maxlen=_WINDOW)
@@ -87,69 +108,31 @@ class InputStatistics:
                 idle_s=None if self._last_arrival is None else now - self._last_arrival,
             )
 
+    def add_to(self, report: Report, silence_s: float | None) -> None:
+        """Report all numbers, and what was dropped since the last report as a warning.
+
+        Args:
+            report: Extended.
+            silence_s: Time without an input that is a warning [s]; None where no input is expected.
+        """
+        now = self.summary()
+        if silence_s is not None and (now.idle_s is None or now.idle_s > silence_s):
+            report.warnings.append("no input yet" if now.idle_s is None else f"no input for {now.idle_s:.1f} s")
+        lost = Counter({**now.dropped, "lost in transport": now.lost})
+        if recent := lost - self._reported:
+            report.warnings.append(f"dropped: {', '.join(f'{count} {reason}' for reason, count in recent.items())}")
+        self._reported = lost
+        numbers = {"received": now.received, "used": now.used, "dropped": sum(now.dropped.values())}
+        numbers |= {f"dropped.{reason}": count for reason, count in sorted(now.dropped.items())}
+        numbers |= {"waiting": now.waiting, "lost_on_the_way": now.lost}
+        report.values |= {"rate_hz": f"{now.rate_hz:.2f}", **{key: str(number) for key, number in numbers.items()}}
+        for key, pair in (("input_age_ms", now.input_age_ms), ("latency_ms", now.latency_ms)):
+            if pair is not None:
+                report.values |= {f"{key}.p50": f"{pair[0]:.2f}", f"{key}.p95": f"{pair[1]:.2f}"}
+
 
 def _quantiles(values: deque[float]) -> tuple[float, float] | None:
     if not values:
         return None
     middle, high = np.percentile(np.asarray(values), (50, 95))
     return float(middle), float(high)
-
-
-def diagnostic_status(
-    name: str,
-    state: str,
-    now: InputSummary,
-    before: InputSummary | None = None,
-    *,
-    errors: Sequence[str] = (),
-    warnings: Sequence[str] = (),
-    notes: Mapping[str, str] | None = None,
-    silence_s: float | None = None,
-) -> DiagnosticStatus:
-    """Make the report of one node: a level, one line of text, and all numbers.
-
-    `state` is that of its lifecycle, `now` and `before` are the counts of its inputs, now and at the last report: what
-    was dropped since is a warning. `errors` keep it from working, `warnings` are problems around it, `notes` are
-    further values by key. No input for longer than `silence_s` is a warning; None for a node without inputs.
-    """
-    warnings = [*warnings, *(_silence(now, silence_s) if state == "active" else []), *_drops(now, before)]
-    if errors:
-        level, message = DiagnosticStatus.ERROR, "; ".join(errors)
-    elif warnings:
-        level, message = DiagnosticStatus.WARN, "; ".join(warnings)
-    else:
-        level, message = DiagnosticStatus.OK, f"{state}, {now.rate_hz:.1f} Hz"
-    values = {"state": state, "pid": str(os.getpid()), **_numbers(now), **(notes or {})}
-    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-    return DiagnosticStatus(level=level, name=name, message=message, hardware_id="none", values=pairs)
-
-
-def _silence(now: InputSummary, limit_s: float | None) -> list[str]:
-    if limit_s is None:
-        return []
-    if now.idle_s is None:
-        return ["no input yet"]
-    return [f"no input for {now.idle_s:.1f} s"] if now.idle_s > limit_s else []
-
-
-def _drops(now: InputSummary, before: InputSummary | None) -> list[str]:
-    recent = Counter(now.dropped) - Counter(before.dropped if before else {})
-    recent["lost in transport"] = now.lost - (before.lost if before else 0)
-    texts = [f"{count} {reason}" for reason, count in recent.items() if count]
-    return [f"dropped: {', '.join(texts)}"] if texts else []
-
-
-def _numbers(now: InputSummary) -> dict[str, str]:
-    numbers = {
-        "rate_hz": f"{now.rate_hz:.2f}",
-        "received": str(now.received),
-        "used": str(now.used),
-        "dropped": str(sum(now.dropped.values())),
-        **{f"dropped.{reason}": str(count) for reason, count in sorted(now.dropped.items())},
-        "waiting": str(now.waiting),
-        "lost_on_the_way": str(now.lost),
-    }
-    for key, pair in (("input_age_ms", now.input_age_ms), ("latency_ms", now.latency_ms)):
-        if pair is not None:
-            numbers[f"{key}.p50"], numbers[f"{key}.p95"] = (f"{value:.2f}" for value in pair)
-    return numbers

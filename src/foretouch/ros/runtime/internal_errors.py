@@ -6,7 +6,6 @@ rclpy passes an error in a callback on to the executor, which ends, and with it 
 """
 
 import functools
-import inspect
 import threading
 import time
 import traceback
@@ -21,6 +20,7 @@ from rclpy.clock_type import ClockType
 from rclpy.executors import Executor, ExternalShutdownException
 
 from foretouch.errors import described, shown
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch_msgs.msg import Status
 
 
@@ -35,6 +35,7 @@ class InternalErrors:
         self._log = log
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
+        self._reported: Counter[str] = Counter()  # those in the reports so far
 
     def counts(self) -> Counter[str]:
         """Number of errors by callback."""
@@ -53,26 +54,23 @@ class InternalErrors:
             self._log(f"{name}: internal error {count}: {reason} ({position})")
         return reason
 
+    def add_to(self, report: Report) -> None:
+        """Report all counts, and those since the last report as warnings."""
+        counts = self.counts()
+        report.warnings += [f"{count} internal errors in {name}" for name, count in (counts - self._reported).items()]
+        report.values |= {f"internal_errors.{name}": str(count) for name, count in counts.items()}
+        self._reported = counts
+
     def guarded(
         self,
         name: str,
         callback: Callable[..., Any],
         answer: Callable[[tuple[Any, ...], str], Any] = lambda _arguments, _reason: None,
     ) -> Callable[..., Any]:
-        """A function or coroutine function that reports its errors instead of raising them.
+        """Make a function that reports its errors instead of raising them.
 
         After an error it returns what `answer` gives, from the arguments of the call and the reason.
         """
-        if inspect.iscoroutinefunction(callback):
-
-            @functools.wraps(callback)
-            async def _run_async(*arguments: Any) -> Any:
-                try:
-                    return await callback(*arguments)
-                except Exception as err:  # noqa: BLE001  it would end the process
-                    return answer(arguments, self.report(name, err))
-
-            return _run_async
 
         @functools.wraps(callback)
         def _run(*arguments: Any) -> Any:
@@ -106,18 +104,15 @@ class GuardedCallbacks:
             service.callback = self.guarded_service(service.srv_name, callback)
 
     def guarded_service(self, name: str, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """The callback of a service that answers after an internal error, too."""
+        """Make a callback of a service that answers after an internal error, too."""
         return self.internal_errors.guarded(name, callback, _failed_service)
 
     def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """See rclpy's `Node`; a timer goes on while the clock of a simulator stands."""
+        """Make a timer, which goes on while the clock of a simulator stands."""
         name = getattr(callback, "__name__", "timer").strip("_")
-        return super().create_timer(  # type: ignore[misc]
-            timer_period_sec,
-            self.internal_errors.guarded(name, callback),
-            *arguments,
-            **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **options},
-        )
+        options.setdefault("clock", Clock(clock_type=ClockType.STEADY_TIME))
+        guarded = self.internal_errors.guarded(name, callback)
+        return super().create_timer(timer_period_sec, guarded, *arguments, **options)  # type: ignore[misc]
 
 
 def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool], poll_s: float) -> None:
@@ -152,23 +147,21 @@ def _with_known_types(callback: Callable[..., Any], request: Any, response: Any)
 
 
 def _failed_service(arguments: tuple[Any, ...], reason: str) -> Any:
-    """A response that names the reason wherever it has a field for it."""
+    """Make a response that names the reason wherever it has a field for it."""
     request, response = arguments
-    if hasattr(response, "results") and hasattr(request, "parameters"):  # of rclpy's parameter service
+    refused = SetParametersResult(successful=False, reason=reason)
+    if isinstance(request, SetParameters.Request):  # some may have been set before the error
         missing = len(request.parameters) - len(response.results)
-        response.results = [*response.results, *[_refused(reason)] * missing]
+        response.results = [*response.results, *[refused] * missing]
+        return response
+    if isinstance(request, SetParametersAtomically.Request):
+        response.result = refused
         return response
     answer = type(response)()
     for name in answer.get_fields_and_field_types():
         value = getattr(answer, name)
-        if isinstance(value, SetParametersResult):
-            setattr(answer, name, _refused(reason))
-        elif hasattr(value, "status") and hasattr(value, "reason"):
+        if hasattr(value, "status") and hasattr(value, "reason"):
             value.status, value.reason = Status.FAILED, reason
     if hasattr(answer, "success") and hasattr(answer, "message"):
         answer.success, answer.message = False, reason
     return answer
-
-
-def _refused(reason: str) -> SetParametersResult:
-    return SetParametersResult(successful=False, reason=reason)

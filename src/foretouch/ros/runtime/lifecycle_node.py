@@ -9,7 +9,8 @@ late subscribers are transient local. All can be overridden (`qos_overrides.<top
 incompatible QoS.
 """
 
-from collections import Counter
+import inspect
+import os
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,7 +18,6 @@ from functools import partial
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
@@ -26,27 +26,14 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError, shown
-from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 from foretouch.ros.runtime.discovery import find_conflicts
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
-from foretouch.ros.runtime.subscription import FollowingSubscription
+from foretouch.ros.runtime.subscription import FollowingSubscription, InputTopic
 from foretouch.topics import NAMESPACE
 
 _C = TypeVar("_C", bound="NodeConfig")
-_TRANSITIONS = {
-    "unconfigured": {
-        "configure": Transition.TRANSITION_CONFIGURE,
-        "shutdown": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
-    },
-    "inactive": {
-        "activate": Transition.TRANSITION_ACTIVATE,
-        "cleanup": Transition.TRANSITION_CLEANUP,
-        "shutdown": Transition.TRANSITION_INACTIVE_SHUTDOWN,
-    },
-    "active": {"deactivate": Transition.TRANSITION_DEACTIVATE, "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN},
-    "finalized": {},
-}  # that a state admits, by label
 REQUESTS = QoSProfile(depth=5000)
 """Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
 
@@ -87,12 +74,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
-        self._last: InputSummary | None = None
-        self._last_errors: Counter[str] = Counter()
         self._input_group = MutuallyExclusiveCallbackGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
+        self.create_timer(self.config.diagnostics_period_s, self._publish_report, callback_group=own_group)
         self.create_timer(0.5, self._look, callback_group=own_group)
 
     @property
@@ -121,17 +106,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Whether the node has nothing more to do; its process may then end."""
         return False
 
-    def errors(self) -> tuple[str, ...]:
-        """What keeps the node from working, for /diagnostics."""
-        return ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """What the operator should know although the node works, for /diagnostics."""
-        return ()
-
-    def notes(self) -> dict[str, str]:
-        """Further values for /diagnostics."""
-        return {}
+    def diagnose(self, report: Report) -> None:
+        """Add to a report for /diagnostics what is wrong, and further values."""
 
     # What a node uses.
 
@@ -157,39 +133,28 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.closing.callback(self.destroy_lifecycle_publisher, publisher)
         return publisher
 
-    def subscribe(
-        self,
-        message: type,
-        topic: str,
-        callback: Callable[[Any], None],
-        *,
-        depth: int = 5,
-        latched: bool | None = False,
-    ) -> None:
-        """Subscribe (see `FollowingSubscription`); callbacks of a node never run at the same time."""
-        guarded = self.internal_errors.guarded(topic, callback)
-        self._followed[topic] = FollowingSubscription(
-            self,
-            message,
-            topic,
-            lambda content, _: guarded(content),
-            depth=depth,
-            group=self._input_group,
-            latched=latched,
-            report=self.statistics.lose,
-        )
-        self.closing.callback(lambda: self._followed.pop(topic).destroy())
+    def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
+        """Subscribe until the node is cleaned up (see `FollowingSubscription`); callbacks of a node never run at the same time."""
+        guarded = self.internal_errors.guarded(topic.name, callback)
+        subscription = FollowingSubscription(self, topic, guarded, self._input_group, self.statistics.lose)
+        self._followed[topic.name] = subscription
+        return subscription
+
+    def unsubscribe(self, name: str) -> None:
+        """End the subscription to a topic, by its name before remapping."""
+        self._followed.pop(name).destroy()
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
-        """Offer a service until the node is cleaned up."""
-        guarded = self.guarded_service(name, callback)
+        """Offer a service until the node is cleaned up; a coroutine function must not raise."""
+        guarded = callback if inspect.iscoroutinefunction(callback) else self.guarded_service(name, callback)
         service = self.create_service(kind, name, guarded, callback_group=group, qos_profile=REQUESTS)
         self.closing.callback(self.destroy_service, service)
 
     def _look(self) -> None:
         """Do what is due now and then: follow the publishers, and look for a second graph."""
         for subscription in tuple(self._followed.values()):
-            subscription.follow()
+            for line in subscription.follow():
+                self.get_logger().info(line)
         self.look_for_second_graph()
 
     def look_for_second_graph(self) -> None:
@@ -199,7 +164,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.conflicts = conflicts
         self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
         if fresh:
-            self.get_logger().warning(f"a second graph or source runs in {self.get_namespace()}: {'; '.join(fresh)}")
+            cure = "end one, or set another namespace or ROS_DOMAIN_ID"
+            where = self.get_namespace()
+            self.get_logger().warning(f"a second graph or source runs in {where}: {'; '.join(fresh)}; {cure}")
 
     def age_s(self, stamp_ns: int) -> float:
         """Age of a stamp on the node's clock [s]."""
@@ -208,16 +175,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     # Transitions.
 
     def _change_state(self, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-        """Refuse a transition that the state does not admit; rclpy raises an error for it."""
-        admitted, asked = _TRANSITIONS[self.state_name], request.transition
-        if asked.label in admitted if asked.label else asked.id in admitted.values():
+        """Change the state, or refuse a transition that the state does not admit; rclpy raises an error for it."""
+        try:
             return callback(request, response)
-        known = ", ".join(admitted) or "none"
-        self.get_logger().warning(
-            f"transition {shown(asked.label) or asked.id}: refused: {self.state_name} admits {known}"
-        )
-        response.success = False
-        return response
+        except Exception:  # noqa: BLE001  rclpy declares no type for it; errors of hooks are caught in `_attempt`
+            asked = shown(request.transition.label) or request.transition.id
+            self.get_logger().warning(f"transition {asked}: refused in the state {self.state_name}")
+            response.success = False
+            return response
 
     def autostart(self) -> bool:
         """Configure and activate, if the parameter `autostart` is set; False if a transition was refused."""
@@ -289,32 +254,33 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return True
 
     def _release(self) -> None:
+        for name in tuple(self._followed):  # before what their callbacks use
+            self.unsubscribe(name)
         self._attempt(self.closing.close)
         self._attempt(self._teardown)
 
-    def _lost(self) -> dict[str, str]:
-        """Messages that were lost on the way, by topic."""
-        counts = {topic: subscription.losses.count for topic, subscription in self._followed.items()}
-        return {f"lost_on_the_way.{topic}": str(count) for topic, count in counts.items() if count}
+    def reported(self) -> Report:
+        """Make a report of what is wrong now, without the counts of inputs."""
+        report = Report()
+        self._describe(report)
+        return report
 
-    def _report(self) -> None:
-        now, errors = self.statistics.summary(), self.internal_errors.counts()
-        recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
-        status = diagnostic_status(
-            self.get_fully_qualified_name(),
-            self.state_name,
-            now,
-            self._last,
-            errors=self.errors(),
-            warnings=(*self.conflicts, *self.warnings(), *recent),
-            notes={
-                **self.notes(),
-                **self._lost(),
-                **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
-            },
-            silence_s=getattr(self.config, "silence_s", None),
-        )
-        self._last, self._last_errors = now, errors
-        report = DiagnosticArray(status=[status])
-        report.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(report)
+    def _describe(self, report: Report) -> None:
+        report.warnings += self.conflicts
+        for name, subscription in tuple(self._followed.items()):
+            report.warnings += subscription.excluded
+            if subscription.losses.count:
+                report.values[f"lost_on_the_way.{name}"] = str(subscription.losses.count)
+        self.diagnose(report)
+
+    def _publish_report(self) -> None:
+        report, rate_hz = Report(), self.statistics.summary().rate_hz
+        report.values |= {"state": self.state_name, "pid": str(os.getpid())}
+        active = self.state_name == "active"
+        self.statistics.add_to(report, getattr(self.config, "silence_s", None) if active else None)
+        self._describe(report)
+        self.internal_errors.add_to(report)
+        status = report.to_msg(self.get_fully_qualified_name(), f"{self.state_name}, {rate_hz:.1f} Hz")
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)

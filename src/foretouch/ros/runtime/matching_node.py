@@ -15,8 +15,10 @@ from functools import partial
 from typing import Any, Final, TypeVar
 
 from foretouch.config import setting
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.discovery import publishers_of
 from foretouch.ros.runtime.processing_node import Input, ProcessingConfig, ProcessingNode
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import stamp_ns
 from foretouch_msgs.msg import Status
 
@@ -57,7 +59,7 @@ class MatchingNode(ProcessingNode[_P]):
 
     def _setup(self) -> None:
         for message, topic in self._inputs:
-            self.subscribe(message, topic, partial(self._match, topic))
+            self.subscribe(InputTopic(topic, message), partial(self._match, topic))
 
     def _stop(self) -> None:
         super()._stop()
@@ -66,16 +68,17 @@ class MatchingNode(ProcessingNode[_P]):
                 self._incomplete.popitem()
                 self.statistics.drop("stopped")
 
-    def errors(self) -> tuple[str, ...]:
+    def diagnose(self, report: Report) -> None:
         """Add what all clouds lack for longer than `silence_s`, and who publishes it."""
+        super().diagnose(report)
         (first_s, last_s), limit_s = self._lacking_s, self.config.silence_s
         if not self._lacking or last_s - first_s < limit_s or time.monotonic() - last_s > limit_s:
-            return super().errors()
+            return
         counts = ", ".join(
             f"{count} clouds without {topic} (published by {', '.join(publishers_of(self, topic)) or 'no node'})"
             for topic, count in dict(self._lacking).items()
         )
-        return (*super().errors(), f"no complete input for {last_s - first_s:.0f} s: {counts}")
+        report.errors.append(f"no complete input for {last_s - first_s:.0f} s: {counts}")
 
     def _match(self, topic: str, message: Any) -> None:
         """Complete the pair of a stamp, or let the message wait for its partner."""

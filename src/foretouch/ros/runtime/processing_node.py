@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from foretouch.config import setting
 from foretouch.ros.messages.requests import RefusalError, status_name
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.types import Cloud, Float32, stamp_ns
@@ -48,17 +49,8 @@ class Step:
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish empty outputs with a status and a reason."""
 
-    def errors(self) -> tuple[str, ...]:
-        """See `ForetouchNode`."""
-        return ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """See `ForetouchNode`."""
-        return ()
-
-    def notes(self) -> dict[str, str]:
-        """See `ForetouchNode`."""
-        return {}
+    def diagnose(self, report: Report) -> None:
+        """Add to a report of the node."""
 
 
 class ProcessingNode(ForetouchNode[_P]):
@@ -106,21 +98,12 @@ class ProcessingNode(ForetouchNode[_P]):
         """Finish the current input and drop what waits."""
         self._worker.stop()
 
-    def errors(self) -> tuple[str, ...]:
-        """Those of all steps."""
-        return tuple(text for step in self.steps for text in step.errors())
-
-    def warnings(self) -> tuple[str, ...]:
-        """Those of all steps."""
-        return tuple(text for step in self.steps for text in step.warnings())
-
-    def notes(self) -> dict[str, str]:
-        """Numbers of answers by status, why the last was empty, and what the steps note."""
-        values = {f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())}
-        values["last_reason"] = self._last_reason
+    def diagnose(self, report: Report) -> None:
+        """Report numbers of answers by status, why the last was empty, and what the steps add."""
+        report.values |= {f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())}
+        report.values["last_reason"] = self._last_reason
         for step in self.steps:
-            values |= step.notes()
-        return values
+            step.diagnose(report)
 
     def _receive(self, message: Any) -> None:
         """Take a message that is an input by itself."""

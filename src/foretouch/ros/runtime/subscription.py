@@ -8,6 +8,7 @@ same holds for durability where a latched message is wanted. `qos_overrides.<top
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -68,19 +69,38 @@ class Losses:
         self._report(count)
 
 
+@dataclass(frozen=True)
+class InputTopic:
+    """A topic to subscribe to."""
+
+    name: str  # before remapping, which may be relative to the namespace
+    message: type  # class of its messages
+    depth: int = 5  # number of messages that may wait in the middleware
+    # Whether to ask for the last messages of the publishers (transient local): True, False, or None for where all offer it.
+    latched: bool | None = False
+    raw: bool = False  # whether messages are received as `SerializedMessage`
+
+
+@dataclass(frozen=True, slots=True)
+class SerializedMessage:
+    """A message as it was received."""
+
+    topic: str  # full name
+    data: bytes  # CDR
+    received_ns: int  # when the middleware received it [ns]
+    sent_ns: int  # when it was published [ns]
+    sequence: int | None  # sequence number of its publisher; None where the middleware has none
+
+
 class FollowingSubscription:
     """A subscription of a node that follows its publishers each time `follow` is called.
 
     Args:
         node: The node.
-        message: Class of the messages.
-        topic: Name of the topic.
-        receive: Called with each message and what rclpy passes beside it.
-        depth: Number of messages that may wait in the middleware.
+        topic: What to subscribe to.
+        receive: Called with each message.
         group: Callback group.
-        latched: `follow` for transient local where every publisher is; True for always, False for never.
-        raw: Whether messages are passed serialised.
-        report: Called with the number of messages at each loss.
+        lose: Called with the number of messages at each loss.
 
     Raises:
         ConfigError: If an override names no policy.
@@ -89,21 +109,17 @@ class FollowingSubscription:
     def __init__(
         self,
         node: Node,
-        message: type,
-        topic: str,
-        receive: Callable[[Any, Any], None],
-        *,
-        depth: int,
-        group: CallbackGroup | None = None,
-        latched: bool | None = False,
-        raw: bool = False,
-        report: Callable[[int], None] = lambda _: None,
+        topic: InputTopic,
+        receive: Callable[[Any], None],
+        group: CallbackGroup,
+        lose: Callable[[int], None],
     ) -> None:
-        self.name: str = node.resolve_topic_name(topic)
-        self.losses = Losses(report)
-        self._node, self._message, self._receive, self._raw, self._group = node, message, receive, raw, group
-        self._depth = depth
-        durability = _FOLLOW if latched is None else ("transient_local" if latched else "volatile")
+        self.topic = topic
+        self.name: str = node.resolve_topic_name(topic.name)
+        self.losses = Losses(lose)
+        self.excluded: list[str] = []  # a line for each other type of publishers, that nothing is received from
+        self._node, self._receive, self._group = node, receive, group
+        durability = _FOLLOW if topic.latched is None else "transient_local" if topic.latched else "volatile"
         self._reliability = self._policy("reliability", ReliabilityPolicy, _FOLLOW)
         self._durability = self._policy("durability", DurabilityPolicy, durability)
         self._wanted = self._compatible()
@@ -116,26 +132,17 @@ class FollowingSubscription:
         """Whether lost messages are sent again."""
         return self._wanted[0] == ReliabilityPolicy.RELIABLE
 
-    @property
-    def publishers(self) -> int:
-        """Number of publishers that messages are received from."""
-        return int(self._subscription.get_publisher_count())
-
-    def follow(self) -> bool:
-        """Replace the subscription if its publishers offer something else than it asks for; returns whether it was."""
-        if (wanted := self._compatible()) == self._wanted:
-            return False
+    def follow(self) -> list[str]:
+        """Replace the subscription if its publishers offer something else than it asks for; gives a line for each news."""
+        before, wanted = self.excluded, self._compatible()
+        news = [text for text in self.excluded if text not in before]
+        if wanted == self._wanted:
+            return news
         old, self._wanted, self._known = self._subscription, wanted, frozenset(self._recent)
         self._subscription = self._subscribe()
         self._node.destroy_subscription(old)
-        return True
-
-    def excluded(self) -> list[str]:
-        """A line for each other type of publishers that nothing is received from, such as those of another sensor."""
-        kinds = {end.topic_type for end in self._node.get_publishers_info_by_topic(self.name)}
-        own = type_name(self._message)
-        rule = f"not {own}: nothing is received from it"
-        return [f"{self.name}: a publisher sends {kind}, {rule}" for kind in sorted(kinds - {own})]
+        policy = "reliable" if self.reliable else "best effort"
+        return [*news, f"{self.name}: subscribed with {policy} QoS, as its publishers offer"]
 
     def destroy(self) -> None:
         """End the subscription."""
@@ -155,10 +162,13 @@ class FollowingSubscription:
         return kind.get_from_short_key(value)
 
     def _compatible(self) -> tuple[Any, Any]:
-        """Reliability and durability to ask for now: the better where all publishers offer it."""
-        offers = [end.qos_profile for end in self._node.get_publishers_info_by_topic(self.name)]
-        reliable = all(offer.reliability == _RELIABILITY[0] for offer in offers)
-        latched = bool(offers) and all(offer.durability == _DURABILITY[0] for offer in offers)
+        """Look at the publishers; gives reliability and durability to ask for now: the better where all offer it."""
+        ends = self._node.get_publishers_info_by_topic(self.name)
+        own, kinds = type_name(self.topic.message), {end.topic_type for end in ends}
+        rule = f"not {own}: nothing is received from it"
+        self.excluded = [f"{self.name}: a publisher sends {kind}, {rule}" for kind in sorted(kinds - {own})]
+        reliable = all(end.qos_profile.reliability == _RELIABILITY[0] for end in ends)
+        latched = bool(ends) and all(end.qos_profile.durability == _DURABILITY[0] for end in ends)
         return (
             _RELIABILITY[not reliable] if self._reliability is None else self._reliability,
             _DURABILITY[not latched] if self._durability is None else self._durability,
@@ -167,14 +177,14 @@ class FollowingSubscription:
     def _subscribe(self) -> Any:
         reliability, durability = self._wanted
         return self._node.create_subscription(
-            self._message,
+            self.topic.message,
             self.name,
             self._take,
-            QoSProfile(depth=self._depth, reliability=reliability, durability=durability),
+            QoSProfile(depth=self.topic.depth, reliability=reliability, durability=durability),
             callback_group=self._group,
             qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH]),
             event_callbacks=SubscriptionEventCallbacks(message_lost=self.losses.reported, use_default_callbacks=False),
-            raw=self._raw,
+            raw=self.topic.raw,
         )
 
     def _take(self, message: Any, info: Any) -> None:
@@ -182,8 +192,10 @@ class FollowingSubscription:
         if key in self._known:
             return
         self._recent.append(key)
-        self.losses.arrived(info, self.publishers)
-        self._receive(message, info)
+        self.losses.arrived(info, self._subscription.get_publisher_count())
+        if self.topic.raw:
+            message = SerializedMessage(self.name, message, info["received_timestamp"], *key)
+        self._receive(message)
 
 
 def type_name(message: type) -> str:

@@ -17,8 +17,10 @@ from foretouch.cloud.io.depth_messages import CameraInfos, decode_depth, info_to
 from foretouch.config import Settings, setting
 from foretouch.errors import CalibrationError, CloudError
 from foretouch.ros.messages.requests import RefusalError, read_cloud
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import Cloud, stamp_ns
 from foretouch_msgs.msg import Status
 
@@ -54,16 +56,16 @@ class CameraInput(Step):
         self._changed = threading.Condition()  # guards the infos
         self._last_report = ""  # about an info
         if node.config.input == "points":
-            node.subscribe(PointCloud2, POINTS_TOPIC, receive, latched=None)
+            node.subscribe(InputTopic(POINTS_TOPIC, PointCloud2, latched=None), receive)
             return
         images = node.resolve_topic_name(IMAGE_TOPIC)
         infos = node.resolve_topic_name(INFO_TOPIC)
         if infos == f"{node.get_namespace().rstrip('/')}/{INFO_TOPIC}":  # not remapped
             infos = info_topic(images)
         self._infos = CameraInfos(images)
-        node.subscribe(CameraInfo, infos, self._receive_info, latched=None)
+        node.subscribe(InputTopic(infos, CameraInfo, latched=None), self._receive_info)
         kind = CompressedImage if images.endswith("/compressedDepth") else Image
-        node.subscribe(kind, images, receive, latched=None)
+        node.subscribe(InputTopic(images, kind, latched=None), receive)
 
     def cloud(self, message: Any) -> Cloud:
         """Make the cloud of a message; waits for the first camera info for three seconds.
@@ -87,9 +89,10 @@ class CameraInput(Step):
         except CloudError as err:
             raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 
-    def notes(self) -> dict[str, str]:
-        """What was last reported about a camera info."""
-        return {"camera_info": self._last_report} if self._last_report else {}
+    def diagnose(self, report: Report) -> None:
+        """Repeat what was last logged about a camera info."""
+        if self._last_report:
+            report.values["camera_info"] = self._last_report
 
     def _camera(self, frame: str, shape: Any) -> Any:
         with self._changed:

@@ -20,6 +20,7 @@ from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, status_code
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.ros.steps.selection import Selection, SelectionSettings
@@ -103,9 +104,9 @@ class SegmentationStep(Step):
             markers = self._markers
             self._node.internal_errors.guarded("markers", lambda: markers.publish(object_markers(message, table)))()
 
-    def notes(self) -> dict[str, str]:
-        """What the last click selected."""
-        return self._selection.notes()
+    def diagnose(self, report: Report) -> None:
+        """Report what the last click selected."""
+        self._selection.diagnose(report)
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish that nothing was found, and why."""

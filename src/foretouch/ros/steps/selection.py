@@ -18,7 +18,9 @@ from foretouch.config import Settings, setting
 from foretouch.errors import CloudError
 from foretouch.pipeline import Scene
 from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import AnyArray, Cloud, stamp_ns
 from foretouch_msgs.msg import Status
 
@@ -62,12 +64,13 @@ class Selection:
         self._missing = 0  # clouds in a row without it
         self._note = ""  # on the last click
         if node.config.mask != "none":
-            node.subscribe(Image, MASK_TOPIC, self._receive_mask, latched=None)
-        node.subscribe(PointStamped, CLICK_TOPIC, self._receive_click)
+            node.subscribe(InputTopic(MASK_TOPIC, Image, latched=None), self._receive_mask)
+        node.subscribe(InputTopic(CLICK_TOPIC, PointStamped), self._receive_click)
 
-    def notes(self) -> dict[str, str]:
-        """What the last click selected, or why it was refused."""
-        return {CLICK_TOPIC: self._note} if self._note else {}
+    def diagnose(self, report: Report) -> None:
+        """Report what the last click selected, or why it was refused."""
+        if self._note:
+            report.values[CLICK_TOPIC] = self._note
 
     def forget(self) -> None:
         """Select nothing."""

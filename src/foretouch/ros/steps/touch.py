@@ -25,19 +25,21 @@ from foretouch.pipeline import Object
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import GraspArrays, Latest
+from foretouch.ros.messages.requests import RequestedGrasps, Targets
 from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
+from foretouch.ros.runtime.subscription import InputTopic
+from foretouch.ros.steps.online_adapter import OnlineAdapter
+from foretouch.ros.steps.predictor import Predictor
 from foretouch.ros.steps.selection import SELECTED
-from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.predictor import Predictor
+from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile.description import require_same
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.topics import EXECUTED_TOPIC
-from foretouch.types import LATE, Grasp, Predictions, stamp_ns
+from foretouch.types import LATE, UNKNOWN_FRAME, Predictions, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
 
 
@@ -56,7 +58,7 @@ class TouchStep(Step):
     def __init__(self, node: ForetouchNode[Any]) -> None:
         self._node = node
         config: TouchSettings = node.config
-        self.latest: Latest | None = None
+        self.latest: Targets | None = None
         self.adapter: OnlineAdapter | None = None
         self._keeper: HistoryKeeper | None = None
         self._other_hand = ""  # why readings of the hand are not those of the model's sensor
@@ -89,12 +91,12 @@ class TouchStep(Step):
     def answer(
         self,
         targets: Sequence[Object],
-        grasps: Sequence[Any] | GraspArrays,
+        requested: RequestedGrasps,
         header: Header,
-        posing: GeoGraspConfig | None,
+        posing: GeoGraspConfig | None = None,
     ) -> TouchAnswer:
-        """Predict for grasps of messages (see `Predictor.answer`)."""
-        return self._end(self.predictor.answer(targets, grasps, header, self._node.config, posing))
+        """Predict for requested grasps (see `Predictor.answer`)."""
+        return self._end(self.predictor.answer(targets, requested, header, self._node.config, posing))
 
     def publish(self, answer: TouchAnswer, grasps: GraspArray, cloud: Callable[[], PointCloud2]) -> None:
         """Publish the answer to planned grasps; `cloud` makes the message of their objects."""
@@ -109,54 +111,47 @@ class TouchStep(Step):
         """Publish that nothing was predicted, and why."""
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
 
-    def add_requested(self, header: Header, cloud: Callable[[], PointCloud2], grasps: Sequence[Grasp]) -> None:
+    def add_requested(self, targets: Targets, grasps: Sequence[Any]) -> None:
         """Keep grasps of a request, which may be executed."""
         if self.adapter is not None:
-            self.adapter.add_grasps(header, cloud, grasps, requested=True)
+            self.adapter.add_grasps(targets.header, targets.message, grasps, requested=True)
 
-    # /diagnostics.
-
-    def errors(self) -> tuple[str, ...]:
-        """Why the model could not be loaded."""
-        return (self.predictor.fault,) if self.predictor.fault else ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """Why the model does not adapt to readings, and whether it is made for another hand than they come from."""
-        model = self.predictor.model
-        texts: list[str] = []
-        if model is not None and model.calibration is None:
-            reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
-            texts.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+    def diagnose(self, report: Report) -> None:
+        """Report the model, the state of online adaptation, and why the model does not fit the hand."""
+        model, topic = self.predictor.model, self._node.resolve_topic_name(self._node.config.tactile_topic)
+        if self.predictor.fault:
+            report.errors.append(self.predictor.fault)
         if self._other_hand:
-            texts.append(self._other_hand)
-        if model is not None and model.simulated:
-            topic = self._node.resolve_topic_name(self._node.config.tactile_topic)
-            ends = self._node.get_publishers_info_by_topic(topic)
-            if senders := ", ".join(sorted({end.node_name for end in ends} - {"hand"})):
-                rule = f"made for the simulated hand only, but {topic} comes from {senders}"
-                texts.append(f"model {model.name} is {rule}")
-        return tuple(texts)
-
-    def notes(self) -> dict[str, str]:
-        """The model's name and hash, the state of online adaptation, and the requests."""
-        values: dict[str, str] = {}
-        if (model := self.predictor.model) is not None:
-            values |= {"model": model.name, "model_sha256": model.sha256}
-            if self.adapter is None:
-                values["regime"] = self._other_hand or "none: the model's card holds no calibration"
-        for part in (self.adapter, self._keeper):
-            values |= part.notes() if part is not None else {}
-        return values
+            report.warnings.append(self._other_hand)
+        if model is None:
+            return
+        report.values |= {"model": model.name, "model_sha256": model.sha256}
+        if model.calibration is None:
+            reason = next(iter(model.card.get("limits", [])), "its card holds no calibration")
+            report.warnings.append(f"model {model.name} gives no intervals and does not adapt to readings: {reason}")
+        senders = {end.node_name for end in self._node.get_publishers_info_by_topic(topic)} - {"hand"}
+        if model.simulated and senders:
+            rule = f"made for the simulated hand only, but {topic} comes from {', '.join(sorted(senders))}"
+            report.warnings.append(f"model {model.name} is {rule}")
+        if self.adapter is None or self._keeper is None:
+            report.values["regime"] = self._other_hand or "none: the model's card holds no calibration"
+        else:
+            report.values |= self.adapter.notes() | self._keeper.notes()
 
     # Details.
 
     def _end(self, answer: TouchAnswer) -> TouchAnswer:
-        """Add the model, the age of the input and the flags of both."""
+        """Add the model, the age of the input and the flags of both.
+
+        The flag `unknown_frame` is for a request whose cloud is in another frame than the clouds of the graph.
+        """
         age_s, late_after_s = self._node.age_s(stamp_ns(answer.header.stamp)), self._node.config.late_after_s
         answer.age = duration_to_msg(age_s)
         answer.flags += self.predictor.flags
         if 0.0 < late_after_s < age_s:
             answer.flags += (LATE,)
+        if self.latest is not None and answer.header.frame_id != self.latest.header.frame_id:
+            answer.flags += (UNKNOWN_FRAME,)
         if (model := self.predictor.model) is not None:
             answer.model, answer.model_sha256 = model.name, model.sha256
         return answer
@@ -196,8 +191,9 @@ class TouchStep(Step):
         self.adapter = self.predictor.adapter = OnlineAdapter(
             model, reader, self._keeper, lambda: node.config, self._now_ns, log.warning
         )
-        node.subscribe(message, config.tactile_topic, self.adapter.add_tactile, depth=200)  # two seconds of a hand
-        node.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self.adapter.add_executed, depth=10)
+        two_seconds = InputTopic(config.tactile_topic, message, depth=200)
+        node.subscribe(two_seconds, self.adapter.add_tactile)
+        node.subscribe(InputTopic(EXECUTED_TOPIC, ExecutedGrasp, depth=10), self.adapter.add_executed)
 
     def _now_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)

@@ -42,7 +42,7 @@ class Table:
 
 
 def require_data(_settings: Any, source: Path | None, _out: Path) -> Path:
-    """Default `prepare`: use the given data, or raise a `ConfigError` if there are none."""
+    """Return the given data, or raise a `ConfigError` if there are none: the default `prepare`."""
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
     return source
@@ -95,7 +95,7 @@ class Experiment:
         return f"foretouch experiment {self.name}"
 
     def resolve(self, preset: str, overrides: Mapping[str, Any]) -> Any:
-        """Settings of a preset with overrides; a `ConfigError` if one is unknown or out of its bounds."""
+        """Return the settings of a preset with overrides; a `ConfigError` if one is unknown or out of its bounds."""
         if preset not in self.presets:
             raise ConfigError(f"{self.name}: preset: {none_of(preset, self.presets)}")
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")
@@ -111,11 +111,11 @@ class Experiment:
         return rows
 
     def facts(self, _rows: Sequence[Row], /) -> dict[str, Any]:
-        """Further entries of the command's result in JSON."""
+        """Return further entries of the command's result in JSON."""
         return {}
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
-        """Tables of `results.csv` for the terminal and `summary.md`; none without rows."""
+        """Return tables of `results.csv` for the terminal and `summary.md`; none without rows."""
         return list(self.summarise(rows)) if rows else []
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -124,7 +124,7 @@ class Experiment:
 
 
 def list_experiments() -> list[Experiment]:
-    """The experiments of this package, by name."""
+    """Return the experiments of this package, by name."""
     return sorted(
         [experiment for module in _modules() for experiment in _held_by(module)], key=lambda experiment: experiment.name
     )
@@ -161,12 +161,12 @@ def find_experiment(name: str) -> Experiment:
 
 
 def _modules() -> list[str]:
-    """Modules and folders of the package."""
+    """Return modules and folders of the package."""
     return [f"{_PACKAGE}.{module.name}" for module in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)]
 
 
 def _held_by(module: str) -> list[Experiment]:
-    """Experiments of a module; none if it is not an experiment."""
+    """Return experiments of a module; none if it is not an experiment."""
     held = importlib.import_module(module)
     listed = getattr(held, "EXPERIMENTS", [getattr(held, "EXPERIMENT", None)])
     return [experiment for experiment in listed if isinstance(experiment, Experiment)]

@@ -40,7 +40,7 @@ _KEY: Final = re.compile(r"[\w.+-]{1,200}")
 
 
 def environment(workers: int, address: str | None) -> dict[str, Any]:
-    """Time, code version and machine of one session; contains no path and no host name."""
+    """Return time, code version and machine of one session; contains no path and no host name."""
     return {
         "started": dt.datetime.now(dt.timezone.utc).isoformat(timespec="seconds"),
         "foretouch": __version__,
@@ -101,7 +101,7 @@ def write_cell(out: Path, cell: Cell, rows: Sequence[Row], seconds: float) -> No
 
 
 def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
-    """Rows of the finished cells by key, each with its cell's values.
+    """Return rows of the finished cells by key, each with its cell's values.
 
     Raises:
         FileError: If a file is damaged, or its cell was run with other values.
@@ -138,7 +138,7 @@ def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> l
 
 
 def read_results(path: Path) -> list[Row]:
-    """Rows that `write_results` wrote; a `FileError` if the file cannot be read."""
+    """Return rows that `write_results` wrote; a `FileError` if the file cannot be read."""
     try:
         text = io.StringIO(read_bytes(path, TEXT_LIMIT).decode("utf-8"), newline="")
         header, *rows = [row for row in csv.reader(text, strict=True) if row] or [[]]
@@ -178,7 +178,7 @@ def write_summary(
 
 
 def origin_of(manifest: Mapping[str, Any], experiment: Experiment) -> list[str]:
-    """Lines on the command, version, data and missing cells of a sweep."""
+    """Return lines on the command, version, data and missing cells of a sweep."""
     session, cells = manifest["sessions"][-1], manifest["cells"]
     version = f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}"
     data = f"{session['cpu']}; sha256 of the data `{manifest['data']['sha256'][:16]}`"
@@ -190,7 +190,7 @@ def origin_of(manifest: Mapping[str, Any], experiment: Experiment) -> list[str]:
 
 
 def _command(manifest: Mapping[str, Any], experiment: Experiment) -> str:
-    """Command of a sweep with the settings that differ from those of its preset."""
+    """Return the command of a sweep with the settings that differ from those of its preset."""
     preset = manifest["preset"]
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
     usual = flattened(json.loads(json.dumps(base.to_mapping())))
@@ -226,7 +226,7 @@ def _require_same(old: Mapping[str, Any], new: Mapping[str, Any], file: Path, re
 
 
 def _git_commit() -> str | None:
-    """Commit of the running source, with `+` if files were changed; None outside of a checkout."""
+    """Return the commit of the running source, with `+` if files were changed; None outside of a checkout."""
     words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
     with suppress(OSError, subprocess.SubprocessError):
         done = subprocess.run(words, capture_output=True, text=True, timeout=10, check=True)  # noqa: S603 - fixed words

@@ -11,13 +11,13 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.files import system_errors
 from foretouch.processes import one_thread_each, process_pool
 from foretouch_lab.experiments.framework import manifest as manifests
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
@@ -27,33 +27,8 @@ Outcome = tuple[Cell, Any, str]
 """A cell, its rows with the processor time that they took [s], and the reason of a failure: then there are no rows."""
 
 
-@dataclass(kw_only=True)
-class SweepResult:
-    """Result of a sweep."""
-
-    rows: list[Row] = field(default_factory=list)  # rows of `results.csv`
-    cells: int = 0  # number of cells
-    reused: int = 0  # number of cells that were finished before
-    finished: int = 0  # number of cells in the table
-    failures: dict[str, str] = field(default_factory=dict)  # reasons of failed cells by key
-    data_sha256: str = ""  # hash of the data
-    origin: list[str] = field(default_factory=list)  # lines of `summary.md` on how the results were made
-
-
-def run_sweep(
-    experiment: Experiment,
-    settings: Settings,
-    out: Path,
-    *,
-    preset: str = "",
-    source: Path | None = None,
-    resume: bool = False,
-    workers: int = 1,
-    address: str | None = None,
-    progress: Callable[[str, float, str, int, int], None] = lambda *_: None,
-    finishing: Callable[[int, int], None] = lambda *_: None,
-) -> SweepResult:
-    """Run the unfinished cells of an experiment and write its table.
+class Sweep:
+    """One run of an experiment: its data, its cells and its folder. Call `run`, then `finish`.
 
     Args:
         experiment: The experiment.
@@ -62,56 +37,113 @@ def run_sweep(
         preset: Name of the preset, for the manifest.
         source: Path of the data, as the experiment's `prepare` takes it.
         resume: Continue the sweep in `out`, if there is one.
-        workers: Number of processes, or of cores of a local Ray node.
-        address: None for processes, else the address of a Ray cluster (see `ray_results`).
-        progress: Called with the key of each cell, its processor time [s], the reason of its failure or "", and the numbers
-            of finished and of all cells.
-        finishing: Called with the number of steps done and of all by `Experiment.finish`, which follows.
 
-    Returns:
-        The table and the failures. A failed cell is left out of the table and is run again by the next resume.
+    Attributes:
+        cells: All cells in order.
+        reused: Number of cells that were finished before.
+        finished: Number of cells in the table.
+        failures: Reasons of failed cells by key. They are left out of the table, and run again by the next resume.
+        rows: Rows of the table.
+        data_sha256: Hash of the data.
 
     Raises:
         FileError: If `out` exists and `resume` is off, or cannot be written.
         ConfigError: If the sweep in `out` has other settings or data, or two cells have the same key.
     """
-    if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
-        raise FileError(out, "already exists; --resume continues a sweep")
-    path = experiment.prepare(settings, source, out)
-    data = experiment.load(settings, path)
-    cells = _cells(experiment, settings, data)
-    plain = settings.to_mapping()
-    fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}
-    try:
-        manifest = manifests.open_folder(out, fixed, experiment.resumable_settings)
-        done = manifests.read_cells(out, cells)
-        result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
-        manifest["preset"] = preset
-        left = [cell for cell in cells if cell.key not in done]
-        manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
-        manifests.write_manifest(out, manifest)
-        name, text = f"{experiment.module}:{experiment.name}", json.dumps(plain, sort_keys=True)
-        run = partial(run_cell, name, text, str(path.absolute()), data.sha256)
-        results = in_processes(run, left, workers) if address is None else ray_results(run, left, address, workers)
-        for number, (cell, rows, error) in enumerate(results if left else (), len(done) + 1):
-            seconds = 0.0
-            if rows is None:
-                result.failures[cell.key] = error
-            else:
-                manifests.write_cell(out, cell, *rows)
-                seconds = rows[1]
-            progress(cell.key, seconds, error, number, len(cells))
-        finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
-        result.finished = len(finished)
-        rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
-        rows = experiment.finish(settings, data, rows, out, finishing)
-        result.rows = manifests.write_results(out, rows, experiment.results)
-        manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
-        manifests.write_manifest(out, manifest)
-        result.origin = manifests.origin_of(manifest, experiment)
-    except OSError as err:
-        raise FileError(out, err.strerror or str(err)) from err
-    return result
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        settings: Settings,
+        out: Path,
+        *,
+        preset: str = "",
+        source: Path | None = None,
+        resume: bool = False,
+    ) -> None:
+        if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
+            raise FileError(out, "already exists; --resume continues a sweep")
+        self._experiment, self._settings, self._out = experiment, settings, out
+        self._path = experiment.prepare(settings, source, out)
+        self._data = experiment.load(settings, self._path)
+        self.data_sha256: str = self._data.sha256
+        self.cells = _cells(experiment, settings, self._data)
+        self.failures: dict[str, str] = {}
+        self.rows: list[Row] = []
+        self.finished = 0
+        plain = settings.to_mapping()
+        fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": self.data_sha256}}
+        with system_errors(out):
+            self._manifest = manifests.open_folder(out, fixed, experiment.resumable_settings)
+            done = manifests.read_cells(out, self.cells)
+        self._manifest["preset"] = preset
+        self._left = [cell for cell in self.cells if cell.key not in done]
+        self.reused = len(done)
+
+    def run(
+        self,
+        workers: int = 1,
+        address: str | None = None,
+        progress: Callable[[str, float, str, int, int], None] = lambda *_: None,
+    ) -> None:
+        """Run the cells that are not finished, and store each as it finishes.
+
+        Args:
+            workers: Number of processes, or of cores of a local Ray node.
+            address: None for processes, else the address of a Ray cluster (see `ray_results`).
+            progress: Called with the key of each cell, its processor time [s], the reason of its failure or "", and the
+                numbers of finished and of all cells.
+
+        Raises:
+            FileError: If the folder cannot be written.
+        """
+        experiment, out = self._experiment, self._out
+        text = json.dumps(self._settings.to_mapping(), sort_keys=True)
+        name = f"{experiment.module}:{experiment.name}"
+        task = partial(run_cell, name, text, str(self._path.absolute()), self.data_sha256)
+        with system_errors(out):
+            session = manifests.environment(workers, address) | {"cells_before": self.reused}
+            self._manifest["sessions"].append(session)
+            manifests.write_manifest(out, self._manifest)
+            if not self._left:
+                return
+            results = (
+                in_processes(task, self._left, workers)
+                if address is None
+                else ray_results(task, self._left, address, workers)
+            )
+            for number, (cell, rows, error) in enumerate(results, self.reused + 1):
+                seconds = 0.0
+                if rows is None:
+                    self.failures[cell.key] = error
+                else:
+                    manifests.write_cell(out, cell, *rows)
+                    seconds = rows[1]
+                progress(cell.key, seconds, error, number, len(self.cells))
+
+    def finish(self, progress: Callable[[int, int], None] = lambda *_: None) -> None:
+        """Write the table of the finished cells.
+
+        Args:
+            progress: Called with the number of steps done and of all by `Experiment.finish`.
+
+        Raises:
+            FileError: If the folder cannot be written.
+        """
+        experiment, out = self._experiment, self._out
+        with system_errors(out):
+            done = manifests.read_cells(out, self.cells)  # from disk, so that an interrupted sweep gives the same table
+            self.finished = len(done)
+            rows = experiment.tabulate(self._settings, [row for cell in self.cells for row in done.get(cell.key, [])])
+            rows = experiment.finish(self._settings, self._data, rows, out, progress)
+            self.rows = manifests.write_results(out, rows, experiment.results)
+            self._manifest["cells"] = {"all": len(self.cells), "finished": self.finished, "failed": self.failures}
+            manifests.write_manifest(out, self._manifest)
+
+    @property
+    def origin(self) -> list[str]:
+        """Lines of `summary.md` on how the results were made."""
+        return manifests.origin_of(self._manifest, self._experiment)
 
 
 def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:
@@ -124,7 +156,7 @@ def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:
 
 
 def run_cell(experiment: str, settings: str, data: str, sha256: str, cell: Cell) -> tuple[list[Row], float]:
-    """Rows of one cell, and their processor time without that of reading the data, which the process keeps [s].
+    """Return rows of one cell, and their processor time without that of reading the data, which the process keeps [s].
 
     Args:
         experiment: Its module and name, as `find_experiment` takes them.

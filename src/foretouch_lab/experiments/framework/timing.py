@@ -21,7 +21,7 @@ class MachineLoad:
         self._start = self._now()
 
     def row(self) -> dict[str, Any]:
-        """Columns `state` (idle or loaded), `other_cores`, `load_before` and `load_after`."""
+        """Return columns `state` (idle or loaded), `other_cores`, `load_before` and `load_after`."""
         busy, own, wall = (now - before for now, before in zip(self._now(), self._start, strict=True))
         others = max(0.0, busy - own) / max(wall, 1e-9)
         return {
@@ -33,7 +33,7 @@ class MachineLoad:
 
     @staticmethod
     def _now() -> tuple[float, float, float]:
-        """Busy time of all cores, processor time of this process, and wall time [s]."""
+        """Return busy time of all cores, processor time of this process, and wall time [s]."""
         fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()[1:]
         user, nice, system, _idle, _wait, irq, softirq, steal = map(int, fields[:8])
         busy_s = (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
@@ -41,7 +41,7 @@ class MachineLoad:
 
 
 def cpu_name() -> str:
-    """Model of the processor."""
+    """Return the model of the processor."""
     info = Path("/proc/cpuinfo")
     names = re.findall(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8")) if info.exists() else []
     return names[0] if names else platform.processor()

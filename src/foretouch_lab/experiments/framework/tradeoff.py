@@ -113,12 +113,12 @@ class Area(Experiment):
         ]
 
     def facts(self, rows: Sequence[Row], /) -> dict[str, Any]:
-        """Variants on the frontier of each panel."""
+        """Return variants on the frontier of each panel."""
         lines = {panel.title: [row["variant"] for row in frontier(rows, panel)] for panel in self.panels}
         return {"area": self.area, "frontier": lines}
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
-        """What the area summarises, and a table of the skills and times of all variants."""
+        """Return what the area summarises, and a table of the skills and times of all variants."""
         rows = _best_state(rows)
         skills = list(dict.fromkeys(panel.skill for panel in self.panels if panel.skill in rows[0]))
         lines = {skill: {row["variant"] for panel in self.panels if panel.skill == skill for row in frontier(rows, panel)}
@@ -157,7 +157,7 @@ class Area(Experiment):
 def make_area(
     accuracy: Callable[[str, Any, Any], Mapping[str, Row]], *, panels: Sequence[Panel], **others: Any
 ) -> Area:
-    """An area.
+    """Make an area.
 
     Args:
         accuracy: (column of a skill, settings, data) to the row of each variant, by name: `<skill>`, `<skill>_low` and
@@ -190,7 +190,7 @@ def make_area(
 
 
 def list_areas() -> list[Area]:
-    """The areas of this package, sorted by name."""
+    """Return the areas of this package, sorted by name."""
     return [experiment for experiment in list_experiments() if isinstance(experiment, Area)]
 
 
@@ -232,27 +232,27 @@ def _time_variants(
 
 
 def _best_state(rows: Sequence[Row]) -> list[Row]:
-    """Rows of the idle machine, if the table holds any, else all."""
+    """Return rows of the idle machine, if the table holds any, else all."""
     return [row for row in rows if row["state"] == "idle"] or list(rows)
 
 
 def time_column(rows: Sequence[Row]) -> str:
-    """Wall time if the machine was idle, else processor time, which other processes disturb less."""
+    """Return wall time if the machine was idle, else processor time, which other processes disturb less."""
     return "ms_p50" if all(row["state"] == "idle" for row in rows) else "cpu_ms"
 
 
 def _of_panel(rows: Sequence[Row], panel: Panel) -> list[Row]:
-    """Rows of the skill and the size of request of a panel, of the best state of the machine."""
+    """Return rows of the skill and the size of request of a panel, of the best state of the machine."""
     return [row for row in _best_state(rows) if row["request"] == panel.request and row.get(panel.skill) is not None]
 
 
 def frontier(rows: Sequence[Row], panel: Panel) -> list[Row]:
-    """Rows that no other beats in both skill and time, by ascending time."""
+    """Return rows that no other beats in both skill and time, by ascending time."""
     skill, shown = panel.skill, _of_panel(rows, panel)
     column, skills = time_column(shown), {row["variant"]: float(row[skill]) for row in shown}
 
     def level(row: Row) -> float:
-        """Skill of the one that it equals; its own where they were not compared."""
+        """Return the skill of the one that it equals; its own where they were not compared."""
         return skills.get(row.get(f"{skill}_equals"), float(row[skill]))
 
     result: list[Row] = []
@@ -263,13 +263,13 @@ def frontier(rows: Sequence[Row], panel: Panel) -> list[Row]:
 
 
 def times_text(row: Row, rows: Sequence[Row]) -> str:
-    """Percentiles of the wall time, or the median of the processor time if the machine was loaded, with two digits."""
+    """Return percentiles of the wall time, or the median of the processor time if the machine was loaded, with two digits."""
     keys = ("ms_p50", "ms_p95", "ms_p99") if time_column(rows) == "ms_p50" else ("cpu_ms",)
     return ", ".join("–" if row[key] is None else f"{float(f'{row[key]:.2g}'):g}" for key in keys)
 
 
 def _interval(row: Row, name: str) -> str:
-    """A skill with its interval, such as `-0.021 [-0.05, 0.01]`; nothing where it was not measured."""
+    """Return a skill with its interval, such as `-0.021 [-0.05, 0.01]`; nothing where it was not measured."""
     if row.get(name) is None:
         return ""
     low, high = row.get(f"{name}_low"), row.get(f"{name}_high")
@@ -277,7 +277,7 @@ def _interval(row: Row, name: str) -> str:
 
 
 def _draw_panel(axes: Axes, panel: Panel, rows: Sequence[Row]) -> None:
-    """Points of all variants in the colour of their factor, and the frontier with its intervals; its names stand beside it."""
+    """Draw the points of all variants in the colour of their factor, and the frontier with its intervals; its names stand beside it."""
     own, line, skill = _of_panel(rows, panel), frontier(rows, panel), panel.skill
     column, factors = time_column(own), list(dict.fromkeys(row["factor"] for row in own))
     named = [row for row in own if row in line or row["factor"] == "shipped"]

@@ -74,7 +74,7 @@ class LabelRatioSettings(Settings):
             raise ConfigError(f"cached_points: {self.cached_points} points are fewer than the network's {taken}")
 
     def chosen(self, model: str, ratio: int, modality: str) -> str:
-        """The trial of a network."""
+        """Return the trial of a network."""
         if self.recipe != CHOSEN:
             return {POINTNET: "P2", SRGAN: "P2, as_printed"}[model]
         if model == SRGAN:
@@ -83,7 +83,7 @@ class LabelRatioSettings(Settings):
 
 
 def _cells(settings: LabelRatioSettings, _data: Dataset) -> list[Cell]:
-    """The trees, then run by run both models and after them the readings, so that an interrupted sweep covers the figure."""
+    """Return the trees, then run by run both models and after them the readings, so that an interrupted sweep covers the figure."""
     pairs = [
         {"ratio": ratio, "modality": modality, "model": model, "seed": seed}
         | {"trial": settings.chosen(model, ratio, modality)}
@@ -130,7 +130,7 @@ def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
 
 
 def _rows_of(settings: LabelRatioSettings, rows: Sequence[Row], name: str) -> list[Row]:
-    """Rows of trees and PointNet, and those of the SR-GAN that are of the trial `name`."""
+    """Return rows of trees and PointNet, and those of the SR-GAN that are of the trial `name`."""
     return [
         row
         for row in rows

@@ -59,7 +59,7 @@ _LEAST_SPAN: Final = 5.0  # of the axis of differences to both sides [%]
 
 
 def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]:
-    """Rows of `results.csv`.
+    """Return rows of `results.csv`.
 
     Args:
         rows: Rows of the cells. A run that lacks one of its two networks, because its cell failed, is left out.
@@ -124,12 +124,12 @@ def _change(
 
 
 def _samples(row: Row, what: str) -> list[float]:
-    """Values of all test samples of one network, object by object."""
+    """Return values of all test samples of one network, object by object."""
     return [value for name in sorted(row["objects"]) for value in row["objects"][name][what]]
 
 
 def summarise_models(rows: Sequence[Row]) -> list[Table]:
-    """A table of errors and one of differences from the PointNet, with a line for each SR-GAN at each ratio."""
+    """Return a table of errors and one of differences from the PointNet, with a line for each SR-GAN at each ratio."""
     errors: list[list[str]] = []
     changes: list[list[str]] = []
     for ratio, own in grouped(sorted(rows, key=lambda row: row["ratio"]), "ratio"):

@@ -61,7 +61,7 @@ _RECIPES: Final = {
 
 
 def _reading(variant: str, recipe: str, **weights: float) -> dict[str, Any]:
-    """A trial of the SR-GAN: one reading of the losses, with P2's weights but for those that are given."""
+    """Return a trial of the SR-GAN: one reading of the losses, with P2's weights but for those that are given."""
     return {**_RECIPES[recipe], "loss": {"loss_variant": variant, **weights}}
 
 
@@ -90,7 +90,7 @@ READINGS: Final = tuple(f"{variant}, batch 0.001" for variant in ("batch_means",
 
 
 def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
-    """`prepare` of the experiment: `--data` is a store, or a scene (YAML), whose first samples are simulated to a store once.
+    """Return the store at `--data`, or simulate the first samples of a scene (YAML) to a store once: the `prepare` of the experiment.
 
     The store lies beside the folder of the sweep, in `<DIR>.data`; it is needed again only to resume.
 
@@ -115,7 +115,7 @@ def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
 
 
 def prepared(data: Dataset, model: ModelConfig, count: int) -> PresampledSet:
-    """All samples as input of a network, `count` points of each cloud; the clouds are prepared once per process."""
+    """Return all samples as input of a network, `count` points of each cloud; the clouds are prepared once per process."""
     return replace(_prepared(data, model.channels, model.metric_inputs, count), config=model)
 
 
@@ -126,7 +126,7 @@ class PresampledSet(TrainingSet):
     cached_points: Float32  # (S, P, C) float32
 
     def points(self, index: Integer, rng: np.random.Generator, n_points: int | None = None) -> Float32:
-        """(B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.
+        """Return (B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.
 
         Since the points are in random order, these are a random sample of them, twenty times as fast as drawing each;
         two draws may share a run of points.
@@ -156,7 +156,7 @@ def _prepared(data: Dataset, channels: str, metric_inputs: bool, count: int) -> 
 
 
 def _one(sample: Sample, config: ModelConfig, count: int, rng: np.random.Generator) -> tuple[Float32, Float32]:
-    """Random points of a cloud, with normals and in the unit sphere of the whole cloud; and the grasp."""
+    """Return random points of a cloud, with normals and in the unit sphere of the whole cloud; and the grasp."""
     try:
         usable = finite_points(sample.cloud, config)
         frame = UnitSphereFrame.fit(usable.xyz)
@@ -167,7 +167,7 @@ def _one(sample: Sample, config: ModelConfig, count: int, rng: np.random.Generat
 
 
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:
-    """Configuration of one training; raises `ConfigError` if there is no such model or trial.
+    """Return the configuration of one training; raises `ConfigError` if there is no such model or trial.
 
     Args:
         base: Configuration that both models and all trials share.
@@ -219,7 +219,7 @@ def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganC
 
 
 def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:
-    """Squared errors of (J, M) predictions of some modalities and of the training mean, for each test sample.
+    """Return squared errors of (J, M) predictions of some modalities and of the training mean, for each test sample.
 
     Returns:
         By object, in order of the samples, both means over the modality's values [counts²].

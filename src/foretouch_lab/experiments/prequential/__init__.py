@@ -58,12 +58,12 @@ class PrequentialSettings(Settings):
 
 
 def ordered(data: Dataset) -> list[Sample]:
-    """Labelled samples in order of time."""
+    """Return labelled samples in order of time."""
     return sorted(labelled(data), key=lambda sample: sample.stamp_ns)
 
 
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
-    """A cell for each predictor and object."""
+    """Return a cell for each predictor and object."""
     objects = sorted({sample.object for sample in labelled(data)})
     return [
         Cell(f"{predictor}+{name}", {"predictor": predictor, "name": name})
@@ -73,7 +73,7 @@ def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
 
 
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
-    """Readings of each run on the object, and predictions from each of the sources, but for the very first run."""
+    """Return readings of each run on the object, and predictions from each of the sources, but for the very first run."""
     samples, target = ordered(data), cell.values["name"]
     fit = PREDICTORS[cell.values["predictor"]](settings.training_fraction)
     whole = recording_without(samples, target, fit)
@@ -89,7 +89,7 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
 
 
 def recording_without(samples: Sequence[Sample], target: str, fit: Baseline) -> TimedReadings:
-    """All readings with predictions that know neither the object of the reading nor the target."""
+    """Return all readings with predictions that know neither the object of the reading nor the target."""
     names, labels = np.array([sample.object for sample in samples]), labels_of(samples)
     expected = np.empty_like(labels)
     for name in np.unique(names):
@@ -99,13 +99,13 @@ def recording_without(samples: Sequence[Sample], target: str, fit: Baseline) -> 
 
 
 def _predicted(samples: Sequence[Sample], train: Any, tested: Any, fit: Baseline) -> Float64:
-    """(T, 50) predictions of the samples of a mask, by a fit to those of another one."""
+    """Return (T, 50) predictions of the samples of a mask, by a fit to those of another one."""
     known, asked = (list(compress(samples, mask)) for mask in (train, tested))
     return fit(known, labels_of(known), asked, _SEED)
 
 
 def expected_before(samples: Sequence[Sample], shown: Any, past: Any, fit: Baseline) -> Float64:
-    """(S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it.
+    """Return (S, 50) predictions of all grasps up to the end of a run, by fits to other objects before it.
 
     `shown` and `past` are masks of the samples in order of time: up to the end of the run, and before it.
     """

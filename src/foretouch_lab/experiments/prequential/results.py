@@ -73,7 +73,7 @@ class _Scored(NamedTuple):
 
 
 def _joined(rows: Sequence[Row]) -> _Scored:
-    """From the rows of all runs."""
+    """Join the rows of all runs."""
     rows = sorted(rows, key=lambda row: row["run"])
     numbers, readings = [len(row["readings"]) for row in rows], np.concatenate([row["readings"] for row in rows])
     objects, runs = (np.repeat([row[key] for row in rows], numbers) for key in ("name", "run"))
@@ -84,7 +84,7 @@ def _joined(rows: Sequence[Row]) -> _Scored:
 
 
 def score_sources(by_predictor: Mapping[str, Sequence[Row]], config: BootstrapConfig) -> list[Row]:
-    """Rows of `results.csv`.
+    """Return rows of `results.csv`.
 
     Args:
         by_predictor: By name of a predictor by vision, the rows of its cells; those of a predictor that lacks a run are left out.
@@ -100,7 +100,7 @@ def score_sources(by_predictor: Mapping[str, Sequence[Row]], config: BootstrapCo
 
 
 def tracker_parameters(others: TimedReadings) -> tuple[TrackerParameters, TrackerParameters]:
-    """Of a tracker, and of one that ends with the object; fitted to readings of other objects."""
+    """Fit the parameters of a tracker, and of one that ends with the object, to readings of other objects."""
     held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects, BIOTAC)
     group = fit_group(held_out, new=True)
     ending = Calibration(BIOTAC, np.zeros(TOUCH_SIZE), {"new": group, "known": group}).tracker_parameters
@@ -110,7 +110,7 @@ def tracker_parameters(others: TimedReadings) -> tuple[TrackerParameters, Tracke
 def predict_run(
     shown: TimedReadings, tracker: TrackerParameters, ending: TrackerParameters
 ) -> dict[str, dict[str, Float64]]:
-    """Predictions of the last run of a recording from each of the sources, and half widths of those with intervals.
+    """Return predictions of the last run of a recording from each of the sources, and half widths of those with intervals.
 
     Returns:
         `counts` and `half`, both by sources, (S, 50) [counts].
@@ -147,7 +147,7 @@ def predict_run(
 
 
 def _clock(shown: TimedReadings, last: Bool) -> Float64:
-    """Readings of earlier runs with weights that fall by e in a day, and vision as far as it differs from its own."""
+    """Return readings of earlier runs with weights that fall by e in a day, and vision as far as it differs from its own."""
     past = shown.take(~last)
     seconds = shown.stamps_ns / 1e9
     weights = np.exp(-(seconds[last][:, None] - seconds[~last]) / CLOCK_S) + 1e-12
@@ -156,7 +156,7 @@ def _clock(shown: TimedReadings, last: Bool) -> Float64:
 
 
 def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConfig) -> list[Row]:
-    """A row for each of the sources, regime and modality, and for each object with all sources.
+    """Return a row for each of the sources, regime and modality, and for each object with all sources.
 
     `constant` is the predictor without vision, which the others are compared with.
     """
@@ -190,7 +190,7 @@ def _score_rows(scored: _Scored, constant: _Scored | None, config: BootstrapConf
 
 
 def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: Bool) -> Row:
-    """Number of grasps; coverage, mean half width and mean score of the 90 % intervals [Gneiting and Raftery 2007, eq. 43].
+    """Return the number of grasps; coverage, mean half width and mean score of the 90 % intervals [Gneiting and Raftery 2007, eq. 43].
 
     The score is the width of an interval, and 20 times the distance of a reading from it where it is outside: the lower
     the better, so that neither wide intervals nor missed readings gain anything.
@@ -207,7 +207,7 @@ def _interval_scores(scored: _Scored, sources: str, modality: str, chosen: Bool)
 
 
 def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
-    """What each source buys, the intervals, and the coverage of each object."""
+    """Return what each source buys, the intervals, and the coverage of each object."""
     together = select(rows, object=ALL_OBJECTS)
     notes = [
         "skill: 0 is the mean of all readings of the other objects, earlier and later; 1 is perfect; [95 % interval by bootstrap over objects]",
@@ -246,7 +246,7 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
 
 
 def _with_lines(rows: Rows) -> list[Row]:
-    """Rows with the name of their `line` in tables and figure, those of each of the sources together."""
+    """Return rows with the name of their `line` in tables and figure, those of each of the sources together."""
     named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
     return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
 

@@ -25,7 +25,7 @@ RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touc
 
 
 def network(name: str, training_fraction: float, changes: Mapping[str, Any] | None = None) -> Baseline:
-    """A recipe as a baseline, which is trained again in each call.
+    """Return a recipe as a baseline, which is trained again in each call.
 
     Args:
         name: One of `RECIPES`.
@@ -67,7 +67,7 @@ def _trees(baseline: Callable[..., Float64], training_fraction: float) -> Baseli
 def contact_predictor(
     training_fraction: float, train: Sequence[Sample], labels: Float64, seed: int
 ) -> ContactPredictor:
-    """The default model, which has its own adaptation to touches, with a share of its trees."""
+    """Return the default model, which has its own adaptation to touches, with a share of its trees."""
     from foretouch_lab.learning.training.run_config import load_run_config
 
     config: Any = load_run_config("contact-v3").contact

@@ -19,7 +19,7 @@ from foretouch_lab.learning.evaluation.metrics import (
 
 
 def labelled(data: Dataset) -> list[Sample]:
-    """Samples that have a touch, in order."""
+    """Return samples that have a touch, in order."""
     return [sample for sample in data.samples if sample.touch is not None]
 
 
@@ -30,7 +30,7 @@ def score_table(
     config: BootstrapConfig,
     columns: Sequence[str] = (),
 ) -> list[Row]:
-    """Rows of `results.csv`: one for each table, predictor, object and modality.
+    """Return rows of `results.csv`: one for each table, predictor, object and modality.
 
     Args:
         rows: Rows of `error_rows`, with `table`, `part`, `predictor` and `seed`. A predictor that lacks a part of a
@@ -51,7 +51,7 @@ def score_table(
 
 
 def _complete(rows: Sequence[Row]) -> dict[str, dict[int, list[Row]]]:
-    """Rows by predictor and seed, of the predictors that have every part of the table."""
+    """Return rows by predictor and seed, of the predictors that have every part of the table."""
     parts = {seed: {row["part"] for row in own} for seed, own in grouped(rows, "seed")}
     by_predictor = {name: dict(grouped(own, "seed")) for name, own in grouped(rows, "predictor")}
     return {
@@ -100,13 +100,13 @@ def _rows(
 
 
 def interval_columns(name: str, estimate: ScoreEstimate | None) -> Row:
-    """Three columns of an estimate: its value and the ends of its interval."""
+    """Return three columns of an estimate: its value and the ends of its interval."""
     values = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
     return dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))
 
 
 def skill_rows(name: str, rows: Mapping[str, Sequence[Row]], bootstrap: BootstrapConfig) -> dict[str, Row]:
-    """Columns of a skill, by variant: its mean over the modalities with its interval, and the errors by modality.
+    """Return columns of a skill, by variant: its mean over the modalities with its interval, and the errors by modality.
 
     `<name>_equals` is the most skilful variant, where this one does not differ significantly from it, in pairs on the same
     grasps.

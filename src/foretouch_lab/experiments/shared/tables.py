@@ -31,17 +31,17 @@ _ITSELF: Final = "·"
 
 
 def select(rows: Iterable[R], **wanted: Any) -> list[R]:
-    """Rows that have the given values."""
+    """Return rows that have the given values."""
     return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
 
 
 def unique(rows: Iterable[Mapping[str, Any]], column: str) -> list[Any]:
-    """Values of a column, each once, in order of their first rows."""
+    """Return values of a column, each once, in order of their first rows."""
     return list(dict.fromkeys(row[column] for row in rows))
 
 
 def grouped(rows: Iterable[R], *columns: str) -> list[tuple[Any, list[R]]]:
-    """Each value of a column, or tuple of values of several, with its rows; in order of their first rows."""
+    """Return each value of a column, or tuple of values of several, with its rows; in order of their first rows."""
     groups: dict[Any, list[R]] = {}
     for row in rows:
         key = row[columns[0]] if len(columns) == 1 else tuple(row[name] for name in columns)
@@ -56,7 +56,7 @@ def pivot(
     names: Sequence[Any] = MODALITIES,
     label: Callable[[Any], str] = str,
 ) -> list[list[str]]:
-    """A line of a table for each value of a column, and in it a cell for each of the `names` of the modalities.
+    """Return a line of a table for each value of a column, and in it a cell for each of the `names` of the modalities.
 
     `text` is given the rows of the cell, usually one, as arguments; a cell without a row is empty.
     """
@@ -68,19 +68,19 @@ def pivot(
 
 
 def short(value: float | None) -> str:
-    """A number without the zero before its point, and with one decimal less from 1 on; `–` for None."""
+    """Return a number without the zero before its point, and with one decimal less from 1 on; `–` for None."""
     if value is None:
         return "–"
     return f"{value:.2f}".replace("0.", ".", 1) if abs(value) < 1.0 else f"{value:.1f}"
 
 
 def with_notes(tables: Sequence[Table], notes: Sequence[str]) -> list[Table]:
-    """Tables with notes below the last one."""
+    """Return tables with notes below the last one."""
     return [*tables[:-1], replace(tables[-1], notes=notes)]
 
 
 def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
-    """A table of skills for each `table` of the results, with a sign for each comparison."""
+    """Return a table of skills for each `table` of the results, with a sign for each comparison."""
     references = [name[3:-8] for name in rows[0] if name.startswith("vs_") and name.endswith("_verdict")]
     tables, by_object = [], []
     names = SKILL_COLUMNS[1:]
@@ -98,7 +98,7 @@ def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
 
 
 def _cell(row: Row, references: Sequence[str], of_table: Sequence[Row]) -> str:
-    """Skill, signs of its comparisons and interval; the object with the lowest skill where there are several."""
+    """Return skill, signs of its comparisons and interval; the object with the lowest skill where there are several."""
     signs = "".join(SIGNS.get(row[f"vs_{name}_verdict"] or "", _ITSELF) for name in references)
     text = f"{short(row['skill'])} {signs.strip(_ITSELF) and signs}".rstrip()
     if row["modality"] == MEAN:

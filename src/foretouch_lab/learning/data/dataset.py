@@ -80,7 +80,7 @@ class Dataset:
         return tuple(samples)
 
     def parts(self, split: str) -> list[Fold]:
-        """The parts of a split.
+        """Return the parts of a split.
 
         Args:
             split: `KIND`, such as "time", or `KIND/PART`, such as "labels/T50".
@@ -100,7 +100,7 @@ class Dataset:
         return parts
 
     def hashes(self, index: Indices) -> list[str]:
-        """`sample_hash` of the samples with these indices."""
+        """Return `sample_hash` of the samples with these indices."""
         return [sample_hash(self.samples[k]) for k in index]
 
     def partition(self, split: str | None) -> Fold:
@@ -133,14 +133,14 @@ class LazySample(Sample):
 
     @classmethod
     def of(cls, sample: Sample, store: Store, number: int) -> Self:
-        """Sample `number` of a store, read before."""
+        """Return sample `number` of a store, read before."""
         stored = cls.__new__(cls)
         vars(stored).update({**vars(sample), "_place": (store, number)})
         del vars(stored)["cloud"]
         return stored
 
     def __getattr__(self, name: str) -> Any:
-        """The cloud; raises `FileError` if the store was removed or changed since it was opened."""
+        """Return the cloud; raises `FileError` if the store was removed or changed since it was opened."""
         if name != "cloud":
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
         store, number = vars(self)["_place"]
@@ -148,7 +148,7 @@ class LazySample(Sample):
 
 
 def sample_hash(sample: Sample) -> str:
-    """What identifies a recorded grasp in any dataset, by whatever name: 16 hexadecimal digits.
+    """Return what identifies a recorded grasp in any dataset, by whatever name: 16 hexadecimal digits.
 
     They cover the finite points, the contacts and the reading as float32, which every format keeps; not the rotation,
     whose last bits depend on the processor.
@@ -192,7 +192,7 @@ def dataset_of(
     path: Path | None = None,
     sha256: str | None = None,
 ) -> Dataset:
-    """A dataset of samples in memory.
+    """Return a dataset of samples in memory.
 
     Args:
         samples: In order.
@@ -228,7 +228,7 @@ def dataset_of(
 
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
-    """A part of `splits.json`, from the place of each sample by its id."""
+    """Return a part of `splits.json`, from the place of each sample by its id."""
     if unknown := [sample_id for side in SIDES for sample_id in part.get(side, ()) if sample_id not in places]:
         raise DatasetError(f"split {part['name']}: {unknown[0]}: is not among the samples")
     train, test, unlabelled = (
@@ -238,7 +238,7 @@ def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
 
 
 def _simulated(store: Store) -> dict[str, Any]:
-    """The origin of a store that `foretouch simulate` wrote; nothing of another store."""
+    """Return the origin of a store that `foretouch simulate` wrote; nothing of another store."""
     about = store.manifest.get("about", {})
     if "scene_sha256" not in about:
         return {}

@@ -45,7 +45,7 @@ class Fold:
     unlabelled: Indices = field(default_factory=lambda: np.empty(0, np.intp))  # samples to learn from without labels
 
     def sides(self, samples: Sequence[Sample]) -> tuple[list[Sample], list[Sample]]:
-        """Those to learn from with their labels, and those to evaluate on."""
+        """Return the samples to learn from with their labels, and those to evaluate on."""
         return [samples[k] for k in self.train], [samples[k] for k in self.test]
 
 
@@ -54,7 +54,7 @@ HoldOut = Callable[[Fold], Float64]
 
 
 def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: int = 1) -> dict[str, Float64]:
-    """By name, (S, D) held-out predictions: each sample's is from the one fold that tests it [counts].
+    """Return (S, D) held-out predictions by name: each sample's is from the one fold that tests it [counts].
 
     With several workers, folds run in processes of one thread each; the results are the same.
     """
@@ -80,7 +80,7 @@ def _one_thread() -> None:
 
 
 def make_folds(samples: Sequence[Sample | SampleFacts], split: str, seed: int | np.random.Generator) -> list[Fold]:
-    """The folds of one of `SPLITS`; the seed is that of the random split.
+    """Return the folds of one of `SPLITS`; the seed is that of the random split.
 
     Raises:
         DatasetError: If there is no such split, or there are too few samples for it.

@@ -42,7 +42,7 @@ DatasetSplits: TypeAlias = tuple[dict[str, list[dict[str, Any]]], dict[str, str]
 def _label_ratios(
     groups: Sequence[str], rng: np.random.Generator
 ) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:
-    """The test samples, and for each of P2's T10...T90 the training samples with and without their labels.
+    """Return the test samples, and for each of P2's T10...T90 the training samples with and without their labels.
 
     A sample without its label at one ratio has none at higher ratios. With too few samples it raises `DatasetError`.
     """
@@ -62,7 +62,7 @@ def _label_ratios(
 
 
 def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
-    """All splits as the text of `splits.json`.
+    """Return all splits as the text of `splits.json`.
 
     Args:
         samples: In the order of the store.

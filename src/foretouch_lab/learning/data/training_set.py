@@ -66,7 +66,7 @@ class CloudFile(Sequence[Float32]):
         return len(self._ends) - 1
 
     def __getitem__(self, index: Any) -> Any:
-        """One cloud, read-only; slices are not supported."""
+        """Return one cloud, read-only; slices are not supported."""
         k = range(len(self))[index]
         start, end = self._ends[k : k + 2]
         content = os.pread(self._file.fileno(), 4 * (end - start), 4 * start)
@@ -124,19 +124,19 @@ class TrainingSet:
         return len(self.clouds)
 
     def points(self, index: Integer, rng: np.random.Generator, n_points: int | None = None) -> Float32:
-        """(B, n, C) float32: points of the chosen clouds, drawn by `rng`; n is by default that of the configuration."""
+        """Return (B, n, C) float32: points of the chosen clouds, drawn by `rng`; n is by default that of the configuration."""
         count = self.config.n_points if n_points is None else n_points
         chosen = [self.clouds[i] for i in index]
         return np.stack([c[sample_indices(len(c), count, rng)] for c in chosen])
 
 
 def labels_of(samples: Sequence[Sample]) -> Float64:
-    """(S, D) float64 labels [counts]; a `DatasetError` names a sample without one, or with a broken sensor's."""
+    """Return (S, D) float64 labels [counts]; a `DatasetError` names a sample without one, or with a broken sensor's."""
     return np.array([_label(sample) for sample in samples])
 
 
 def channels_of(samples: Sequence[Sample]) -> Channels:
-    """Of the touches of labelled samples; a `TactileError` names one of another sensor, a `DatasetError` if there is none."""
+    """Return the channels of the touches of labelled samples; a `TactileError` names one of another sensor, a `DatasetError` if there is none."""
     touches = [(sample.id, sample.touch) for sample in samples if sample.touch is not None]
     if not touches:
         raise DatasetError("no sample is labelled")
@@ -147,7 +147,7 @@ def channels_of(samples: Sequence[Sample]) -> Channels:
 
 
 def _prepared(sample: Sample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
-    """All points, the grasp and the lengths of one sample."""
+    """Return all points, the grasp and the lengths of one sample."""
     try:
         usable = finite_points(sample.cloud, config)
         frame = UnitSphereFrame.fit(usable.xyz)
@@ -168,7 +168,7 @@ def _label(sample: Sample) -> Float64:
 
 
 def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
-    """(T, M) predictions [counts] of some samples, each on the points that prediction chooses."""
+    """Return (T, M) predictions [counts] of some samples, each on the points that prediction chooses."""
     import torch
 
     device = net.target_mean.device

@@ -19,7 +19,7 @@ _CONTACT_RADIUS_M: Final = 0.02  # about the size of a fingertip's pad
 
 
 def geometry_features(sample: Sample) -> Float64:
-    """(44,) float64: lengths in metres, camera frame; contacts relative to the centroid.
+    """Return (44,) float64: lengths in metres, camera frame; contacts relative to the centroid.
 
     Centroid, extents, spreads along the principal axes, radius and logarithm of the number of points; g1, g2, width, offset
     of the midpoint, rotation; of the points near each contact their share, spreads, gap and mean offset. Where no point is
@@ -58,13 +58,13 @@ def _contact(xyz: Float64, contact: Float64) -> Float64:
 
 
 def _spreads(centred: Float64) -> Float64:
-    """(3,) standard deviations along the principal axes [m], ascending."""
+    """Return (3,) standard deviations along the principal axes [m], ascending."""
     values = np.linalg.eigvalsh(centred.T @ centred / len(centred))
     return np.asarray(np.sqrt(np.maximum(values, 0.0)), np.float64)
 
 
 def pose_free_features(sample: Sample) -> Float64:
-    """(28,) float64: `geometry_features` without the pose of the camera.
+    """Return (28,) float64: `geometry_features` without the pose of the camera.
 
     Centroid, extents along the camera's axes, rotation and the number of points are left out; places of the contacts, and of
     the points near them, are in the frame of the hand, x away from the camera.
@@ -88,12 +88,12 @@ Baseline: TypeAlias = Callable[[Sequence[Sample], Float64, Sequence[Sample], int
 
 
 def training_mean(_train: Sequence[Sample], labels: Float64, test: Sequence[Sample], _seed: int) -> Float64:
-    """The mean of all labels for every sample: skill 0 by definition."""
+    """Return the mean of all labels for every sample: skill 0 by definition."""
     return np.tile(labels.mean(axis=0), (len(test), 1))
 
 
 def object_mean(train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int) -> Float64:
-    """The mean of the labels of the same object; the training mean where the object is new."""
+    """Return the mean of the labels of the same object; the training mean where the object is new."""
     predicted = training_mean(train, labels, test, seed)
     known = np.array([sample.object for sample in train])
     for name in np.unique(known):
@@ -104,7 +104,7 @@ def object_mean(train: Sequence[Sample], labels: Float64, test: Sequence[Sample]
 def object_time_trees(
     train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
-    """Extremely randomised trees on object and time of recording alone."""
+    """Fit extremely randomised trees on object and time of recording alone."""
     names = sorted({sample.object for sample in train})
     return _forest(_object_time(train, names), labels, _object_time(test, names), seed, trees)
 
@@ -112,7 +112,7 @@ def object_time_trees(
 def geometry_trees(
     train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
-    """Extremely randomised trees on `geometry_features`."""
+    """Fit extremely randomised trees on `geometry_features`."""
     known, asked = (np.array([geometry_features(sample) for sample in side]) for side in (train, test))
     return _forest(known, labels, asked, seed, trees)
 
@@ -120,13 +120,13 @@ def geometry_trees(
 def geometry_trees_pose_free(
     train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
-    """Extremely randomised trees on `pose_free_features`: what a model knows that ignores where the camera is."""
+    """Fit extremely randomised trees on `pose_free_features`: what a model knows that ignores where the camera is."""
     known, asked = (np.array([pose_free_features(sample) for sample in side]) for side in (train, test))
     return _forest(known, labels, asked, seed, trees)
 
 
 def clock(train: Sequence[Sample], labels: Float64, test: Sequence[Sample], _seed: int) -> Float64:
-    """The level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
+    """Return the level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
 
     The mean of a Gaussian process in time [Rasmussen and Williams 2006, eq. 2.25]: a level with a memory of 10 days, an
     effect of each object and noise, with variances of 1, 1 and 1, around the mean of the labels. It knows the recordings
@@ -144,7 +144,7 @@ def _level(days: Float64, other: Float64) -> Float64:
 
 
 def predict_part(baseline: Baseline, samples: Sequence[Sample], seed: int, fold: Fold) -> Float64:
-    """(T, D) predictions of the test side of a fold by a baseline that is fitted to its training side [counts]."""
+    """Return (T, D) predictions of the test side of a fold by a baseline that is fitted to its training side [counts]."""
     train, test = fold.sides(samples)
     return baseline(train, labels_of(train), test, seed)
 
@@ -156,7 +156,7 @@ BASELINES: Final[dict[str, Baseline]] = {
 
 
 def _object_time(samples: Sequence[Sample], names: Sequence[str]) -> Float64:
-    """(S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
+    """Return (S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
     days = [sample.stamp_ns / _DAY_NS for sample in samples]
     return np.column_stack([days, [[float(sample.object == name) for name in names] for sample in samples]])
 

@@ -49,12 +49,11 @@ def evaluate_model(
         training_scores: Score the samples that the model was trained on, too.
 
     Returns:
-        `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None
-        without intervals). `split`. `samples`: how many were scored. `scored`: `held_out`, `training_samples` (among others) or
-        `cross_validation`. `unfamiliar`: how many of them the model flags as out of distribution, None of cross-validated ones. `excluded`: how many
-        were left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None
-        if its card does not list their hashes. `not_scored`: indices of the taxels that are dead in the training data or were not
-        read in all of these samples, by finger.
+        `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None without
+        intervals). `split`. `samples`: how many were scored. `scored`: `held_out`, `training_samples` (among others) or
+        `cross_validation`. `unfamiliar`: how many the model flags, None of cross-validated ones. `excluded`: how many were
+        left out, since the model was trained on them. `same_data`: whether it was trained on test samples; None if its
+        card lists no hashes. `not_scored`: taxels by finger that are dead in the training data or were never read.
 
     Raises:
         DatasetError: If the split tests no sample, a sample is unlabelled, or none is held out.
@@ -65,50 +64,66 @@ def evaluate_model(
     chosen = np.concatenate([part.test for part in parts])
     if not len(chosen):
         raise DatasetError(f"{data.name}: the split tests no sample")
-    path = find_card(model)
-    card = read_card(path)
+    card = read_card(path := find_card(model))
     sensor = card_sensor(card, path)
     require_same(data.sensor.channels, sensor.channels, data.name)
     own = _own_samples(card, data, chosen)
     kept = np.full(len(chosen), True) if own is None or training_scores else ~own
-    facts: dict[str, Any] = {
-        "split": split,
-        "scored": "training_samples" if training_scores and own is not None and own.any() else "held_out",
-        "excluded": int((~kept).sum()),
-        "same_data": None if own is None else bool(own.any()),
-    }
+    facts = {"split": split, **_facts(own, kept)}
     if not kept.any():
         return {**facts, **_stored(card, str(model), split, parts[0].name)}
-    tested = [data.masked[k] for k in chosen[kept]]
-    plain_network = card["kind"] == "network" and card.get("calibration") is None
-    counts, half, unfamiliar, ranges = (_by_network if plain_network else _by_model)(path, tested)
-    labels = labels_of(tested)
-    valid = sensor.valid_values & ~np.isnan(labels).any(axis=0)
-    labels = np.nan_to_num(labels)  # of taxels that are not scored
 
     def fitted(baseline: Baseline) -> Float64:
         return np.concatenate([predict_part(baseline, data.filled, seed, part) for part in parts])[kept]
 
-    reference = fitted(training_mean)
+    tested = [data.masked[k] for k in chosen[kept]]
+    plain_network = card["kind"] == "network" and card.get("calibration") is None
+    predicted = (_by_network if plain_network else _by_model)(path, tested)
+    by_baseline = {name: fitted(baseline) for name, baseline in baselines.items()}
+    valid = sensor.valid_values & ~np.isnan(labels_of(tested)).any(axis=0)
+    return {
+        "scores": _scores(predicted, by_baseline, labels_of(tested), fitted(training_mean), valid),
+        "samples": len(tested),
+        "unfamiliar": predicted[2],
+        **facts,
+        "not_scored": sensor.taxels_of(~valid),
+    }
+
+
+def _facts(own: Bool | None, kept: Bool) -> dict[str, Any]:
+    """Describe which samples are scored, by masks (S,) of those that the model was trained on, and of those that are kept."""
+    return {
+        "scored": "training_samples" if own is not None and (own & kept).any() else "held_out",
+        "excluded": int((~kept).sum()),
+        "same_data": None if own is None else bool(own.any()),
+    }
+
+
+def _scores(
+    model: "_Predictions", by_baseline: Mapping[str, Float64], labels: Float64, reference: Float64, valid: Bool
+) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Score (S, D) predictions of the valid values, of which the reference is the zero: by predictor and modality."""
+    counts, half, _, ranges = model
+    labels = np.nan_to_num(labels)  # of taxels that are not scored
     # The columns that the model does not predict are not scored, but must be finite.
     modalities = [name for name, own in ranges.channels.modality_columns.items() if np.isfinite(counts[:, own]).all()]
-    values = {MODEL: np.where(np.isnan(counts), reference, counts)}
-    values |= {name: fitted(baseline) for name, baseline in baselines.items()}
-    scores: dict[str, dict[str, dict[str, float | None]]] = {}
-    for name, value in values.items():
-        scored = score(value, labels, reference, ranges, modalities, valid)
-        scores[name] = {key: {**row, "coverage90": None} for key, row in scored.items()}
+    scores = {
+        name: {
+            key: {**row, "coverage90": None}
+            for key, row in score(value, labels, reference, ranges, modalities, valid).items()
+        }
+        for name, value in {MODEL: np.where(np.isnan(counts), reference, counts), **by_baseline}.items()
+    }
     if not np.isnan(half).any():
         inside = np.abs(labels - counts) <= half
         for key, row in scores[MODEL].items():
             columns = ranges.channels.columns([key])
             row["coverage90"] = float(inside[:, columns[valid[columns]]].mean())
-    facts["not_scored"] = sensor.taxels_of(~valid)
-    return {"scores": scores, "samples": len(tested), "unfamiliar": unfamiliar, **facts}
+    return scores
 
 
 def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[str, Any]:
-    """The scores of a release by cross-validation, in place of those on its own training samples."""
+    """Return the scores of a release by cross-validation, in place of those on its own training samples."""
     kind = split.partition("/")[0]
     tables = {MODEL: card["skill"], **card["baselines"]}
     if any(kind not in table for table in tables.values()):
@@ -125,7 +140,7 @@ def _stored(card: Mapping[str, Any], name: str, split: str, part: str) -> dict[s
 
 
 def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool | None:
-    """(S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
+    """Return (S,) whether a model was trained on each sample of a dataset with these indices; None if its card does not list them."""
     text = card["data"].get("sample_hashes")
     if not isinstance(text, str):
         same = card["data"].get("sha256") in (data.sha256, *data.aliases) and card["split"].get("name") is None

@@ -93,7 +93,7 @@ def score(
 
 
 def mean_skill(scores: Mapping[str, Mapping[str, float]]) -> float:
-    """Skill averaged over the modalities: the number by which models are selected."""
+    """Return the skill averaged over the modalities: the number by which models are selected."""
     return float(np.mean([score["skill"] for score in scores.values()]))
 
 
@@ -147,22 +147,22 @@ class ObjectErrors:
     def of_predictions(
         cls, objects: Sequence[str], predicted: Float64, labels: Float64, reference: Float64, channels: Channels
     ) -> Self:
-        """See `error_rows`."""
+        """Sum the squared errors of predictions by object; the arguments are those of `error_rows`."""
         return cls.of_rows(error_rows(objects, predicted, labels, reference), channels)
 
     def only(self, name: str) -> Self:
-        """The errors of one object."""
+        """Return the errors of one object."""
         k = [self.objects.index(name)]
         return type(self)((name,), self.counts[k], self.squared[k], self.reference[k], self.channels)
 
     def rmse(self) -> dict[str, float]:
-        """Root of the mean squared error over all grasps and values, by modality [counts]."""
+        """Return the root of the mean squared error over all grasps and values, by modality [counts]."""
         mean = self.squared.sum(axis=0) / self.counts.sum()
         return {name: float(np.sqrt(value)) for name, value in _by_modality(mean, self.channels).items()}
 
 
 def error_rows(objects: Sequence[str], predicted: Float64, labels: Float64, reference: Float64) -> list[dict[str, Any]]:
-    """Sums of squared errors as plain data, a row for each object; `ObjectErrors.of_rows` adds them up.
+    """Return sums of squared errors as plain data, a row for each object; `ObjectErrors.of_rows` adds them up.
 
     Args:
         objects: (S,) names.
@@ -203,13 +203,13 @@ class ScoreEstimate:
 
 
 def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
-    """Skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
+    """Return the skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
     size = len(errors.objects)
     return _estimates(errors, _skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)))
 
 
 def compare(errors: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
-    """Skill of `one` minus that of `other`, by modality and `MEAN`, in the same draws.
+    """Return the skill of `one` minus that of `other`, by modality and `MEAN`, in the same draws.
 
     Raises:
         DatasetError: If they were not tested on the same grasps against the same training means.
@@ -224,7 +224,7 @@ def compare(errors: ObjectErrors, other: ObjectErrors, config: BootstrapConfig =
 
 
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
-    """(draws, M + 1): eq. 1 by modality, and the mean of the skills."""
+    """Return (draws, M + 1): eq. 1 by modality, and the mean of the skills."""
     reference = weights @ errors.reference
     if not np.all(reference > 0.0):
         raise DatasetError("comparison: the training mean is exact, so the skill is undefined")
@@ -234,12 +234,12 @@ def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
 
 
 def _by_modality(values: Float64, channels: Channels) -> dict[str, Float64]:
-    """Means over the values of each modality, by name, of (..., D)."""
+    """Return means over the values of each modality, by name, of (..., D)."""
     return {name: values[..., own].mean(axis=-1) for name, own in channels.modality_columns.items()}
 
 
 def _weights(size: int, config: BootstrapConfig) -> Float64:
-    """(draws, O): how often each object is drawn; no row where there are too few objects."""
+    """Return (draws, O): how often each object is drawn; no row where there are too few objects."""
     if size < LEAST_OBJECTS:
         return np.empty((0, size))
     rng = np.random.default_rng(0)

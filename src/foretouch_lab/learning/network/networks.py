@@ -64,33 +64,33 @@ class TouchNet(nn.Module):
 
     @classmethod
     def of(cls, config: ModelConfig, tensors: Mapping[str, AnyArray]) -> Self:
-        """The network of a checkpoint, in evaluation mode."""
+        """Return the network of a checkpoint, in evaluation mode."""
         with torch.device("meta"):  # no random numbers are drawn for weights that are replaced at once
             net = cls(config)
         net.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.items()}, assign=True)
         return net.eval()
 
     def folded(self) -> FoldedNetwork:
-        """The network for prediction, as of now; see `foretouch.models.network.folding.fold`."""
+        """Return the network for prediction, as of now; see `foretouch.models.network.folding.fold`."""
         return fold(self.config, _arrays(self))
 
     def forward(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
-        """(B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""
+        """Return (B, M) float32, scaled, from (B, N, C) points in the unit sphere and (B, G) grasps in their frame, if any."""
         return self.regress(self.features(points), grasp)
 
     def regress(self, features: Tensor, grasp: Tensor | None = None) -> Tensor:
-        """The head alone: (B, F) features and (B, G) grasps to (B, M) scaled predictions."""
+        """Apply the head alone: (B, F) features and (B, G) grasps to (B, M) scaled predictions."""
         x = features if grasp is None else torch.cat([features, grasp], dim=-1)
         scaled: Tensor = self.output(self.dropout(self.head(x)))
         return scaled
 
     def counts(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
-        """(B, M) predictions [counts]; arguments as in `forward`."""
+        """Return (B, M) predictions [counts]; arguments as in `forward`."""
         counts: Tensor = self(points, grasp) * self.target_scale + self.target_mean
         return counts
 
     def to_scaled(self, counts: Tensor) -> Tensor:
-        """Counts (B, M) to scaled, the targets of training."""
+        """Map (B, M) counts to scaled, the targets of training."""
         return (counts - self.target_mean) / self.target_scale
 
     def set_scaling(self, mean: Tensor, scale: Tensor) -> None:
@@ -151,7 +151,7 @@ class CloudGenerator(nn.Module):
         self.layers = nn.ModuleList(nn.ConvTranspose1d(a, b, config.stride, config.stride) for a, b in pairwise(widths))
 
     def forward(self, noise: Tensor) -> Tensor:
-        """(B, 6, L) noise to (B, N, 6) fake clouds in [-1, 1].
+        """Map (B, 6, L) noise to (B, N, 6) fake clouds in [-1, 1].
 
         Points may lie outside the unit sphere, in the corners of its box, and "normals" have any length: P2 excludes
         neither.
@@ -162,11 +162,11 @@ class CloudGenerator(nn.Module):
         return torch.tanh(x).transpose(1, 2)
 
     def clouds(self, noise: Tensor) -> Tensor:
-        """(B, N, C) fake clouds as inputs of the network: without the channels that it does not use."""
+        """Return (B, N, C) fake clouds as inputs of the network: without the channels that it does not use."""
         fake: Tensor = self(noise)
         return fake[..., : self._used].contiguous()
 
 
 def draw_noise(count: int, config: GeneratorConfig, rng: torch.Generator) -> Tensor:
-    """(count, 6, L) float32, uniform in [0, 1) as in P2."""
+    """Return (count, 6, L) float32, uniform in [0, 1) as in P2."""
     return torch.rand(count, _CHANNELS, config.noise_length, generator=rng)

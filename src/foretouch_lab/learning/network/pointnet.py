@@ -36,7 +36,7 @@ _ENOUGH_ROWS: Final = 16
 
 
 def batch_affine(x: Tensor, linear: nn.Linear, norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
-    """Weight and bias of a linear map with batch norm in training; updates the running statistics as torch does.
+    """Return the weight and bias of a linear map with batch norm in training; updates the running statistics as torch does.
 
     With z = W x + b over n rows x of mean m and covariance C, batch norm is (Ioffe and Szegedy 2015, algorithm 1)::
 
@@ -78,7 +78,7 @@ def _update_statistics(norm: nn.BatchNorm1d, mean: Tensor, variance: Tensor, cou
 
 @torch.no_grad()
 def winners(x: Tensor, weight: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
-    """(B, F) int64: the point with the largest x Wᵀ, of (B, N, K) points and (F, K) weights.
+    """Return (B, F) int64: the point with the largest x Wᵀ, of (B, N, K) points and (F, K) weights.
 
     `precision` is that of the search, if it is lower than that of `x`: a point that wins by less than the rounding may then
     lose to a near equal one.
@@ -101,7 +101,7 @@ class Layer(nn.Module):
         self.norm = nn.BatchNorm1d(out_width) if norm else None
 
     def folded(self) -> tuple[Tensor, Tensor]:
-        """Weight and bias of the layer with its running statistics, with gradients to all parameters."""
+        """Return the weight and bias of the layer with its running statistics, with gradients to all parameters."""
         if self.norm is None:
             return self.linear.weight, self.linear.bias
         mean, variance = self.norm.running_mean, self.norm.running_var
@@ -111,7 +111,7 @@ class Layer(nn.Module):
         return self.linear.weight * scale[:, None], (self.linear.bias - mean) * scale + self.norm.bias
 
     def map_of(self, x: Tensor) -> tuple[Tensor, Tensor] | None:
-        """Weight and bias of the layer's affine map for this batch, if computing them is faster than the plain layer.
+        """Return the weight and bias of the layer's affine map for this batch, if computing them is faster than the plain layer.
 
         With batch norm in training that is `batch_affine`. None where there are few rows, as in the head, or fewer
         outputs than inputs, or for prediction without gradients, for which `folding` exists.
@@ -138,12 +138,12 @@ def _worth_moments(rows: int, linear: nn.Linear) -> bool:
 
 
 def make_layers(widths: Sequence[int], *, norm: bool = True) -> nn.Sequential:
-    """Layers between consecutive widths; no layer for a single width."""
+    """Return layers between consecutive widths; no layer for a single width."""
     return nn.Sequential(*[Layer(a, b, norm=norm) for a, b in pairwise(widths)])
 
 
 def pool(layers: nn.Sequential, points: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
-    """The largest value of each feature over the points, after some layers.
+    """Return the largest value of each feature over the points, after some layers.
 
     Shapes: (B, N, C) to (B, F).
 
@@ -213,7 +213,7 @@ class PointNetFeatures(nn.Module):
         self.layers = make_layers(inner).append(Layer(inner[-1], width, relu=config.trunk_relu))
 
     def forward(self, points: Tensor) -> Tensor:
-        """Features of each cloud."""
+        """Return features of each cloud."""
         if self.transform is not None:
             points = self.transform(points)
         return pool(self.layers, points, self.precision)
@@ -226,7 +226,7 @@ Inputs: TypeAlias = tuple[Tensor, Tensor | None]
 
 
 def freeze(net: nn.Module) -> None:
-    """Training mode for all but batch norm, which keeps its statistics: samples of a batch stay independent."""
+    """Set all to training mode but batch norm, which keeps its statistics: samples of a batch stay independent."""
     net.train()
     for norm in _norms(net):
         norm.eval()
@@ -253,7 +253,7 @@ def calibrate(net: nn.Module, batches: Iterable[Inputs]) -> None:
 
 @contextmanager
 def statistics_kept(net: nn.Module) -> Iterator[None]:
-    """Context in which batch norm in training mode normalises by the batch but keeps its running statistics."""
+    """Let batch norm in training mode normalise by the batch within the block, but keep its running statistics."""
     momenta = {norm: norm.momentum for norm in _norms(net)}
     for norm in momenta:
         norm.momentum = 0.0

@@ -53,13 +53,13 @@ class HeldOutPredictions:
     channels: Channels  # of the labels
 
     def take(self, chosen: Bool) -> Self:
-        """The samples of an (S,) mask."""
+        """Return the samples of an (S,) mask."""
         arrays = {name: array[chosen] for name, array in vars(self).items() if name != "channels"}
         return replace(self, **arrays)
 
 
 def calibration_folds(samples: Sequence[Sample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
-    """Folds by which training samples are held out for a calibration.
+    """Return folds by which training samples are held out for a calibration.
 
     Where an object has fewer samples than there are blocks of time, random folds of the seed replace these.
 
@@ -81,7 +81,7 @@ def calibration_folds(samples: Sequence[Sample], seed: int) -> dict[str, tuple[l
 
 
 def rest_level(samples: Sequence[Sample]) -> tuple[Float64, bool]:
-    """Sensor readings without contact, and whether they were measured.
+    """Return sensor readings without contact, and whether they were measured.
 
     Without any tare they are estimated from the labels, value by value: those that contact raises from their low end,
     those that it lowers from their high end, others by their median. Of channels that are not tared they are 0.
@@ -103,7 +103,7 @@ def rest_level(samples: Sequence[Sample]) -> tuple[Float64, bool]:
 
 
 def resting_labels(samples: Sequence[Sample], labels: Float64, rest: Float64) -> Float64:
-    """(S, D) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
+    """Return (S, D) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
     shifted = labels.copy()
     for k, sample in enumerate(samples):
         if sample.tare is not None:
@@ -120,7 +120,7 @@ def calibrate_on_folds(
     where: Float64 | None = None,
     workers: int = 1,
 ) -> tuple[Calibration, dict[str, Any]]:
-    """A calibration from held-out predictions.
+    """Return a calibration from held-out predictions.
 
     Where all samples have a stamp, the parameters of the tracker of the sensors' state are fitted as well.
 
@@ -157,7 +157,7 @@ def calibrate_on_folds(
 
 
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:
-    """Covariances of the lasting and the varying error, slope of differences, and half widths of one condition.
+    """Return covariances of the lasting and the varying error, slope of differences, and half widths of one condition.
 
     B is estimated by the method of moments from the mean residual of each session; its correlations are shrunk to zero
     by G / (G + 30) for G objects, since 8 objects cannot determine 1225 of them. Where no session has two samples, the
@@ -204,7 +204,7 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
 
 
 def _centred(values: Float64, owners: Sequence[Bool]) -> Float64:
-    """(S, D) minus the mean of each session."""
+    """Return (S, D) minus the mean of each session."""
     centred = values.copy()
     for mine in owners:
         centred[mine] -= values[mine].mean(axis=0)
@@ -212,7 +212,7 @@ def _centred(values: Float64, owners: Sequence[Bool]) -> Float64:
 
 
 def _slopes(predicted: Float64, actual: Float64, channels: Channels) -> Float64:
-    """(D,) least-squares slope of actual over predicted differences in standard units, one per modality, in [0, 1].
+    """Return (D,) least-squares slope of actual over predicted differences in standard units, one per modality, in [0, 1].
 
     It is 1 where no difference was predicted.
     """
@@ -226,7 +226,7 @@ def _slopes(predicted: Float64, actual: Float64, channels: Channels) -> Float64:
 
 
 def _shrunk(moments: Float64, within: Float64, shrinkage: float) -> Float64:
-    """The moments made positive definite, their correlations times `shrinkage`."""
+    """Return the moments made positive definite, their correlations times `shrinkage`."""
     deviation = np.sqrt(np.maximum(np.diag(moments), _LEAST_SHARE * within))
     values, vectors = np.linalg.eigh(moments / np.outer(deviation, deviation))
     correlation = (vectors * np.maximum(values, 0.0)) @ vectors.T
@@ -239,7 +239,7 @@ def _shrunk(moments: Float64, within: Float64, shrinkage: float) -> Float64:
 
 
 def conformal_level(objects: int) -> float:
-    """The quantile of the scores of G calibration objects that covers one more object."""
+    """Return the quantile of the scores of G calibration objects that covers one more object."""
     return min(COVERAGE * (1.0 + 1.0 / objects), _HIGHEST_LEVEL)
 
 
@@ -248,13 +248,13 @@ def _least_variance(channels: Channels) -> Float64:
 
 
 def _spread(held_out: HeldOutPredictions) -> Float64:
-    """(D,) mean square of the residuals."""
+    """Return (D,) mean square of the residuals."""
     squared = (held_out.labels - held_out.predicted) ** 2
     return np.asarray(np.maximum(squared.mean(axis=0), _least_variance(held_out.channels)), np.float64)
 
 
 def _half_widths(held_out: HeldOutPredictions) -> Float64:
-    """(D,) half widths [counts]: one factor per modality times the deviation of each value."""
+    """Return (D,) half widths [counts]: one factor per modality times the deviation of each value."""
     channels, names, deviation = held_out.channels, held_out.objects, np.sqrt(_spread(held_out))
     scores = np.abs(held_out.labels - held_out.predicted) / deviation
     level = conformal_level(len(np.unique(names)))
@@ -266,7 +266,7 @@ def _half_widths(held_out: HeldOutPredictions) -> Float64:
 
 
 def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:
-    """Quantile of pooled (S, M) scores where every object weighs the same, whatever its number of samples."""
+    """Return the quantile of pooled (S, M) scores where every object weighs the same, whatever its number of samples."""
     unique, index, counts = np.unique(names, return_inverse=True, return_counts=True)
     weight = np.repeat(1.0 / (len(unique) * counts[index] * scores.shape[1]), scores.shape[1])
     flat = scores.reshape(-1)
@@ -276,7 +276,7 @@ def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:
 
 
 def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) -> tuple[Calibration, dict[str, Any]]:
-    """A calibration, and its facts for the card.
+    """Return a calibration, and its facts for the card.
 
     Args:
         rest: (D,) rest level [counts].
@@ -300,7 +300,7 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
 
 
 def guarantee(calibration: Mapping[str, Any]) -> str:
-    """One line for a card, from the facts of `make_calibration`: the coverage that this many objects can guarantee."""
+    """Return one line for a card, from the facts of `make_calibration`: the coverage that this many objects can guarantee."""
     new = calibration["regimes"]["new"]
     objects = new["objects"]
     coverage = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
@@ -312,7 +312,7 @@ def guarantee(calibration: Mapping[str, Any]) -> str:
 
 
 def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, float]]:
-    """By modality: `mean` over objects, and each object's coverage by intervals calibrated on the others.
+    """Return by modality the `mean` over objects, and each object's coverage by intervals calibrated on the others.
 
     Empty for a single object, which leaves none to calibrate on.
     """

@@ -43,13 +43,13 @@ _RIDGES: Final = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # candidates for
 
 
 def training_kernel(known: Float64, objects: Sequence[str] | npt.NDArray[np.str_]) -> Float64:
-    """(S, S) kernel of (S, F) standardised rows with the effects of their objects, before the ridge."""
+    """Return (S, S) kernel of (S, F) standardised rows with the effects of their objects, before the ridge."""
     _, index = np.unique(np.asarray(objects), return_inverse=True)
     return np.asarray(laplacian(known, known, DECAY) + _OBJECT_EFFECT * (index[:, None] == index), np.float64)
 
 
 def choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], channels: Channels) -> tuple[float, Float64]:
-    """The ridge of least error on objects left out, each object and modality weighing the same, and its gain there.
+    """Return the ridge of least error on objects left out, each object and modality weighing the same, and its gain there.
 
     Args:
         rows: (S, F) features.
@@ -70,7 +70,7 @@ def choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], channel
 def _held_out(
     rows: Float64, scaled: Float64, objects: npt.NDArray[np.str_], channels: Channels
 ) -> tuple[Float64, Float64]:
-    """(R, M, G) sums of predicted times actual differences from the mean, and of squared predicted ones.
+    """Return (R, M, G) sums of predicted times actual differences from the mean, and of squared predicted ones.
 
     Both are divided by the object's sum of squared actual differences.
     """
@@ -95,7 +95,7 @@ def _held_out(
 
 
 def shrunken_slope(products: Float64, powers: Float64) -> float:
-    """λ of one modality from (G,) products and powers of the objects; 0 where nothing was predicted, or G is 1."""
+    """Return λ of one modality from (G,) products and powers of the objects; 0 where nothing was predicted, or G is 1."""
     total, power = products.sum(), powers.sum()
     left = power - powers
     if len(products) < 2 or left.min() <= 1e-12 or total <= 0.0:
@@ -129,14 +129,14 @@ class ContactTrainingConfig(Settings):
 
 
 def describe_samples(samples: Sequence[Sample]) -> Float64:
-    """(S, F) float64 features of each sample's grasp; raises `DatasetError` if a cloud cannot be used."""
+    """Return (S, F) float64 features of each sample's grasp; raises `DatasetError` if a cloud cannot be used."""
     return np.concatenate(
         [_of(sample, lambda shown: HandFrameFeatures(shown.cloud.xyz).describe([shown.grasp])) for sample in samples]
     )
 
 
 def describe_objects(samples: Sequence[Sample]) -> Float64:
-    """(S, 8) float64 `object_sizes` of each sample's cloud; raises as `describe_samples`."""
+    """Return (S, 8) float64 `object_sizes` of each sample's cloud; raises as `describe_samples`."""
     return np.array([_of(sample, lambda shown: object_sizes(shown.cloud.xyz)) for sample in samples])
 
 
@@ -148,7 +148,7 @@ def _of(sample: Sample, describe: Callable[[Sample], Float64]) -> Float64:
 
 
 def describe_thinned(samples: Sequence[Sample], config: ContactTrainingConfig) -> Float64 | None:
-    """As `describe_samples`, on clouds with a random share of their points, by the seed; None if the share is 1."""
+    """Return (S, F) features on clouds with a random share of their points, by the seed; None if the share is 1."""
     if config.thinned == 1.0:
         return None
     rng = np.random.default_rng(config.seed)
@@ -161,7 +161,7 @@ def describe_thinned(samples: Sequence[Sample], config: ContactTrainingConfig) -
 
 
 def ranges_of(config: ContactTrainingConfig, channels: Channels) -> Ranges:
-    """Ranges of the values of a sensor: of the BioTac SP those of the settings, of others those of its description."""
+    """Return ranges of the values of a sensor: of the BioTac SP those of the settings, of others those of its description."""
     return config.ranges.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
 
 
@@ -265,18 +265,18 @@ class ContactPredictor:
         return self.fit(np.arange(len(self._train)))
 
     def fit(self, chosen: Indices, config: ContactTrainingConfig | None = None) -> ContactEstimator:
-        """A model fitted to some of the training samples, at the rest level of all of them; by other settings, if given."""
+        """Return a model fitted to some of the training samples, at the rest level of all of them; by other settings, if given."""
         config = config or self._config
         objects = [self._train[k].object for k in chosen]
         thinned = None if self._thinned is None or config.thinned == 1.0 else self._thinned[chosen]
         return fit_contact(self.rows[chosen], self._resting[chosen], objects, config, thinned, self._ranges)
 
     def predict(self, samples: Sequence[Sample]) -> Float64:
-        """(S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""
+        """Return (S, D) predictions from vision alone [counts]; labels and tares of the samples are not used."""
         return self._estimate(samples)[0]
 
     def predict_after(self, touched: Sequence[Sample], samples: Sequence[Sample]) -> tuple[Float64, Float64]:
-        """Predictions after touches of the same object, without tares, as `TouchModel.predict` gives them.
+        """Return predictions after touches of the same object, without tares, as `TouchModel.predict` gives them.
 
         Returns:
             The predictions and the half widths of their intervals, both (S, D) [counts].
@@ -288,7 +288,7 @@ class ContactPredictor:
         return predict_after(self.calibration[0], *(self._recording(part) for part in (earlier, samples)))
 
     def _recording(self, samples: Sequence[Sample]) -> TimedReadings:
-        """Samples with their predictions by vision, without their tares."""
+        """Return samples with their predictions by vision, without their tares."""
         expected, familiar = self._estimate(samples)
         labels = labels_of(samples) if samples else expected
         return replace(TimedReadings.of_samples(samples, labels, expected, self.rest, familiar), tares=None)
@@ -302,7 +302,7 @@ class ContactPredictor:
         return self.fit(fold.train).predict_rows(self.rows[fold.test])[0]
 
     def _estimate(self, samples: Sequence[Sample]) -> tuple[Float64, Bool]:
-        """Predictions before any touch and at rest level; each sample is described only once."""
+        """Return predictions before any touch and at rest level; each sample is described only once."""
         new = [sample for sample in samples if sample.id not in self._predicted]
         if new:
             pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)

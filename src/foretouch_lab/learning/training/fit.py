@@ -15,7 +15,7 @@ from foretouch_lab.learning.training.run_config import load_run_config
 
 
 def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str, settings: Mapping[str, Any]) -> TouchModel:
-    """See `foretouch.fit`; the files of the model are in a temporary folder that lives as long as the model."""
+    """Train a model on samples; its files are in a temporary folder that lives as long as the model."""
     if isinstance(samples, str | Path):
         data = load_dataset(samples)
     elif isinstance(samples, SampleSet):

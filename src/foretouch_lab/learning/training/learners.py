@@ -78,7 +78,7 @@ class Learner(ABC):
 
     @abstractmethod
     def predict(self, index: Indices) -> Float64:
-        """(T, D) predictions of training samples by the model of the last `fit`; NaN for absent modalities [counts]."""
+        """Return (T, D) predictions of training samples by the model of the last `fit`; NaN for absent modalities [counts]."""
 
     @abstractmethod
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
@@ -90,13 +90,13 @@ class Learner(ABC):
         return self.config.model.outputs if self.config.has_network else self.sensor.channels.modalities
 
     def predict_fold(self, fold: Fold) -> Float64:
-        """(T, D) predictions of a fold's test side by a copy that is fitted to its training side [counts]."""
+        """Return (T, D) predictions of a fold's test side by a copy that is fitted to its training side [counts]."""
         learner = copy.copy(self)
         learner.fit(fold.train)
         return learner.predict(fold.test)
 
     def calibrate(self, workers: int = 1) -> CardCalibration:
-        """See `calibrate_on_folds`; the fitted model stays as it is."""
+        """Calibrate by `calibrate_on_folds`; the fitted model stays as it is."""
         how: Any = {"where": self.where, "workers": workers}
         return calibrate_on_folds(self.samples, self.labels, self.predict_fold, self.config.seed, **how)
 
@@ -114,16 +114,16 @@ class ContactLearner(Learner):
         self.where = self._predictor.rows[:, len(CONDITIONS) :]
 
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
-        """As `Learner.fit`; it takes seconds, so a run that was stopped starts again."""
+        """Fit the forests and the kernel; it takes seconds, so a run that was stopped starts again."""
         del run
         self._estimator = self._predictor.fit(np.arange(len(self.samples)) if chosen is None else chosen)
 
     def predict(self, index: Indices) -> Float64:
-        """As `Learner.predict`."""
+        """Return (T, D) predictions of training samples [counts]."""
         return self._estimator.predict_rows(self._predictor.rows[index])[0]
 
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
-        """As `Learner.save`."""
+        """Write weights, card and calibration, all files or none."""
         gains = zip(self.sensor.channels.modalities, self._estimator.generalisation_gain, strict=True)
         shares = ", ".join(f"{modality} {value:.2f}" for modality, value in gains)
         limits = [
@@ -156,11 +156,11 @@ class NetworkLearner(Learner):
         self._objects = describe_objects(self.samples) if config.calibrates else np.empty((0, 0))
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the trained weights, which the processes that fit folds do not use."""
+        """Return all but the trained weights, which the processes that fit folds do not use."""
         return {**self.__dict__, "_net": None}
 
     def fit(self, chosen: Indices | None = None, run: RunFolder | None = None) -> None:
-        """As `Learner.fit`; with a model folder, every epoch is on disk before it is reported."""
+        """Train the network; with a model folder, every epoch is on disk before it is reported."""
         self._chosen = np.arange(len(self.samples)) if chosen is None else chosen
         train = self.split.train[self._chosen]
         trainer: Trainer
@@ -179,7 +179,7 @@ class NetworkLearner(Learner):
         self.epochs = trainer.epoch
 
     def predict(self, index: Indices) -> Float64:
-        """As `Learner.predict`; a calibrated network fades to its fallback on new objects."""
+        """Return (T, D) predictions of training samples [counts]; a calibrated network fades to its fallback on new objects."""
         predicted = np.full((len(index), self._prepared.labels.shape[1]), np.nan)
         predicted[:, BIOTAC.columns(self.config.model.outputs)] = predict_set(
             self._net, self._prepared, self.split.train[index]
@@ -187,7 +187,7 @@ class NetworkLearner(Learner):
         return self._fallback().fade(predicted, self._objects[index])[0] if self.config.calibrates else predicted
 
     def save(self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None) -> Path:
-        """As `Learner.save`."""
+        """Write weights, card and calibration, all files or none."""
         learned = np.concatenate([self.split.train, self.split.unlabelled])
         own = {
             "familiar": LengthRangeCheck.fit(self._prepared.lengths[learned]).to_card(),

@@ -54,7 +54,7 @@ class SrganLossConfig(Settings):
 
 
 def _safe_root(mean_square: Tensor) -> Tensor:
-    """The square root, with a finite slope at zero.
+    """Return the square root, with a finite slope at zero.
 
     Departure from eq. 2, whose slope at zero is infinite and turns a perfect batch into NaN weights: below 1e-6 the
     root is replaced by its chord, m / 1e-6. Zero stays zero; from 1e-6 on, far below any real error, it is exact.
@@ -67,7 +67,7 @@ def _safe_root(mean_square: Tensor) -> Tensor:
 def labeled_loss(
     scaled: Tensor, target: Tensor, sizes: Sequence[int], kind: str = "rmse", epsilon: float = 0.0
 ) -> Tensor:
-    """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
+    """Return the root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
 
     Args:
         scaled: (B, M) predictions.
@@ -84,7 +84,7 @@ def labeled_loss(
 
 
 def discriminator_loss(labeled: Tensor, features: Sequence[Tensor], config: SrganLossConfig) -> dict[str, Tensor]:
-    """The parts of eq. 1 by name, before their weights, and their `total`.
+    """Return the parts of eq. 1 by name, before their weights, and their `total`.
 
     Args:
         labeled: Result of `labeled_loss`.
@@ -102,7 +102,7 @@ def discriminator_loss(labeled: Tensor, features: Sequence[Tensor], config: Srga
 
 
 def matching_loss(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
-    """Squared distance of the (B, F) features of two batches, eqs. 3 and 5, or the SR-GAN's mean|Δ|.
+    """Return squared distance of the (B, F) features of two batches, eqs. 3 and 5, or the SR-GAN's mean|Δ|.
 
     Eq. 3 is of labelled and unlabelled clouds; eq. 5, the generator's loss, of fake and unlabelled ones.
     """
@@ -115,7 +115,7 @@ def matching_loss(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
 
 
 def _difference(a: Tensor, b: Tensor, config: SrganLossConfig) -> Tensor:
-    """(B, F) in pairs, or (1, F) of the batches' means."""
+    """Return (B, F) in pairs, or (1, F) of the batches' means."""
     if config.loss_variant not in _OF_MEANS:
         return a - b
     return (a.sum(dim=0, keepdim=True) / len(a)) - (b.sum(dim=0, keepdim=True) / len(b))

@@ -138,13 +138,13 @@ def compare_splits(
 
 
 def make_learner(config: RunConfig, data: Dataset) -> Learner:
-    """The learner of the configured method for the configured part of a dataset."""
+    """Return the learner of the configured method for the configured part of a dataset."""
     split = data.partition(config.split)
     return (NetworkLearner if config.has_network else ContactLearner)(config, data, split)
 
 
 def _missing_grasps(learner: Learner) -> str:
-    """How many grasps a calibration lacks: a model must be fitted without each of the objects; "" if none are missing."""
+    """Return how many grasps a calibration lacks: a model must be fitted without each of the objects; "" if none are missing."""
     name, most = Counter(sample.object for sample in learner.samples).most_common(1)[0]
     others = len(learner.samples) - most
     if others >= FEWEST_SAMPLES:
@@ -153,7 +153,7 @@ def _missing_grasps(learner: Learner) -> str:
 
 
 def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
-    """`summary`, `data`, `split`, `limits` and `version` of the card."""
+    """Return `summary`, `data`, `split`, `limits` and `version` of the card."""
     config, count = learner.config, len(learner.samples)
     facts = {
         "summary": f"{', '.join(learner.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
@@ -177,7 +177,7 @@ def _release_facts(
     results: Mapping[str, Scores],
     calibration: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """What a release changes of the facts for a card: skills and baselines by split, the origin of the data, the limits."""
+    """Return what a release changes of the facts for a card: skills and baselines by split, the origin of the data, the limits."""
     rounded = {
         split: {
             name: {key: {"rmse": round(s["rmse"], 2), "nrmse": round(s["nrmse"], 4), "skill": round(s["skill"], 4)}

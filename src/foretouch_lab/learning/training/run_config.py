@@ -87,7 +87,7 @@ class RunConfig(Settings):
             raise ConfigError(f"{field}: model.outputs: {rule}")
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain nested data that `from_mapping` accepts, without the groups that have no effect on the method."""
+        """Return plain nested data that `from_mapping` accepts, without the groups that have no effect on the method."""
         return {name: value for name, value in super().to_mapping().items() if self.method in GROUPS.get(name, METHODS)}
 
     @property
@@ -109,12 +109,12 @@ class RunConfig(Settings):
         return own.seed
 
     def ranges(self, channels: Channels) -> Ranges:
-        """Ranges of the hand that the model learns from, which has a sensor of these channels."""
+        """Return ranges of the hand that the model learns from, which has a sensor of these channels."""
         return self.model.ranges.ranges if self.has_network else ranges_of(self.contact, channels)
 
 
 def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunConfig:
-    """Settings of a run from a YAML file and `key=value` words.
+    """Return settings of a run from a YAML file and `key=value` words.
 
     Args:
         config: A YAML file, the name of a recipe that comes with the package, such as `contact-v3`, or a method, for

@@ -46,7 +46,7 @@ def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, A
 
 
 def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and plain data of `write_state`.
+    """Return tensors and plain data of `write_state`.
 
     Raises:
         FileError: If there is no state, or it is damaged or was changed.

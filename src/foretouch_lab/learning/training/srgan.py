@@ -126,7 +126,7 @@ class SrganTrainer(Trainer):
         return {"generator": float(loss.detach())}
 
     def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> list[Tensor]:
-        """f(x) of the three sources; in one pass, which is faster, where that gives the same features.
+        """Return f(x) of the three sources; in one pass, which is faster, where that gives the same features.
 
         Where fake clouds enter no loss (`as_printed`), their features are not computed.
         """
@@ -143,19 +143,19 @@ class SrganTrainer(Trainer):
         return self.generator.clouds(noise.to(self.device))
 
     def _calibration(self) -> Iterator[Inputs]:
-        """Batches of real clouds, labelled or not."""
+        """Return batches of real clouds, labelled or not."""
         everything = np.union1d(self._labelled, self._unlabelled)
         return map(self._inputs, _repeated_batches(everything, self.config.batch_size, _CALIBRATION_BATCHES, self.rng))
 
 
 def _repeated_batches(index: Indices, size: int, count: int, rng: np.random.Generator) -> Iterator[Indices]:
-    """`count` batches from as many shuffles of the samples as they take."""
+    """Return `count` batches from as many shuffles of the samples as they take."""
     return islice(chain.from_iterable(shuffled_batches(index, size, rng) for _ in repeat(None)), count)
 
 
 @contextmanager
 def _fixed(net: nn.Module) -> Iterator[None]:
-    """Within, no gradients are computed for the weights, as for a step of the other network."""
+    """Compute no gradients for the weights within the block, as for a step of the other network."""
     for parameter in net.parameters():
         parameter.requires_grad = False
     try:

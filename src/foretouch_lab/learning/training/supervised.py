@@ -28,7 +28,7 @@ from foretouch_lab.learning.training.trainer import EpochsConfig, Trainer, shuff
 
 
 def viewing_axis_rotations(count: int, largest_deg: float, rng: np.random.Generator) -> Float64:
-    """(B, 3, 3) rotations about z by angles uniform in +-`largest_deg`."""
+    """Return (B, 3, 3) rotations about z by angles uniform in +-`largest_deg`."""
     angles = np.radians(rng.uniform(-largest_deg, largest_deg, count))
     rotations = np.tile(np.eye(3), (count, 1, 1))
     rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(angles)

@@ -52,7 +52,7 @@ _LIMITS: Final = np.log(
 
 
 def fit_tracker(recording: TimedReadings, new: CalibrationGroup, known: CalibrationGroup) -> TrackerParameters:
-    """Parameters of a tracker, from predictions of objects that were left out.
+    """Return parameters of a tracker, from predictions of objects that were left out.
 
     B is used within modalities only, since its correlations across them gained nothing on the recorded objects.
 
@@ -110,7 +110,7 @@ class _Replay:
         self._weights = np.eye(modalities)[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (D, M)
 
     def with_slopes(self, parameters: TrackerParameters) -> TrackerParameters:
-        """The same parameters with the most likely slopes of the taxels of each finger."""
+        """Return the same parameters with the most likely slopes of the taxels of each finger."""
         fingers = len(self._channels.fingers)
         taxels = [k for k, channel in enumerate(self._channels.channel_of.values()) if channel.size > 1]
         unit = np.where(np.isin(self._channels.modality_of_value, taxels), 1.0, 0.0)
@@ -135,7 +135,7 @@ class _Replay:
         return replace(parameters, slope=unit * mean, slope_sd=unit * np.exp(deviation))
 
     def losses(self, logs: Float64) -> Float64:
-        """(C, M) negative logarithm of the posterior of each modality, for (C, M, 7) candidates at once."""
+        """Return (C, M) negative logarithm of the posterior of each modality, for (C, M, 7) candidates at once."""
         columns_of = np.exp(logs)[:, self.owner].reshape(-1, logs.shape[2]).T
         slow, fast, lasting, slow_s, fast_s, tare, noise = np.ascontiguousarray(columns_of)
         scale = np.tile(self.lasting, len(logs))
@@ -144,7 +144,7 @@ class _Replay:
         return np.asarray(self._surprises(filtered, tare, noise, None) + prior, np.float64)
 
     def _surprises(self, filtered: StateFilter, tare: Float64, noise: Float64, temperatures: Float64 | None) -> Float64:
-        """(C, M) negative log likelihood of each modality, for a filter of C candidates for each coordinate.
+        """Return (C, M) negative log likelihood of each modality, for a filter of C candidates for each coordinate.
 
         `tare` and `noise` are variances, (C * D,) or (D,); `temperatures` are (S, 2, D) changes, at tare and touch.
         """
@@ -164,7 +164,7 @@ class _Replay:
 
 
 def _temperature(tdc: Float64) -> Float64:
-    """(S, 2) difference of TDC from its first value; the one before where none was read, 0 before the first."""
+    """Return (S, 2) difference of TDC from its first value; the one before where none was read, 0 before the first."""
     filled = tdc.copy()
     for k in range(1, len(filled)):
         filled[k] = np.where(np.isnan(filled[k]), filled[k - 1], filled[k])
@@ -173,7 +173,7 @@ def _temperature(tdc: Float64) -> Float64:
 
 
 def _least(losses: Callable[[Float64], Float64], start: Float64, limits: Float64, groups: int) -> Float64:
-    """(G, P) parameters of independent groups with the least losses: (C, G) of (C, G, P) candidates.
+    """Return (G, P) parameters of independent groups with the least losses: (C, G) of (C, G, P) candidates.
 
     `start` is (P,) and `limits` (P, 2), of each group.
     """
@@ -193,7 +193,7 @@ def _least(losses: Callable[[Float64], Float64], start: Float64, limits: Float64
 
 
 def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int, x: Float64 | None) -> Float64:
-    """(K,) negative log likelihood of an observation, which is then added."""
+    """Return (K,) negative log likelihood of an observation, which is then added."""
     mean, variance = filtered.predicted(parts, x)
     variance = variance + noise
     filtered.observe(value, noise, parts, x)
@@ -201,7 +201,7 @@ def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int,
 
 
 def _with_intervals(parameters: TrackerParameters, recording: TimedReadings) -> TrackerParameters:
-    """The factor of the intervals and the limits of the innovation test, from the recording replayed once."""
+    """Return the factor of the intervals and the limits of the innovation test, from the recording replayed once."""
     patient = replace(parameters, alarm=np.full_like(parameters.alarm, 1e6))
     played = replay(SensorTracker(patient), recording)
     innovations = recording.readings - recording.expected - [level.offset for level in played.levels]
@@ -220,7 +220,7 @@ def _with_intervals(parameters: TrackerParameters, recording: TimedReadings) -> 
 
 
 def fit_places(parameters: TrackerParameters, recording: TimedReadings) -> TrackerParameters:
-    """The same parameters with the most likely length and ratios of the features of grasps."""
+    """Return the same parameters with the most likely length and ratios of the features of grasps."""
     where, runs = np.asarray(recording.where), recording.runs()
     deviation = np.sqrt(np.mean([where[runs == run].var(axis=0) for run in np.unique(runs)], axis=0))
     unit = np.maximum(deviation, _LEAST_SCALE) * np.sqrt(len(deviation))
@@ -240,7 +240,7 @@ def fit_places(parameters: TrackerParameters, recording: TimedReadings) -> Track
 
 
 def _likelihood(parameters: TrackerParameters, recording: TimedReadings) -> Float64:
-    """(M,) log likelihood of a mean value of each modality, as the tracker predicts the readings one after the other."""
+    """Return (M,) log likelihood of a mean value of each modality, as the tracker predicts the readings one after the other."""
     played = replay(SensorTracker(parameters), recording)
     surprise = 0.5 * ((recording.readings - played.counts) / played.deviation) ** 2 + np.log(played.deviation)
     return np.asarray(-(parameters.channels.modality_means @ surprise.sum(axis=0)), np.float64)

@@ -76,7 +76,7 @@ class EpochsConfig(Settings):
 
 
 def other_default(name: str, default: Any) -> Any:
-    """A setting of `EpochsConfig` with another default, for a subclass."""
+    """Return a setting of `EpochsConfig` with another default, for a subclass."""
     return dataclasses.field(default=default, metadata=EpochsConfig.__dataclass_fields__[name].metadata)
 
 
@@ -148,7 +148,7 @@ class Trainer(ABC):
             raise DatasetError(f"training: {len(index)} {kind}samples are fewer than one batch of {size}")
 
     def run_epoch(self) -> dict[str, float]:
-        """One pass over the training samples.
+        """Make one pass over the training samples.
 
         Gives the mean of each loss over the batches.
 
@@ -183,7 +183,7 @@ class Trainer(ABC):
         self._schedules[name].step()
 
     def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Copies of all tensors by name and the rest as plain data: all that `restore` requires."""
+        """Return copies of all tensors by name and the rest as plain data: all that `restore` requires."""
         tensors = dict(self._randomness)
         plain: dict[str, Any] = {"epoch": self.epoch, "rng": self.rng.bit_generator.state, "steppers": {}}
         for name, module in self.modules.items():
@@ -225,12 +225,12 @@ class Trainer(ABC):
         """Train on each batch of an epoch; yields its losses."""
 
     def _make_modules(self) -> dict[str, nn.Module]:
-        """Further networks, initialised after the first from the same seed."""
+        """Return further networks, initialised after the first from the same seed."""
         return {}
 
     @contextmanager
     def _own_randomness(self) -> Iterator[None]:
-        """Within, torch's generators continue from this trainer's state; outside, they are unchanged."""
+        """Let torch's generators continue from this trainer's state within the block; outside, they are unchanged."""
         cuda = self.device if self.device.type == "cuda" else None
         with torch.random.fork_rng(devices=[] if cuda is None else [cuda]):
             if self._randomness:
@@ -243,12 +243,12 @@ class Trainer(ABC):
                 self._randomness[_CUDA_RNG] = torch.cuda.get_rng_state(cuda)
 
     def _inputs(self, batch: Indices) -> Inputs:
-        """Points (B, N, C) of a batch, drawn again each time, and its grasps (B, G) where the network takes them."""
+        """Return (B, N, C) points of a batch, drawn again each time, and its (B, G) grasps where the network takes them."""
         points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points)).to(self.device)
         return points, self._grasp_inputs[batch].to(self.device) if self.data.config.use_grasp else None
 
     def _targets(self, batch: Indices) -> Tensor:
-        """(B, M) scaled labels."""
+        """Return (B, M) scaled labels."""
         return self.net.to_scaled(self._labels[batch].to(self.device))
 
 
@@ -262,7 +262,7 @@ def set_precision(module: nn.Module, precision: str) -> None:
 def shuffled_batches(
     index: Indices, size: int, rng: np.random.Generator, *, partial: bool = False
 ) -> Iterator[Indices]:
-    """Batches of shuffled samples. The remainder is left out of this epoch, or with `partial` is a last batch.
+    """Iterate over batches of shuffled samples. The remainder is left out of this epoch, or with `partial` is a last batch.
 
     A remainder of a single sample is always left out, since batch norm has no statistics of it.
     """

@@ -69,7 +69,7 @@ def _layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
 
 
 def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: float) -> Float64:
-    """Displacement of a half-space at (x, y) [m] from its centre, by a square cell under 1 Pa [m/Pa]."""
+    """Return the displacement of a half-space at (x, y) [m] from its centre, by a square cell under 1 Pa [m/Pa]."""
     left, right = x - step_m / 2.0, x + step_m / 2.0
     low, high = y - step_m / 2.0, y + step_m / 2.0
     return (_corner(right, high) + _corner(left, low) - _corner(right, low) - _corner(left, high)) / (
@@ -78,7 +78,7 @@ def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: flo
 
 
 def _layer_influence(layer: ElasticLayer, n: int, step_m: float) -> Float64:
-    """(n, n) float64 [m/Pa]: displacement at cell (i, j) by cell (0, 0) under 1 Pa."""
+    """Return (n, n) float64 [m/Pa]: displacement at cell (i, j) by cell (0, 0) under 1 Pa."""
     offset = step_m * np.arange(n, dtype=np.float64)
     x, y = offset[None, :], offset[:, None]
     half_space = _love_influence(x, y, step_m, layer.plane_modulus_pa)
@@ -98,7 +98,7 @@ def _layer_influence(layer: ElasticLayer, n: int, step_m: float) -> Float64:
 
 @lru_cache(maxsize=_CACHED)
 def _influence_spectrum(layer: ElasticLayer, n: int, step_m: float) -> Complex128:
-    """(2n, n + 1) complex128: the spectrum that turns an n x n pressure into displacement without wrapping.
+    """Return (2n, n + 1) complex128: the spectrum that turns an n x n pressure into displacement without wrapping.
 
     The coefficients fill a grid of twice the size, so that the cyclic convolution of the padded pressure
     is the plain one (DC-FFT; Liu, Wang & Liu 2000). Kept for the latest layers and grids; do not write to it.
@@ -114,7 +114,7 @@ def _influence_spectrum(layer: ElasticLayer, n: int, step_m: float) -> Complex12
 
 
 def _convolve(pressure: Float64, spectrum: Complex128) -> Float64:
-    """(L, N, N) float64 [m], displacement by a pressure (N, N) [Pa], from `_influence_spectrum` (L, 2N, N + 1) of L layers.
+    """Return (L, N, N) float64 [m], displacement by a pressure (N, N) [Pa], from `_influence_spectrum` (L, 2N, N + 1) of L layers.
 
     By axis, so that rows of zeros are not transformed on the way in, nor unused ones on the way out.
     """
@@ -186,7 +186,7 @@ def solve_layer(problem: ContactProblem, command: Command) -> ContactSolution:
 
 
 def _box_around(pressure: Float64) -> tuple[slice, slice]:
-    """The smallest square of a few sizes that holds all pressed cells and a margin on each side."""
+    """Return the smallest square of a few sizes that holds all pressed cells and a margin on each side."""
     n = pressure.shape[0]
     spans = [np.flatnonzero(pressure.any(axis=axis)) for axis in (1, 0)]
     needed = max(int(span[-1] - span[0]) for span in spans) + 1 + 2 * _MARGIN
@@ -196,7 +196,7 @@ def _box_around(pressure: Float64) -> tuple[slice, slice]:
 
 
 def _expected_pressure(problem: ContactProblem, command: Command) -> Float64:
-    """(N, N) float64 [Pa]: at least one cell is pressed; all pressed ones have a finite gap."""
+    """Return (N, N) float64 [Pa]: at least one cell is pressed; all pressed ones have a finite gap."""
     gaps = np.sort(problem.gap[np.isfinite(problem.gap)], axis=None)
     count = np.arange(1, gaps.size + 1)
     radius = np.sqrt(count * problem.cell_m2 / math.pi)
@@ -249,7 +249,7 @@ def _descend(
 
 @lru_cache(maxsize=_CACHED)
 def _spectra(layers: tuple[ElasticLayer, ...], n: int, step_m: float) -> tuple[Complex128, Complex128]:
-    """(L, 2n, n + 1) of each layer, and their sum; do not write to them."""
+    """Return (L, 2n, n + 1) of each layer, and their sum; do not write to them."""
     each = np.stack([_influence_spectrum(layer, n, step_m) for layer in layers])
     return each, each.sum(axis=0)
 

@@ -70,7 +70,7 @@ class ContactFrame:
         return self.rotation[:, 2]
 
     def points(self, x: Float64, y: Float64, z: Float64 | float) -> Float64:
-        """(..., 3) float64 [m] of points at (x, y) of the tangent plane, `z` along the normal."""
+        """Return (..., 3) float64 [m] of points at (x, y) of the tangent plane, `z` along the normal."""
         return self.origin + np.stack(np.broadcast_arrays(x, y, z), axis=-1) @ self.rotation.T
 
 
@@ -86,7 +86,7 @@ class PadWindow:
 
 
 def pad_window(config: PadConfig, direction: Float64) -> PadWindow:
-    """The window about the place where the outward normal is `direction` (see `contact_frame`)."""
+    """Return the window about the place where the outward normal is `direction` (see `contact_frame`)."""
     frame = contact_frame(config, direction)
     offset = (np.arange(config.cells) - (config.cells - 1) / 2.0) * config.step_m
     x, y = np.meshgrid(offset, offset)
@@ -95,13 +95,13 @@ def pad_window(config: PadConfig, direction: Float64) -> PadWindow:
 
 
 def pad_direction(pitch_rad: float, roll_rad: float) -> Float64:
-    """(3,) unit vector, fingertip frame: from the middle of the pad, `pitch` towards the tip, `roll` towards +y."""
+    """Return (3,) unit vector, fingertip frame: from the middle of the pad, `pitch` towards the tip, `roll` towards +y."""
     across = math.cos(pitch_rad)
     return np.array([math.sin(pitch_rad), across * math.sin(roll_rad), -across * math.cos(roll_rad)])
 
 
 def contact_frame(config: PadConfig, direction: Float64) -> ContactFrame:
-    """The place where the skin's outward normal is `direction`: where a plane from there touches first.
+    """Return the place where the skin's outward normal is `direction`: where a plane from there touches first.
 
     On the ellipsoid Σ (p_i / a_i)² = 1 it is p = A² n / |A n|, A the diagonal of the semi-axes.
 
@@ -125,7 +125,7 @@ def contact_frame(config: PadConfig, direction: Float64) -> ContactFrame:
 
 
 def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) -> Float64:
-    """Depth of the undeformed skin below its tangent plane [m], shape of x; infinite beside the pad.
+    """Return the depth of the undeformed skin below its tangent plane [m], shape of x; infinite beside the pad.
 
     The first meeting of the line o + x t_x + y t_y - s n with the ellipsoid, a quadratic in s.
     """
@@ -142,7 +142,7 @@ def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) ->
 
 
 def gap_field(depth: Float64, object_height: Float64) -> Float64:
-    """(N, N) float64 [m], distance of skin and object at first touch: least value 0, infinite where one is absent.
+    """Return (N, N) float64 [m], distance of skin and object at first touch: least value 0, infinite where one is absent.
 
     Args:
         depth: (N, N) of `pad_depth` [m].

@@ -99,7 +99,7 @@ class ContactSolution:
 
 
 def no_contact(problem: ContactProblem, depth_m: float = 0.0) -> ContactSolution:
-    """The solution where nothing presses."""
+    """Return the solution where nothing presses."""
     shape = problem.gap.shape
     return ContactSolution(np.zeros(shape), np.zeros((len(problem.layers), *shape)), 0.0, 0.0, min(depth_m, 0.0))
 
@@ -126,7 +126,7 @@ _MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on t
 
 
 def bed_stiffness(layer: ElasticLayer) -> float:
-    """Pressure per indentation of one layer that is not a half-space [Pa/m].
+    """Return the pressure per indentation of one layer that is not a half-space [Pa/m].
 
     ν is capped at 0.45: an incompressible layer does not answer locally, and its bed would be rigid.
     """
@@ -157,7 +157,7 @@ def solve_winkler(problem: ContactProblem, command: Command) -> ContactSolution:
 
 
 def _depth_for(gap: Float64, overlap_sum: float) -> float:
-    """The depth d at which Σ max(d - gap, 0) is `overlap_sum`.
+    """Return the depth d at which Σ max(d - gap, 0) is `overlap_sum`.
 
     The sum is piecewise linear in d with a kink at every gap. With the gaps in order, the n-th piece gives
     d = (overlap_sum + Σ first n gaps) / n; it is the one whose d does not reach the next gap.
@@ -173,7 +173,7 @@ STEEPEST: Final = 1.0  # slope beyond which an edge counts as one of 45 degrees
 
 
 def skin_slopes(depth: Float64, step_m: float) -> Float64:
-    """(N, N, 2) slope of a surface along x and y from its depth (N, N) below a plane; 0 beside it, where depth is not finite."""
+    """Return (N, N, 2) slope of a surface along x and y from its depth (N, N) below a plane; 0 beside it, where depth is not finite."""
     height = np.where(np.isfinite(depth), -depth, np.nan)
     slopes = np.zeros((*depth.shape, 2))
     for k, axis in enumerate((1, 0)):
@@ -192,7 +192,7 @@ def tractions(
     friction: float,
     pressure_at: Callable[[float], Float64],
 ) -> Float64:
-    """Force of an object on the skin, per area.
+    """Return the force of an object on the skin, per area.
 
     Args:
         contact: The solved contact.

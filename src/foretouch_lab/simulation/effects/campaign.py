@@ -33,7 +33,7 @@ def _drift(job: Job, state: SampleState) -> None:
 
 
 def _warm_up(job: Job, state: SampleState) -> None:
-    """The liquid warms on; with TDC, fingers also approach the temperature of an object as long as they touch it."""
+    """Let the liquid warm on; with TDC, fingers also approach the temperature of an object as long as they touch it."""
     config: WarmUpConfig = job.settings
     campaign, now, timeline = _campaign(job), state.campaign_time, job.scene.fingers.timeline
     rise_k = fingertip.warming(now.powered_s + now.speed * state.times, config.body_kelvin, config.warming_s)

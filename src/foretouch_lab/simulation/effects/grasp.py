@@ -76,7 +76,7 @@ def _fingers(job: Job, state: SampleState) -> None:
 
 
 def _finger_frames(g1: Float64, g2: Float64, hand: Float64, up: Float64) -> tuple[ContactFrame, ContactFrame]:
-    """Thumb at g1 and middle finger at g2, closing towards each other, both pointing down.
+    """Return thumb at g1 and middle finger at g2, closing towards each other, both pointing down.
 
     The hand's Y is along the object's axis and Z along g1 - g2, so the fingers lie along its X; which end of X
     they point to is not said by the grasp, and the hand comes from above, against `up`. All in one frame.
@@ -120,7 +120,7 @@ def _described_frames(
 
 
 def _execution_error(job: Job, state: SampleState) -> None:
-    """Both fingers are on one hand, so they are shifted and turned about their middle as one, and press alike."""
+    """Shift and turn both fingers about their middle as one, since they are on one hand, and let them press alike."""
     error: ExecutionErrorConfig = job.settings
     rng = job.rng()
     thumb, middle = state.fingers
@@ -136,7 +136,7 @@ def _execution_error(job: Job, state: SampleState) -> None:
 
 
 def _small_rotation(vector: Float64) -> Float64:
-    """Rotation about a vector by its length [rad] (Rodrigues)."""
+    """Return the rotation about a vector by its length [rad] (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
         return np.eye(3)
@@ -146,7 +146,7 @@ def _small_rotation(vector: Float64) -> Float64:
 
 
 def _targets(job: Job, state: SampleState) -> None:
-    """Both fingers aim at one number, since the object passes the force on."""
+    """Let both fingers aim at one number, since the object passes the force on."""
     grasps = job.scene.grasps
     state.target = draw(job.rng(), grasps.thumb.force_n if grasps.control == "force" else grasps.thumb.depth_m)
     state.axial_load_n, state.tangential_n = 0.0, np.zeros((2, 3))
@@ -206,7 +206,7 @@ def _first_touch(job: Job, state: SampleState) -> None:
 
 
 def _slope(cosine: float) -> float:
-    """Tangent of the angle between approach and surface normal; infinite where the surface turns away."""
+    """Return the tangent of the angle between approach and surface normal; infinite where the surface turns away."""
     return math.sqrt(1.0 / cosine**2 - 1.0) if 0.0 < cosine < 1.0 else (math.inf if cosine <= 0.0 else 0.0)
 
 
@@ -229,14 +229,14 @@ def _meet(
 
 
 def pad_of(job: Job) -> PadConfig:
-    """The pad, its window as wide as an array of taxels, or as the object's softness asks for."""
+    """Return the pad, its window as wide as an array of taxels, or as the object's softness asks for."""
     if job.world.array:
         return job.world.array.pad
     return job.scene.fingers.pad if job.item.rigid else job.scene.fingers.pad.soft
 
 
 def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:
-    """(N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
+    """Return (N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
     starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
     return body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t.reshape(window.x.shape) - _BACK_M
 
@@ -249,7 +249,7 @@ def _relief(_job: Job, state: SampleState) -> None:
 
 
 def _surface(job: Job, state: SampleState) -> None:
-    """Waves of random directions and phases, fixed to the object: two touches of one spot feel the same relief."""
+    """Add waves of random directions and phases, fixed to the object: two touches of one spot feel the same relief."""
     body = state.bodies[0]
     rng = np.random.default_rng([job.scene.seed, object_index(job.scene, job.key.slot), body.variant])
     axes = rng.standard_normal((_WAVES, 3))
@@ -276,7 +276,7 @@ def _solve(job: Job, state: SampleState) -> None:
 
 
 def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[ElasticLayer, ...]:
-    """The elastic layers in contact: the pad and, if it is soft, the object."""
+    """Return the elastic layers in contact: the pad and, if it is soft, the object."""
     pad = scene.fingers.pad.layer
     if item.young_pa is None or item.thickness_m is None:
         return (pad,)
@@ -284,12 +284,12 @@ def _layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[ElasticLayer, ..
 
 
 def command_of(scene: SceneConfig, target: float) -> Command:
-    """A finger's target as force or depth."""
+    """Return a finger's target as force or depth."""
     return Command(force_n=target) if scene.grasps.control == "force" else Command(depth_m=target)
 
 
 def contact_problem(job: Job, window: PadWindow, behind: Float64) -> ContactProblem:
-    """The gap between a pad and the surface behind its tangent plane; a `ContactError` if both exist nowhere."""
+    """Return the gap between a pad and the surface behind its tangent plane; a `ContactError` if both exist nowhere."""
     return ContactProblem(gap_field(window.depth, -behind), pad_of(job).step_m, _layers_of(job.scene, job.item))
 
 

@@ -44,7 +44,7 @@ def _ideal(job: Job, state: SampleState) -> None:
 def _reading(
     job: Job, state: SampleState, k: int, frame: ContactFrame, behind: Float64, contact: ContactSolution
 ) -> Float64:
-    """(V,) values of the ideal fingertip k in contact with a surface that lies so far behind its tangent plane."""
+    """Return (V,) values of the ideal fingertip k in contact with a surface that lies so far behind its tangent plane."""
     array, window = job.world.array, state.pads[k]
     if array is None:
         return fingertip.read_contact(pad_of(job), state.sensors[k], window, contact)
@@ -73,7 +73,7 @@ def _tare_and_touch(_job: Job, state: SampleState) -> None:
 
 
 def start(state: SampleState, times: Float64, load: Float64, low: Float64, high: Float64) -> None:
-    """Messages at times (T,) [s] that go from `low` to `high` (2, V) with the load (T,); nothing else is added yet."""
+    """Start with messages at times (T,) [s] that go from `low` to `high` (2, V) with the load (T,); nothing else is added yet."""
     state.times, state.load = times, load
     state.series = low + load[:, None, None] * (high - low)
     state.others = np.zeros((len(load), 2, len(OTHERS)))
@@ -96,7 +96,7 @@ def _rate_hz(job: Job) -> float:
 
 
 def _slip(job: Job, state: SampleState) -> None:
-    """The object slides down through the fingers during the hold.
+    """Let the object slide down through the fingers during the hold.
 
     The contact is solved once more where the slip ends, and the readings change from one solution to the other along
     the path.
@@ -110,7 +110,7 @@ def _slip(job: Job, state: SampleState) -> None:
 
 
 def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:
-    """(V,) of finger k, the object having slid down by so much across its normal."""
+    """Return (V,) of finger k, the object having slid down by so much across its normal."""
     frame, window, scene = state.touches[k], state.pads[k], job.scene
     across = _DOWN - (_DOWN @ frame.normal) * frame.normal
     length = float(np.linalg.norm(across))
@@ -127,7 +127,7 @@ def _creep(job: Job, state: SampleState) -> None:
 
 
 def _drift(job: Job, state: SampleState) -> None:
-    """Rows before contact are as old as the tare; the liquid has warmed on since."""
+    """Add the drift: rows before contact are as old as the tare, and the liquid has warmed on since."""
     rng = job.rng()
     now, age = draw(rng, fingertip.SESSION_S), draw(rng, fingertip.TARE_AGE_S)
     first = int(np.argmax(state.load > 0.0))
@@ -137,7 +137,7 @@ def _drift(job: Job, state: SampleState) -> None:
 
 
 def drift_of(world: World, since_s: Float64) -> Float64:
-    """(T, 2, V) by how much readings have drifted at times (T,) since the sensors are on [s]."""
+    """Return (T, 2, V) by how much readings have drifted at times (T,) since the sensors are on [s]."""
     if world.array is not None:
         return np.asarray(fingertip.warming(since_s)[:, None, None] * world.array.kelvin)
     return np.asarray(fingertip.temperature_drift(fingertip.warming(since_s))[:, None])
@@ -149,7 +149,7 @@ def _crosstalk(job: Job, state: SampleState) -> None:
 
 
 def _sessions(job: Job, state: SampleState) -> None:
-    """All grasps of one object share a session, tare and touch alike."""
+    """Shift all grasps of one object by the rest levels of their session, tare and touch alike."""
     session = SampleKey(job.key.seed, job.key.slot % len(job.scene.objects), 0, job.key.repeat)
     rng = session.stream(job.effect.name, again=job.effect.again)
     if job.world.array:

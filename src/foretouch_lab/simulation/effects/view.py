@@ -68,12 +68,12 @@ def _resting(item: ObjectConfig, rng: np.random.Generator) -> Float64:
 
 
 def _stood(body: Body) -> Body:
-    """The body, its lowest point on the table."""
+    """Return the body with its lowest point on the table."""
     return replace(body, position=body.position - (0.0, 0.0, body.lowest()))
 
 
 def _beside(bodies: list[Body], body: Body, distance_m: tuple[float, ...], rng: np.random.Generator) -> Body:
-    """The body at a random place around the object, apart from all others."""
+    """Return the body at a random place around the object, apart from all others."""
     for _ in range(_PLACES):
         angle, distance = rng.uniform(0.0, 2.0 * np.pi), draw(rng, distance_m)
         place = bodies[0].position * (1.0, 1.0, 0.0) + distance * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -84,7 +84,7 @@ def _beside(bodies: list[Body], body: Body, distance_m: tuple[float, ...], rng: 
 
 
 def _against(bodies: list[Body], body: Body, rng: np.random.Generator) -> Body:
-    """The body, on the table, slid from a random side towards one of the others until it touches any of them."""
+    """Return the body, on the table, slid from a random side towards one of the others until it touches any of them."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     towards = np.array([np.cos(angle), np.sin(angle), 0.0])
     aim = bodies[rng.integers(len(bodies))].position * (1.0, 1.0, 0.0)
@@ -96,7 +96,7 @@ def _against(bodies: list[Body], body: Body, rng: np.random.Generator) -> Body:
 
 
 def _free_path(body: Body, other: Body, towards: Float64) -> float:
-    """How far a body can move along a unit vector (3,) until it touches another [m]: vertices of one on faces of the other."""
+    """Return how far a body can move along a unit vector (3,) until it touches another [m]: vertices of one on faces of the other."""
     mine, theirs = (solid.position + (solid.mesh.vertices * solid.size) @ solid.rotation.T for solid in (body, other))
     ahead = other.cast(mine, np.broadcast_to(towards, mine.shape)).t
     back = body.cast(theirs, np.broadcast_to(-towards, theirs.shape)).t
@@ -139,7 +139,7 @@ def _render(job: Job, state: SampleState) -> None:
 
 
 def normals_of(state: SampleState) -> Float64:
-    """(h, w, 3), outward unit normals in the world; zero where no body is."""
+    """Return (h, w, 3), outward unit normals in the world; zero where no body is."""
     normals = np.zeros((*state.labels.shape, 3))
     flat, labels = normals.reshape(-1, 3), state.labels.reshape(-1)
     for label, (body, hit) in enumerate(zip(state.bodies, state.hits, strict=True), depth_scene.FIRST_OBJECT):
@@ -184,7 +184,7 @@ def _quantise(job: Job, state: SampleState) -> None:
 
 
 def _cloud(job: Job, state: SampleState) -> None:
-    """By the labels of the ray caster."""
+    """Take the points of the object by the labels of the ray caster."""
     view = job.world.view
     rows, columns = state.window
     v, u = np.nonzero((state.labels == depth_scene.FIRST_OBJECT) & np.isfinite(state.depth))
@@ -218,7 +218,7 @@ def _colour(job: Job, state: SampleState) -> None:
 
 
 def light(normal: Float64) -> Float64:
-    """Brightness (...) from 0.35 to 1 of surfaces with normals (..., 3) that are lit from above."""
+    """Return the brightness (...) from 0.35 to 1 of surfaces with normals (..., 3) that are lit from above."""
     return np.asarray(0.35 + 0.65 * np.abs(normal[..., 2]))
 
 

@@ -41,13 +41,13 @@ class TriangleMesh:
         return np.asarray(six_volumes @ (a + b + c) / (4.0 * six_volumes.sum()), np.float64)
 
     def in_unit_box(self) -> "TriangleMesh":
-        """Moved and scaled, each axis by itself, to [-0.5, 0.5]³."""
+        """Move and scale the mesh, each axis by itself, to [-0.5, 0.5]³."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         return TriangleMesh((self.vertices - (low + high) / 2.0) / (high - low), self.faces)
 
 
 def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
-    """A closed mesh [m], upright along z, and the SHA-256 of its file; read once for each content.
+    """Return a closed mesh [m], upright along z, and the SHA-256 of its file; read once for each content.
 
     Raises:
         FileError: If it cannot be read, is of another format, or holds no closed mesh.
@@ -62,7 +62,7 @@ def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
 
 
 def _read(path: str, content: bytes) -> TriangleMesh:
-    """The mesh in the content of a file."""
+    """Return the mesh in the content of a file."""
     import trimesh
 
     suffix = Path(path).suffix.lower()

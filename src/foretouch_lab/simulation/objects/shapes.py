@@ -26,14 +26,14 @@ _Surface = tuple[Float64, Int64]  # vertices and faces
 
 
 def _superquadric(rng: np.random.Generator) -> TriangleMesh:
-    """Between box, cylinder and ellipsoid: (|x|^p + |y|^p)^(q/p) + |z|^q = 1, p and q from 2 to 8."""
+    """Make a body between box, cylinder and ellipsoid: (|x|^p + |y|^p)^(q/p) + |z|^q = 1, p and q from 2 to 8."""
     p, q = rng.uniform(2.0, 8.0, 2)
     x, y, z = np.abs(_sphere_directions() / rng.uniform(0.6, 1.0, 3)).T
     return _star_shaped(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q))
 
 
 def _vase(rng: np.random.Generator) -> TriangleMesh:
-    """A turned profile with bellies and necks, at least 25 mm where the box is 100 mm."""
+    """Return a turned profile with bellies and necks, at least 25 mm where the box is 100 mm."""
     height = np.linspace(0.0, 1.0, 48)
     waves = sum(rng.normal(0.0, 0.22 / k) * np.cos(np.pi * k * height + rng.uniform(0.0, 6.28)) for k in range(1, 5))
     radius = np.clip(0.4 + waves, 0.18, 0.75)
@@ -44,7 +44,7 @@ def _vase(rng: np.random.Generator) -> TriangleMesh:
 
 
 def _blob(rng: np.random.Generator) -> TriangleMesh:
-    """A ball with smooth waves in random directions."""
+    """Return a ball with smooth waves in random directions."""
     axes = rng.standard_normal((_HARMONICS, 3))
     axes *= (rng.uniform(1.0, 4.0, _HARMONICS) / np.linalg.norm(axes, axis=1))[:, None]
     phase = rng.uniform(0.0, 2.0 * np.pi, _HARMONICS)
@@ -56,7 +56,7 @@ def _blob(rng: np.random.Generator) -> TriangleMesh:
 
 
 def _can() -> TriangleMesh:
-    """A tin: a straight wall between two bevelled rims, its lids sunk."""
+    """Make a tin: a straight wall between two bevelled rims, its lids sunk."""
     wall = np.linspace(0.045, 0.955, 9)
     profile = [(0.0, 0.02), (0.46, 0.02), (0.47, 0.0), (0.49, 0.0), (0.5, 0.015), (0.5, 0.03)]
     profile += [(0.495, z) for z in wall]
@@ -65,17 +65,17 @@ def _can() -> TriangleMesh:
 
 
 def _box() -> TriangleMesh:
-    """A carton."""
+    """Make a carton."""
     return _rounded_box(0.025)
 
 
 def _ball() -> TriangleMesh:
-    """A ball; an ellipsoid if the edges of the object differ."""
+    """Make a ball; an ellipsoid if the edges of the object differ."""
     return _star_shaped(np.full(len(_sphere_directions()), 0.5))
 
 
 def _flat_ball() -> TriangleMesh:
-    """A deflated ball: it bulges near the table, and its top has caved in."""
+    """Make a deflated ball: it bulges near the table, and its top has caved in."""
     d = _sphere_directions()
     cave = 0.30 * np.exp(-((np.arccos(np.clip(d[:, 2], -1.0, 1.0)) / 0.55) ** 2))
     folds = 0.015 * np.cos(5.0 * np.arctan2(d[:, 1], d[:, 0])) * (1.0 - d[:, 2] ** 2)
@@ -83,7 +83,7 @@ def _flat_ball() -> TriangleMesh:
 
 
 def _sponge() -> TriangleMesh:
-    """A block with soft edges and a waist, its surface wavy at the scale of a fingertip."""
+    """Make a block with soft edges and a waist, its surface wavy at the scale of a fingertip."""
     block = _rounded_box(0.12, cells=40)
     x, y, z = block.vertices.T
     waist = 1.0 - 0.10 * np.cos(np.pi * x) ** 2 * np.abs(2.0 * y) ** 3
@@ -92,7 +92,7 @@ def _sponge() -> TriangleMesh:
 
 
 def _minion() -> TriangleMesh:
-    """A stuffed figure: a capsule with a goggle, two arms and a seam around the trousers."""
+    """Make a stuffed figure: a capsule with a goggle, two arms and a seam around the trousers."""
     d = _sphere_directions()
     goggle = 0.07 * _bump(d, (1.0, 0.0, 0.45), 0.28)
     arms = 0.09 * (_bump(d, (0.1, 1.0, -0.1), 0.22) + _bump(d, (0.1, -1.0, -0.1), 0.22))
@@ -101,7 +101,7 @@ def _minion() -> TriangleMesh:
 
 
 def _volleyball() -> TriangleMesh:
-    """A stuffed ball of six panels: three seams along great circles, and two finer ones within each panel."""
+    """Make a stuffed ball of six panels: three seams along great circles, and two finer ones within each panel."""
     d = _sphere_directions()
     ordered = np.sort(np.abs(d), axis=1)
     between_panels = ordered[:, 2] - ordered[:, 1]
@@ -120,7 +120,7 @@ SHAPES: Final = (*_BUILDERS, "random")
 
 @lru_cache(maxsize=256)
 def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
-    """A closed mesh in [-0.5, 0.5]³, upright along z.
+    """Return a closed mesh in [-0.5, 0.5]³, upright along z.
 
     Args:
         shape: Out of `SHAPES`, or the SHA-256 of a mesh file and its path, with a colon between them.
@@ -144,7 +144,7 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
 
 
 def _capsule_radius(d: Float64, half_height: float, radius: float) -> Float64:
-    """Distance of an upright capsule's surface along unit directions (n, 3)."""
+    """Return the distance of an upright capsule's surface along unit directions (n, 3)."""
     straight = half_height - radius  # from the middle to the centre of a cap
     across = np.hypot(d[:, 0], d[:, 1])
     wall = radius / np.maximum(across, 1e-9)
@@ -154,7 +154,7 @@ def _capsule_radius(d: Float64, half_height: float, radius: float) -> Float64:
 
 
 def _bump(d: Float64, towards: tuple[float, float, float], width: float) -> Float64:
-    """A smooth hill of height 1 about one direction; `width` is in radians."""
+    """Return a smooth hill of height 1 about one direction; `width` is in radians."""
     axis = np.asarray(towards) / np.linalg.norm(towards)
     return np.asarray(np.exp(-((np.arccos(np.clip(d @ axis, -1.0, 1.0)) / width) ** 2)), np.float64)
 
@@ -179,18 +179,18 @@ def _revolved(profile: npt.ArrayLike) -> TriangleMesh:
 
 
 def _star_shaped(radius: Float64) -> TriangleMesh:
-    """A surface that is seen whole from the origin, by its distance (V,) along `_sphere_directions`, positive."""
+    """Return a surface that is seen whole from the origin, by its distance (V,) along `_sphere_directions`, positive."""
     directions, faces = _sphere()
     return TriangleMesh(directions * radius[:, None], faces)
 
 
 def _sphere_directions() -> Float64:
-    """(V, 3) float64 unit vectors, evenly over the sphere."""
+    """Return (V, 3) float64 unit vectors, evenly over the sphere."""
     return _sphere()[0]
 
 
 def _rounded_box(edge_radius: float, cells: int = 6) -> TriangleMesh:
-    """A unit cube, its edges and corners rounded, with so many cells across the flat part of a face."""
+    """Return a unit cube, its edges and corners rounded, with so many cells across the flat part of a face."""
     inner = 0.5 - edge_radius
     # Equal angles on the rounding: tan spaces the grid so that normals turn by equal steps.
     bend = inner + edge_radius * np.tan(np.linspace(0.0, np.pi / 4.0, _ROUNDING + 1)[1:])
@@ -219,7 +219,7 @@ def _rounded_box(edge_radius: float, cells: int = 6) -> TriangleMesh:
 
 @lru_cache(maxsize=1)
 def _sphere() -> _Surface:
-    """Unit vectors of a subdivided icosahedron and its faces: (V, 3) float64 and (F, 3) int64; do not write to them."""
+    """Return unit vectors of a subdivided icosahedron and its faces: (V, 3) float64 and (F, 3) int64; do not write to them."""
     golden = (1.0 + 5.0**0.5) / 2.0
     ring = [(-1.0, golden), (1.0, golden), (-1.0, -golden), (1.0, -golden)]
     corners = [(a, b, 0.0) for a, b in ring] + [(0.0, a, b) for a, b in ring] + [(b, 0.0, a) for a, b in ring]
@@ -232,7 +232,7 @@ def _sphere() -> _Surface:
 
 
 def _hull_faces(vertices: Float64) -> Int64:
-    """The 20 faces of an icosahedron: triples of corners one edge apart, turned outwards."""
+    """Return the 20 faces of an icosahedron: triples of corners one edge apart, turned outwards."""
     near = np.linalg.norm(vertices[:, None] - vertices[None], axis=2) < 1.1  # the edge is 1.05
     triples = [(i, j, k) for i, j, k in combinations(range(12), 3) if near[i, j] and near[j, k] and near[i, k]]
     faces = np.array(triples, np.int64)
@@ -243,7 +243,7 @@ def _hull_faces(vertices: Float64) -> Int64:
 
 
 def _halved(vertices: Float64, faces: Int64) -> _Surface:
-    """Each triangle as four, the new corners pushed onto the unit sphere."""
+    """Return each triangle as four, the new corners pushed onto the unit sphere."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     unique, place = np.unique(edges, axis=0, return_inverse=True)
     middle = vertices[unique].sum(axis=1)
@@ -255,6 +255,6 @@ def _halved(vertices: Float64, faces: Int64) -> _Surface:
 
 
 def _quads(a: Int64, b: Int64, c: Int64, d: Int64) -> Int64:
-    """Two triangles for each quadrilateral a b c d."""
+    """Return two triangles for each quadrilateral a b c d."""
     first = np.stack([a, b, c], axis=-1).reshape(-1, 3)
     return np.concatenate([first, np.stack([a, c, d], axis=-1).reshape(-1, 3)])

@@ -122,7 +122,7 @@ class CampaignConfig(Settings):
                 raise ConfigError(f"exchanges[{k}]: the {finger} is exchanged twice at session {session}")
 
     def repeats(self, slot: int) -> bool:
-        """Whether a slot repeats the grasp of the slot before it."""
+        """Return whether a slot repeats the grasp of the slot before it."""
         return self.repeat_every is not None and (slot % self.grasps + 1) % self.repeat_every == 0
 
     @property

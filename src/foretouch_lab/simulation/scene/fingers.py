@@ -107,7 +107,7 @@ class FingersConfig(Settings):
             object.__setattr__(self, "taxels", self.taxels or TaxelConfig())
 
     def taxel_sensor(self) -> Sensor | None:
-        """The sensor, where it is an array of taxels; None for the BioTac SP. A `ConfigError` names the file and the rule."""
+        """Return the sensor, where it is an array of taxels; None for the BioTac SP. A `ConfigError` names the file and the rule."""
         if not self.sensor:
             return None
         try:

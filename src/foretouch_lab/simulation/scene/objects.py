@@ -152,7 +152,7 @@ class FamilyConfig(RangedSettings):
 
 
 def draw_families(families: Any, source: str) -> list[ObjectConfig]:
-    """All objects of the families of a scene file, in order; the first k of a family do not depend on its count."""
+    """Return all objects of the families of a scene file, in order; the first k of a family do not depend on its count."""
     if not isinstance(families, list) or not all(isinstance(family, dict) for family in families):
         raise ConfigError(f"{source}: families: is not a list of groups")
     drawn = [FamilyConfig.from_mapping(family, f"{source}: families[{k}]") for k, family in enumerate(families)]

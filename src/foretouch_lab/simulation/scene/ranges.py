@@ -38,5 +38,5 @@ def _ranges(cls: type[Settings]) -> list[str]:
 
 
 def draw(rng: np.random.Generator, limits: tuple[float, ...]) -> float:
-    """A number from (low, high), uniformly."""
+    """Return a number from (low, high), uniformly."""
     return float(rng.uniform(limits[0], limits[1]))

@@ -86,7 +86,7 @@ class CameraConfig(Settings):
     segmented: Switch | None = None
 
     def view(self) -> CameraView:
-        """Pose and intrinsics in the world."""
+        """Return pose and intrinsics in the world."""
         return CameraView.towards_table(
             self.width, self.height, self.distance_m, float(np.radians(self.tilt_deg)), self.hfov_deg
         )
@@ -146,7 +146,7 @@ class SceneConfig(Settings):
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
-        """As of all settings; besides, `families` are drawn here and stand after the objects that are listed.
+        """Make the settings from plain data; `families` are drawn here and stand after the objects that are listed.
 
         The path of a mesh, of a hand or of a sensor is relative to the file of the scene, if it is there, else to the working folder.
         """
@@ -162,7 +162,7 @@ class SceneConfig(Settings):
         return super().from_mapping(given, source)
 
     def sha256(self) -> str:
-        """Hash of all settings and of the constants that go with them, so that another default is another scene.
+        """Return the hash of all settings and of the constants that go with them, so that another default is another scene.
 
         Of the file of a mesh, a hand or a sensor, only the content counts.
         """
@@ -177,14 +177,14 @@ def load_scene(path: str | Path) -> SceneConfig:
 
 
 def scheduled_scene(schedule: ScheduleConfig) -> SceneConfig:
-    """The scene of a schedule; a `ConfigError` if there is no path, or the file breaks a rule."""
+    """Return the scene of a schedule; a `ConfigError` if there is no path, or the file breaks a rule."""
     if not schedule.path:
         raise ConfigError("path: is empty; name a scene file")
     return load_scene(schedule.path)
 
 
 def centre_of_objects(scene: SceneConfig) -> Float64:
-    """(3,) float64 [m], camera frame: where the object is to be looked for among clutter.
+    """Return (3,) float64 [m], camera frame: where the object is to be looked for among clutter.
 
     The mean of the places where objects may lie, at half their mean height.
     """
@@ -193,7 +193,7 @@ def centre_of_objects(scene: SceneConfig) -> Float64:
 
 
 def _beside(source: str, group: Any, key: str) -> Any:
-    """The settings of a group with the path of a file, where that is beside the file of the scene."""
+    """Return the settings of a group with the path of a file, where that is beside the file of the scene."""
     if not isinstance(group, Mapping) or not isinstance(group.get(key), str) or not group[key]:
         return group
     path = Path(source).parent / group[key]
@@ -201,7 +201,7 @@ def _beside(source: str, group: Any, key: str) -> Any:
 
 
 def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
-    """The ball around the object must be in the image wherever the object may lie."""
+    """Require the ball around the object to be in the image wherever the object may lie."""
     radius = float(np.linalg.norm(item.size_m)) / 2.0 * (1.0 + item.size_spread)
     reach = (-radius, radius)
     ends = itertools.product(item.pose.x_m, item.pose.y_m, reach, reach, (0.0, 2.0 * radius))
@@ -216,7 +216,7 @@ def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
 
 
 def _grouped(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Groups by dotted names."""
+    """Return groups by dotted names."""
     groups: dict[str, Any] = {}
     for name, value in flat.items():
         *path, last = name.split(".")
@@ -303,7 +303,7 @@ _OFF: Final = {
 
 
 def scene_hash(settings: dict[str, Any], sensor: Sensor | None = None) -> str:
-    """SHA-256 of a scene's plain settings, and of the array of taxels if it has one; paths of meshes and sensors do not count."""
+    """Return the SHA-256 of a scene's plain settings, and of the array of taxels if it has one; paths of meshes and sensors do not count."""
     counted = _counted(settings, _CONSTANTS)
     if sensor is not None:
         noise = [channel.noise for channel in (*sensor.config.values, *sensor.config.scalars)]
@@ -313,7 +313,7 @@ def scene_hash(settings: dict[str, Any], sensor: Sensor | None = None) -> str:
 
 
 def _counted(settings: dict[str, Any], constants: dict[str, Any]) -> dict[str, Any]:
-    """The settings that count, with the constants of those groups that are given."""
+    """Return the settings that count, with the constants of those groups that are given."""
     counted: dict[str, Any] = {}
     for key, value in (constants | settings).items():
         if isinstance(value, dict):

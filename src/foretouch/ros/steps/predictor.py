@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions as messages, in the same way for the topic, the service and the action."""
+"""Predictions for the grasps of messages, in the same way for the topic, the service and the actions. No node."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,23 +7,22 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
-from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
-from foretouch.grasp import GeoGraspConfig, closing_faults
-from foretouch.grasp.messages import has_orientation
+from foretouch.cloud.geometry.limits import check_object, check_table
+from foretouch.errors import CloudError, ForetouchError, FrameError, GraspError, LimitError, ModelError
+from foretouch.grasp import GeoGraspConfig, closing_faults, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
 from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import grasp_to_msg
-from foretouch.ros.messages.requests import GraspArrays, RefusalError, status_name
+from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.posing import posed_grasps, refusal_of
+from foretouch.ros.steps.online_adapter import OnlineAdapter
+from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile.description import Sensor
-from foretouch.types import Grasps, Predictions
+from foretouch.types import Float64, Predictions
+from foretouch.types.arrays import Bool
 from foretouch.types.channels import NO_CHANNELS, Channels
-from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
 
 
@@ -57,12 +56,12 @@ class Predictor:
     @property
     def channels(self) -> Channels:
         """Channels of the sensor; without a model none."""
-        return NO_CHANNELS if self.sensor is None else self.sensor.channels
+        return NO_CHANNELS if self.model is None else self.model.sensor.channels
 
     def answer(
         self,
         targets: Sequence[Object],
-        grasps: Sequence[GraspMsg] | GraspArrays,
+        requested: RequestedGrasps,
         header: Header,
         config: TouchSettings,
         posing: GeoGraspConfig | None = None,
@@ -71,39 +70,33 @@ class Predictor:
 
         Args:
             targets: The objects; features are computed once for each that has grasps.
-            grasps: Messages, each on the object that it names, or on the only one; or arrays, which are all on one.
+            requested: The grasps, each on the object that it names, or on the only one.
             header: Header of the cloud.
             config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
-
-        Raises:
-            RefusalError: If none of the targets is the object of arrays.
         """
-        channels, sensor = self.channels, self.sensor
-        if isinstance(grasps, GraspArrays):
-            try:
-                target = targets[_target_of(grasps.object_id, targets)]
-            except GraspError as err:
-                raise RefusalError(Status.BAD_GRASP, str(err)) from err
-            posed = posed_grasps(grasps, target, config, posing, channels)
-            rotations = None
-            if grasps.rotations is None:
-                rotations = np.where(posed.ok[:, None, None], posed.grasps.rotation, 0.0)
-            rows = self.predict(target, posed, config)
-            return TouchAnswer(header, rows.grasps, rows, sensor=sensor, arrays=True, rotations=rotations)
-        rows = Predictions.refused(Grasps.unknown(len(grasps)), channels, "bad_grasp", "")
+        statuses = ["bad_grasp" if reason else "ok" for reason in requested.reasons]
+        rows = Predictions.refused(requested.grasps, self.channels, statuses, requested.reasons)
         by_target: dict[int, list[int]] = {}
-        for i, grasp in enumerate(grasps):
+        for i in np.flatnonzero(rows.ok).tolist():
             try:
-                by_target.setdefault(_target_of(grasp.object_id, targets), []).append(i)
+                by_target.setdefault(_target_of(requested.grasps.object_id[i], targets), []).append(i)
             except GraspError as err:
-                rows.reason[i] = str(err)
+                rows.status[i], rows.reason[i] = "bad_grasp", str(err)
         for k, members in by_target.items():
-            posed = posed_grasps([grasps[i] for i in members], targets[k], config, posing, channels)
+            posed = rows.take(members)
+            if not requested.turned[members].all():
+                posed = _posed(posed, requested.turned[members], targets[k], config, posing)
             rows = rows.put(members, self.predict(targets[k], posed, config))
-        if posing is not None:
-            grasps = [_as_predicted(grasp, rows, k) for k, grasp in enumerate(grasps)]
-        return TouchAnswer(header, grasps, rows, sensor=sensor)
+        if requested.messages is None:
+            computed = None if requested.turned.any() else np.where(rows.ok[:, None, None], rows.grasps.rotation, 0.0)
+            return TouchAnswer(header, rows.grasps, rows, sensor=self.sensor, arrays=True, rotations=computed)
+        posed_now = rows.ok & ~requested.turned
+        messages = [
+            grasp_to_msg(rows[k].grasp, message.status, message.reason) if posed_now[k] else message
+            for k, message in enumerate(requested.messages)
+        ]
+        return TouchAnswer(header, messages, rows, sensor=self.sensor)
 
     def predict(self, target: Object, posed: Predictions, config: TouchSettings) -> Predictions:
         """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
@@ -124,8 +117,8 @@ class Predictor:
             else:
                 predictions = model.predict(target.cloud, grasps, **options)
         except (CloudError, ModelError) as err:
-            status, reason = refusal_of(err)
-            return posed.put(usable, Predictions.refused(grasps, posed.channels, status_name(status), reason))
+            status, reason = _refusal_of(err)
+            return posed.put(usable, Predictions.refused(grasps, posed.channels, status, reason))
         predictions = flag_equal_pressures(predictions, model)
         faults = closing_faults(grasps)
         tilted = np.array([bool(fault) for fault in faults], np.bool_) & predictions.ok
@@ -136,11 +129,48 @@ class Predictor:
         return predictions if usable.all() else posed.put(usable, predictions)
 
 
-def _as_predicted(message: GraspMsg, predictions: Predictions, k: int) -> GraspMsg:
-    """The message of a grasp, with the pose that was computed for it."""
-    if not predictions[k].ok or has_orientation(message):
-        return message
-    return grasp_to_msg(predictions[k].grasp, message.status, message.reason)
+def _posed(
+    rows: Predictions, turned: Bool, target: Object, config: TouchSettings, posing: GeoGraspConfig | None
+) -> Predictions:
+    """Compute the orientations of the rows (K,) that are not turned; a row for which there is none is refused."""
+    missing = np.flatnonzero(~turned)
+    try:
+        axis = _axis(target, config, posing)
+    except ForetouchError as err:
+        rows.status[missing], rows.reason[missing] = _refusal_of(err)
+        return rows
+    rotation = rows.grasps.rotation.copy()
+    for k in missing.tolist():
+        try:
+            rotation[k] = hand_rotation(rows.grasps.g1[k], rows.grasps.g2[k], axis)
+        except GraspError as err:
+            rows.status[k], rows.reason[k] = _refusal_of(err)
+    return rows.replace(grasps=rows.grasps.replace(rotation=rotation))
+
+
+def _axis(target: Object, config: TouchSettings, posing: GeoGraspConfig | None) -> Float64:
+    """(3,) the axis of an object, as `Pipeline.grasp_between` finds it."""
+    if posing is None:
+        raise GraspError("pose: no orientation, and no table to compute it with")
+    check_object(target.cloud.xyz, config.limits)
+    try:
+        check_table(target.plane, config.limits)
+    except LimitError as err:
+        raise RefusalError(Status.BAD_PLANE, str(err)) from err
+    return object_axis(target.cloud, target.plane, posing)[0]
+
+
+def _refusal_of(err: ForetouchError) -> tuple[str, str]:
+    """Name the status and the reason with which an error refuses a grasp."""
+    if isinstance(err, RefusalError):
+        return status_name(err.status), err.reason
+    statuses = {
+        FrameError: "unknown_frame",
+        LimitError: "bad_cloud",
+        CloudError: "too_few_points",
+        GraspError: "bad_grasp",
+    }
+    return next((name for kind, name in statuses.items() if isinstance(err, kind)), "refused"), str(err)
 
 
 def _target_of(object_id: str, targets: Sequence[Object]) -> int:

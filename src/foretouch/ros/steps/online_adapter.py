@@ -31,7 +31,7 @@ from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import Snapshot, TouchModel
-from foretouch.ros.touch.config import TouchSettings
+from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.live_tare import LiveTare

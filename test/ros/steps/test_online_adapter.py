@@ -31,8 +31,8 @@ from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
-from foretouch.ros.touch.config import TouchSettings
-from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.ros.steps.online_adapter import OnlineAdapter
+from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
@@ -305,12 +305,12 @@ def test_a_hand_without_readings_and_a_model_without_calibration_harm_nobody(gra
     (node,) = graph.add("touch_predictor", model=card, tactile__type="std_msgs/String")
     lines = graph.talk_matched(String, "/rh/tactile")
     lines.publish(String(data="not,a,reading"))
-    graph.until(lambda: node.notes()["tactile.unreadable"] == "1")
-    assert "CSV: 3 fields" in node.notes()["tactile.last_unreadable"]
+    graph.until(lambda: node.reported().values["tactile.unreadable"] == "1")
+    assert "CSV: 3 fields" in node.reported().values["tactile.last_unreadable"]
     graph.remove(node)
     (node,) = graph.add("touch_predictor", model=model_card)
     assert graph.probe.count_subscribers("/rh/tactile") == 0
-    assert "no calibration" in node.notes()["regime"]
+    assert "no calibration" in node.reported().values["regime"]
     reports, monitor = graph.reports("touch_predictor"), MonitorNode()
     graph.serve(monitor)
     text = "model small gives no intervals and does not adapt to readings: "

@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make samples of the arrays of a grasp, whatever they were read from; what breaks a rule is named and refused."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.dataset.pairing.matcher import SETTLE_NS
+from foretouch.dataset.record import APPROACH, HOLD, REST, Outcome, SampleRecord, TouchSeries, check_id
+from foretouch.errors import DatasetError, none_of
+from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
+from foretouch.tactile.description import Sensor
+from foretouch.tactile.readings import rest_of
+from foretouch.types import NO_CLOUD, NO_GRASP, SECOND_NS, AnyArray, Bool, Cloud, Float64, Grasp, Int64, Sample, Touch
+from foretouch.types.channels import Channels
+
+Missing = Literal["refuse", "hold", "mask"]
+Remarks = dict[str, list[str]]  # the samples to look at, by what is remarkable
+
+_OUTCOMES: Final[dict[Any, Outcome]] = {True: "success", False: "failure", None: "unknown"}
+_FACTOR: Final = 2.0  # between the rate of the stamps and that of the sensor's description
+_GAP: Final = 5.0  # usual steps from a reading to the next
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraspArrays:
+    """The arrays of one grasp, as pandas or h5py read them.
+
+    Attributes:
+        object: Name of the object; a number is taken as its text.
+        values: By modality (channel and finger, such as E_TH) the numbers of all taxels: (T, M) of T readings, also with
+            more dimensions behind the first, or (M,) of one reading, which is the touch.
+        id: Name of the grasp among the grasps of its object; by default a number.
+        stamps_ns: (T,) whole numbers [ns] since 1970, or datetime64.
+        stamps_s: (T,) [s] since 1970 or since `start_s`; or give `rate_hz`. Of one reading a number.
+        rate_hz: Readings per second, where the source has no stamps.
+        start_s: Added to `stamps_s`, or the time of the first reading [s].
+        rest: Number of readings without contact at the beginning. The contact detector finds the contact after them, and
+            the touch is the median from 0.3 s later on.
+        tare: A reading without contact by modality, (M,) each, instead of the median of the readings at rest.
+        others: By name (T,) further numbers.
+        outcome: True or "success", False or "failure"; None if it is not known.
+        cloud: The object's points, seen before the grasp.
+        grasp: The contacts that were grasped, in the frame of the cloud.
+        note: Where it comes from.
+
+    Raises:
+        DatasetError: If a field has the wrong type.
+    """
+
+    object: str
+    values: Mapping[str, npt.ArrayLike]
+    id: str = ""
+    stamps_ns: npt.ArrayLike | None = None
+    stamps_s: npt.ArrayLike | None = None
+    rate_hz: float | None = None
+    start_s: float = 0.0
+    rest: int = 0
+    tare: Mapping[str, npt.ArrayLike] | None = None
+    others: Mapping[str, npt.ArrayLike] | None = None
+    outcome: bool | str | None = None
+    cloud: Cloud = NO_CLOUD
+    grasp: Grasp = NO_GRASP
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rest, int | np.integer) or self.rest < 0:
+            raise DatasetError(f"rest: {self.rest} is not a number of readings")
+        if not isinstance(self.cloud, Cloud) or not isinstance(self.grasp, Grasp):
+            raise DatasetError("cloud, grasp: are not a Cloud and a Grasp of foretouch")
+        if not np.isfinite(self.start_s):
+            raise DatasetError(f"start_s: {self.start_s} is not finite")
+
+    def record(self, sensor: Sensor, missing: Missing, remarks: Remarks) -> SampleRecord:
+        """Make the record of the grasp.
+
+        Args:
+            sensor: The sensor that was read.
+            missing: What becomes of numbers that are not finite: "refuse", "hold" takes the reading before, "mask" stores
+                them as taxels that were not read.
+            remarks: Gets the name of the grasp under `missing_numbers` and `no_contact`, where one of these is the case.
+
+        Raises:
+            DatasetError: If a field breaks a rule.
+        """
+        if missing not in get_args(Missing):
+            raise DatasetError(f"missing: {none_of(missing, get_args(Missing))}")
+        channels, label = sensor.channels, str(self.object)
+        name = f"{label}/{self.id}" if str(self.id) else ""
+        check_id(name or f"{label}/1", label)
+        counts = _joined(self.values, channels, "values")
+        rows, whole, gone = _complete(counts.reshape(-1, channels.size), channels, missing, "values")
+        others, lost = self._others(len(rows), missing)
+        flags = _range_flags(rows, channels)
+        if gone + lost:
+            flags.insert(0, "missing_numbers")
+            remarks.setdefault(f"missing_numbers ({missing})", []).append(f"{name or label}: {gone + lost}")
+        stamps = self._stamps(rows, sensor.config.update_rate)
+        if self.rate_hz is not None:
+            flags.append("stamped_by_rate")
+        tare = None if self.tare is None else Touch(_joined(self.tare, channels, "tare").reshape(-1), channels)
+        sample = Sample(id=name, object=label, cloud=self.cloud, grasp=self.grasp, tare=tare, stamp_ns=int(stamps[0]))
+        record = SampleRecord(sample=sample, outcome=_outcome(self.outcome), note=str(self.note), flags=tuple(flags))
+        if counts.ndim == 1:
+            extra = {key: float(column[0]) for key, column in others.items()}
+            return replace(record, sample=replace(sample, touch=Touch(rows[0], channels), extra=extra))
+        touch, rested, phases, contact_ns = _cut(stamps, rows, whole, self.rest, channels)
+        if self.rest and touch is None:
+            remark = f"{name or label}: none found after {self.rest} readings at rest, so no touch"
+            remarks.setdefault("no_contact", []).append(remark)
+        return replace(
+            record,
+            sample=replace(sample, touch=touch, tare=rested if tare is None else tare),
+            series=TouchSeries(stamps, rows.astype(np.float32), phases, others),
+            contact_ns=contact_ns,
+            detector="" if contact_ns is None else "contact_detector",
+            flags=(*flags, *stamp_faults(stamps, sensor.config.update_rate)),
+        )
+
+    def _others(self, count: int, missing: Missing) -> tuple[dict[str, AnyArray], int]:
+        """Return the further numbers of `count` readings as float32 by name, and how many of them are missing."""
+        further = {key: np.asarray(other, np.float64).reshape(-1) for key, other in (self.others or {}).items()}
+        for key, column in further.items():
+            if len(column) != count:
+                raise DatasetError(f"others: {key}: {len(column)} numbers are not {count} readings")
+        names = tuple(further)
+        columns = np.array([further[key] for key in names]).reshape(len(names), count).T
+        filled, _, lost = _complete(columns, names, missing, "others")
+        return dict(zip(names, filled.T.astype(np.float32), strict=True)), lost
+
+    def _stamps(self, rows: Float64, sensor_hz: float) -> Int64:
+        """Return (T,) int64 [ns]; a `DatasetError` if there are fewer or more, they go back, or have too few digits for the readings."""
+        ways = {"stamps_ns": self.stamps_ns, "stamps_s": self.stamps_s, "rate_hz": self.rate_hz}
+        given = [name for name, value in ways.items() if value is not None]
+        count, start = len(rows), round(self.start_s * SECOND_NS)
+        if len(given) != 1 and (given or count > 1):
+            raise DatasetError(f"{', '.join(ways)}: give one of them, not {' and '.join(given) or 'none'}")
+        if not given or self.rate_hz is not None:
+            if self.rate_hz is not None and not (np.isfinite(self.rate_hz) and self.rate_hz > 0.0):
+                raise DatasetError(f"rate_hz: {self.rate_hz} is not above 0")
+            step = SECOND_NS / (self.rate_hz or 1.0)
+            return np.asarray(start + np.rint(np.arange(count) * step).astype(np.int64))
+        (name,) = given
+        times = np.atleast_1d(np.asarray(ways[name]))
+        if times.dtype.kind == "M":
+            name, times = "stamps_ns", times.astype("datetime64[ns]").astype(np.int64)
+        if times.shape != (count,):
+            raise DatasetError(f"{name}: shape {times.shape} is not ({count},), one of each reading")
+        stamps = _nanoseconds(name, times, sensor_hz)
+        if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
+            by = (stamps[back[0]] - stamps[back[0] + 1]) / SECOND_NS
+            raise DatasetError(f"{name}: go back by {by:g} s at reading {back[0] + 1}")
+        same = np.diff(stamps) == 0
+        changing = (rows[1:] != rows[:-1])[same].any()  # else a reading was stored repeatedly
+        if 2 * np.count_nonzero(same) >= count and changing:
+            fault = stamp_faults(stamps, sensor_hz)["equal_stamps"]
+            cure = f"write them with all digits, such as %.9f, or give rate_hz={sensor_hz:g}"
+            raise DatasetError(f"{name}: {fault}: were they rounded, to whole seconds or six digits? {cure}")
+        return np.asarray(start + stamps, np.int64)
+
+
+def _nanoseconds(name: str, times: AnyArray, sensor_hz: float) -> Int64:
+    """Return (T,) stamps in seconds or nanoseconds, by their name, as int64 [ns]; a `DatasetError` if a type holds too few digits."""
+    if times.dtype.kind not in "iuf" or not np.isfinite(times).all():
+        raise DatasetError(f"{name}: are not finite numbers")
+    unit = 1 if name == "stamps_ns" else SECOND_NS
+    largest = float(np.abs(times).max())
+    if largest * unit > 2.0**62:
+        raise DatasetError(f"{name}: {largest:g} is no time in {name[-2:].strip('_')}")
+    if times.dtype.kind != "f":
+        return times.astype(np.int64) * unit
+    grain = float(np.spacing(times.dtype.type(largest))) * unit / SECOND_NS
+    if grain > 0.5 / sensor_hz:
+        single = times.dtype.itemsize < 8
+        cure = "read them as float64, or as whole nanoseconds" if single else "give whole nanoseconds"
+        raise DatasetError(f"{name}: {times.dtype} holds {largest:g} in steps of {grain:g} s: {cure}")
+    return np.rint(times.astype(np.float64) * unit).astype(np.int64)
+
+
+def stamp_faults(stamps_ns: Int64, rate_hz: float) -> dict[str, str]:
+    """Hold the stamps of a series against the rate of its sensor.
+
+    Args:
+        stamps_ns: (T,) int64 ascending stamps [ns].
+        rate_hz: Readings per second, by the description of the sensor.
+
+    Returns:
+        What is wrong, in words with numbers, by flag: `equal_stamps`, `stamp_gaps`, `other_rate`.
+    """
+    steps = np.diff(stamps_ns)
+    later = steps[steps > 0]
+    faults = {}
+    if len(later) < len(steps):
+        runs = np.diff(np.flatnonzero(np.concatenate([[True], steps > 0, [True]])))
+        faults["equal_stamps"] = (
+            f"{runs.max()} readings have the same stamp, and {len(stamps_ns)} only {len(runs)} different"
+        )
+    if not len(later):
+        return faults
+    usual = float(np.median(later))
+    gaps = later[later > _GAP * max(usual, SECOND_NS / rate_hz)]
+    if len(gaps):
+        faults["stamp_gaps"] = f"{len(gaps)} gaps, the longest of {gaps.max() / SECOND_NS:.3g} s"
+    seen = SECOND_NS / usual
+    if len(later) > 1 and not rate_hz / _FACTOR <= seen <= rate_hz * _FACTOR:
+        unit = ": another unit?" if not 1e-2 < seen / rate_hz < 1e2 else ""
+        faults["other_rate"] = f"stamps of {seen:.3g} Hz, and the sensor is described with {rate_hz:g} Hz{unit}"
+    return faults
+
+
+def _joined(values: Mapping[str, npt.ArrayLike], channels: Channels, what: str) -> Float64:
+    """Return (T, D) or (D,) numbers of all modalities; a `DatasetError` names one that is missing, not known or of another size."""
+    if not isinstance(values, Mapping):
+        raise DatasetError(f"{what}: give a mapping of {', '.join(channels.modalities)} to their arrays")
+    if unknown := [key for key in values if key not in channels.modalities]:
+        raise DatasetError(f"{what}: {none_of(unknown[0], channels.modalities)}")
+    if absent := [key for key in channels.modalities if key not in values]:
+        raise DatasetError(f"{what}: {', '.join(absent)} of {channels.sensor} are missing")
+    parts: list[Float64] = []
+    for key in channels.modalities:
+        try:
+            part = np.asarray(values[key], np.float64)
+        except (TypeError, ValueError) as err:
+            raise DatasetError(f"{what}: {key}: {' '.join(str(err).split())}") from err
+        size = channels.channel_of[key].size
+        series = part.ndim > 1 or (size == 1 and part.ndim == 1 and part.size > 1)
+        shape = (len(part), size) if series else (size,)
+        if part.size != np.prod(shape) or (parts and parts[0].shape[:-1] != shape[:-1]):
+            raise DatasetError(f"{what}: {key}: shape {part.shape} is not (readings, {size}), as many as of the others")
+        parts.append(part.reshape(shape))
+    if not parts[0].size:
+        raise DatasetError(f"{what}: holds no reading")
+    return np.concatenate(parts, axis=-1)
+
+
+def _complete(
+    rows: Float64, names: Channels | tuple[str, ...], missing: Missing, what: str
+) -> tuple[Float64, Float64, int]:
+    """Return the (T, D) numbers to store, without those that are not finite; the same with the reading before held; their number."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        gone = ~np.isfinite(rows.astype(np.float32))
+    if not gone.any():
+        return rows, rows, 0
+    reading, column = (int(index) for index in np.argwhere(gone)[0])
+    taxels: Bool = np.zeros(rows.shape[1], np.bool_)
+    if not isinstance(names, tuple):
+        taxels |= names.of_taxels
+    label = names[column] if isinstance(names, tuple) else _named(names, column)
+    where = f"{what}: {label} of reading {reading} is {rows[reading, column]:g}"
+    count = f"{gone.any(axis=1).sum()} of {len(rows)} readings hold such"
+    if missing == "refuse":
+        raise DatasetError(
+            f"{where}; {count}: missing='hold' takes the reading before, missing='mask' stores taxels as not read"
+        )
+    if missing == "mask" and gone[:, ~taxels].any():
+        raise DatasetError(f"{where}; {count}: only taxels can be masked: missing='hold' takes the reading before")
+    if (gone.all(axis=0) & (~taxels if missing == "mask" else True)).any():
+        raise DatasetError(
+            f"{where}, and so in all readings: leave it out, or declare the taxel dead or absent and use missing='mask'"
+        )
+    last = np.where(gone, -1, np.arange(len(rows))[:, None])
+    last = np.maximum.accumulate(last, axis=0)
+    first = np.argmin(gone, axis=0)  # before the first reading that is finite there is none to hold
+    held = np.take_along_axis(rows, np.where(last < 0, first, last), axis=0)
+    if missing == "hold":
+        return held, held, int(gone.sum())
+    return np.where(gone, np.nan, rows), np.where(np.isfinite(held), held, 0.0), int(gone.sum())
+
+
+def _named(channels: Channels, column: int) -> str:
+    """Return a modality and the number of its value, such as E_TH[3], by the column of a touch."""
+    key, columns = next((key, own) for key, own in channels.modality_columns.items() if column in own)
+    return f"{key}[{list(columns).index(column)}]"
+
+
+def _range_flags(rows: Float64, channels: Channels) -> list[str]:
+    """Return a flag, if a working sensor cannot have sent some of (T, D) values; if most of a finger, they are of another unit."""
+    outside = (rows < channels.low) | (rows > channels.high)
+    for key, columns in channels.modality_columns.items():
+        if outside[:, columns].mean() > 0.5:
+            reading, column = (int(index) for index in np.argwhere(outside[:, columns])[0])
+            channel, value = channels.channel_of[key], rows[reading, columns[column]]
+            rule = (
+                f"is not between {channel.low:g} and {channel.high:g} {channel.unit}, as most of {key}: another unit?"
+            )
+            raise DatasetError(f"values: {value:g} of {key}[{column}] {rule}")
+    return ["out_of_range"] if outside.any() else []
+
+
+def _outcome(outcome: Any) -> Outcome:
+    plain = outcome.item() if isinstance(outcome, np.generic) else outcome
+    known = {**_OUTCOMES, **{name: name for name in _OUTCOMES.values()}}
+    if plain not in known:
+        raise DatasetError(f"outcome: {none_of(plain, _OUTCOMES.values())}; they are also True, False and None")
+    return known[plain]
+
+
+def _cut(
+    stamps: Int64, values: Float64, whole: Float64, rest: int, channels: Channels
+) -> tuple[Touch | None, Touch | None, AnyArray, int | None]:
+    """Cut touch and tare out of (T, D) readings, the phase of each, and the first contact [ns]; what is not there is None.
+
+    Contact is found in the readings without gaps, `whole`.
+    """
+    phases, resting = np.full(len(stamps), APPROACH, np.uint8), whole[:rest]
+    phases[: len(resting)] = REST
+    if not len(resting):
+        return None, None, phases, None
+    tare = rest_of(np.median(resting, axis=0), channels)
+    onsets = [onset for onset in find_contact(stamps, whole, resting, channels) if onset is not None]
+    if not onsets:
+        return None, tare, phases, None
+    touching = (contact_scores(whole, resting, channels) >= RELEASE_LEVEL).any(axis=1)
+    held = touching & (stamps >= min(onsets) + SETTLE_NS) & (phases != REST)
+    phases[held] = HOLD
+    if not held.any():
+        return None, tare, phases, min(onsets)
+    read = np.isfinite(values[held]).any(axis=0)
+    touch = np.full(channels.size, np.nan)
+    touch[read] = np.nanmedian(values[held][:, read], axis=0)
+    return Touch(touch, channels), tare, phases, min(onsets)
