@@ -21,7 +21,6 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load
 
-from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.files import free_name, open_own, read_bytes, replace_files, system_errors
 from foretouch.models.files import packed, under
@@ -99,7 +98,6 @@ class History:
         reading: Touch,
         *,
         new_object: bool = False,
-        limits: ObjectLimits = DEFAULT_LIMITS,
         estimate: Estimate | None = None,
         tdc: Float64 | None = None,
         table: Plane | None = None,
@@ -112,8 +110,7 @@ class History:
             grasp: As executed.
             reading: Both fingers in contact [counts].
             new_object: Whether it is another object than before.
-            limits: Range and size of objects.
-            estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
+            estimate: The model's of this grasp (see `TouchModel.estimate_executed`), which is made here by default, for objects of usual range and size.
             tdc: (F,) [counts].
             table: In the cloud's frame; without one the camera is taken to look straight down on it.
 
@@ -123,7 +120,7 @@ class History:
             GraspError: If no hand can execute the grasp.
         """
         values = self.model.usable_values(reading, "touched")
-        estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits, table)
+        estimate = estimate or self.model.estimate_executed(cloud, [grasp], table=table)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
         where = None if estimate.where is None else estimate.where[0]

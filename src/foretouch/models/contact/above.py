@@ -15,10 +15,11 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import minimum_filter
 
+from foretouch.cloud.geometry.columns import centred_columns
 from foretouch.types import Float64, Int64, Plane
 
-STEEP: Final = float(np.cos(np.radians(17.0)))
-"""Cosine between line of sight and vertical from which on a view is taken as it is: objects in the recordings reach 17°."""
+STEEP: Final = float(np.radians(17.0))
+"""Angle between line of sight and vertical up to which a view is taken as it is: objects in the recordings reach 17° [rad]."""
 
 _CELL_M: Final = 0.003
 _UPPER_M: Final = 0.005  # edge of the cells of an upper side: two pixels of 640 x 480 at 1.3 m
@@ -31,7 +32,7 @@ _MOST_CELLS: Final = 1 << 22  # of an array with a number for each
 _TOP_SHARE, _TOP_M = 0.05, 0.006  # of the visible height, or so much: the top
 
 
-def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Float64, float]:
+def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Float64, Float64]:
     """Turn points into the table's frame, and complete what a tilted camera does not see of their upper side.
 
     Args:
@@ -39,33 +40,34 @@ def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Floa
         table: The table in that frame; None if the camera looks straight down on it.
 
     Returns:
-        (M, 3) points [m] in a frame with z downwards; the frame's axes as rows of (3, 3), by which directions and places of the camera's frame are turned; the cosine between
-        line of sight and vertical.
+        (M, 3) points [m] in a frame with z downwards; the frame's axes as rows of (3, 3), by which directions and places of the camera's frame are turned; (2,) the angle between
+        line of sight and vertical [rad], and the distance of the object [m].
     """
-    sight = points.mean(axis=0)
-    sight = sight / max(float(np.linalg.norm(sight)), 1e-12)
+    centre, _, _ = centred_columns(points)
+    distance = max(float(np.linalg.norm(centre)), 1e-12)
+    down = np.array([0.0, 0.0, 1.0]) if table is None else np.asarray(table.normal, np.float64)
+    down = down / np.linalg.norm(down)
+    down = down if down @ centre > 0.0 else -down
+    view = np.array([np.arccos(min(float(down @ centre) / distance, 1.0)), distance])
     if table is None:
-        return points, np.eye(3), float(sight[2])
-    down = np.asarray(table.normal, np.float64) / np.linalg.norm(table.normal)
-    down = down if down @ sight > 0.0 else -down
-    steepness = float(down @ sight)
+        return points, np.eye(3), view
     across = np.eye(3)[int(abs(down[0]) > 0.8)]
     across = across - (across @ down) * down
     across /= np.linalg.norm(across)
     turn = np.stack([across, np.cross(down, across), down])
     turned = points @ turn.T
-    if steepness >= STEEP:
-        return turned, turn, steepness
-    return _completed(_highest(turned, _CELL_M), _CELL_M, turn, points), turn, steepness
+    if view[0] <= STEEP:
+        return turned, turn, view
+    return _completed(_highest(turned, _CELL_M), _CELL_M, turn, points), turn, view
 
 
-def upper_side(points: Float64, turn: Float64, steepness: float) -> Float64:
+def upper_side(points: Float64, turn: Float64, tilt: float) -> Float64:
     """What an object shows of itself in all views: its upper side without walls, a point over each cell of the table.
 
     Args:
         points: (N, 3) float64 [m], finite, camera frame, N > 0.
         turn: (3, 3) axes of the table's frame as rows, as from `seen_from_above`.
-        steepness: Cosine between line of sight and vertical. What a tilted camera does not see is completed.
+        tilt: Angle between line of sight and vertical [rad]. What a tilted camera does not see is completed.
 
     Returns:
         (U, 3) [m] in a frame with z downwards and x along the object. All points if it has hardly any upper side.
@@ -89,7 +91,7 @@ def upper_side(points: Float64, turn: Float64, steepness: float) -> Float64:
     upper: Float64 = means[means[:, 2] - around <= _WALL * edge]
     if len(upper) < _FEWEST:
         return points @ along.T
-    return upper if steepness >= STEEP else _completed(upper, edge, along, points)
+    return upper if tilt <= STEEP else _completed(upper, edge, along, points)
 
 
 def _along_object(points: Float64) -> Float64:

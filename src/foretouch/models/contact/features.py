@@ -13,7 +13,7 @@ shift; points around a contact weigh less the farther they are, so that no point
 Heights are above the table, and `approach` and `rise` are the directions of the hand relative to its normal. Without a
 table the camera is assumed to look straight down on it, as in the public recordings (`foretouch.types.ASSUMED_TABLE`).
 A camera that is tilted sees other parts of an object. Its points are therefore brought to what a camera above the table
-would see (`models.contact.above`). Sizes of the upper side alone tell objects apart in views that the training does not have.
+would see (`models.contact.above`). In views that the training does not have, objects are compared by the upper side alone.
 """
 
 from collections.abc import Sequence
@@ -103,23 +103,22 @@ class HandFrameFeatures:
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]], table: Plane | None = None) -> None:
         self._seen = usable_points(xyz)
-        self._points, self._turn, self._steepness = seen_from_above(self._seen, table)
+        self._points, self._turn, self.view = seen_from_above(self._seen, table)
         self._centre, self._columns, self._covariance = centred_columns(self._points)
         self._centred = self._points - self._centre
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
-        self.object_features: Float64 = _sizes(self._points, self._columns, spreads, axes)
-        self._top = quantiles(self._points[:, 2], _LOW_HIGH)[0]  # nearest to the camera
+        self.object_features: Float64
+        self.object_features, self._top = _sizes(self._points, self._columns, spreads, axes)
         _, middle, longest = self.object_features[3:6]  # extents
         self._spacing = np.sqrt(middle * longest / len(self._points))
-        self.view = np.array([np.arccos(min(self._steepness, 1.0)), np.linalg.norm(self._seen.mean(axis=0))])
 
     @cached_property
     def upper_features(self) -> Float64:
         """(len(UPPER_FEATURES),) float64 [m], where a flat face is as thick as the noise of a camera."""
-        upper = upper_side(self._seen, self._turn, self._steepness)
+        upper = upper_side(self._seen, self._turn, float(self.view[0]))
         _, columns, covariance = centred_columns(upper)
-        sizes = _sizes(upper, columns, *principal_axes(covariance))
+        sizes, _ = _sizes(upper, columns, *principal_axes(covariance))
         sizes[_FLAT] = np.hypot(sizes[_FLAT], _FLAT_M)
         return sizes
 
@@ -236,11 +235,11 @@ class HandFrameFeatures:
         return np.column_stack([weight @ powers / len(self._points), np.count_nonzero(weight, axis=1)])
 
 
-def _sizes(points: Float64, columns: Float64, spreads: Float64, axes: Float64) -> Float64:
-    """`OBJECT_FEATURES` of (N, 3) points, from their (3, N) columns from the centre, deviations and principal axes."""
+def _sizes(points: Float64, columns: Float64, spreads: Float64, axes: Float64) -> tuple[Float64, float]:
+    """`OBJECT_FEATURES` of (N, 3) points, from their (3, N) columns from the centre, deviations and principal axes; and z of their top."""
     extents = [end - start for start, end in (quantiles(projected, _LOW_HIGH) for projected in axes.T @ columns)]
     low, high = quantiles(points[:, 2], _LOW_HIGH)
-    return np.concatenate([spreads, extents, quantiles(distances(columns), _QUARTERS), [high - low]])
+    return np.concatenate([spreads, extents, quantiles(distances(columns), _QUARTERS), [high - low]]), low
 
 
 def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float64, Float64]:

@@ -262,6 +262,8 @@ class OnlineAdapter:
             extra = sample.extra
             if tare is not None:
                 self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, tare.channels, "tare_"))
+            table = self._tables.get(sample.cloud.stamp_ns)
+            estimate = self._model.estimate_executed(sample.cloud, [sample.grasp], config.limits, table)
             new = not self._history.is_current(sample.cloud, config.same_object_m)
             self._history.add_touch(
                 now_ns,
@@ -269,9 +271,8 @@ class OnlineAdapter:
                 sample.grasp,
                 touch,
                 new_object=new,
-                limits=config.limits,
+                estimate=estimate,
                 tdc=tdc_of(extra, touch.channels),
-                table=self._tables.get(sample.cloud.stamp_ns),
             )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
