@@ -185,6 +185,10 @@ def test_the_drawing_has_what_is_given(scene, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10_000
     image, above, side, taxels = whole.axes
     assert {text.get_text() for text in image.texts} == {"1", "2", "3", "4"}
+    corners = image.patches[0].get_xy()  # of the table, in pixels: all around the objects
+    rows, columns = np.nonzero(scene.labels)
+    assert (corners.min(axis=0) < (columns.min(), rows.min())).all()
+    assert (corners.max(axis=0) > (columns.max(), rows.max())).all()
     assert {"g1", "g2"} <= {text.get_text() for text in (*above.texts, *side.texts)}
     bars = taxels.containers[0]
     np.testing.assert_allclose(bars.lines[0].get_ydata(), touch["E"].value[1, 0])

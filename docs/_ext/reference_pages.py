@@ -279,10 +279,7 @@ def node_configs() -> dict[str, type[Settings]]:
     """The settings of each node by its name."""
     from foretouch.ros.graph import NODES
 
-    configs = {}
-    for name, load in NODES.items():
-        (configs[name],) = typing.get_args(load().__orig_bases__[0])
-    return configs
+    return {name: load().config_class for name, load in NODES.items()}
 
 
 def parameters() -> str:
@@ -448,8 +445,8 @@ def commands() -> str:
 
 def _status(function: Callable[..., Any]) -> str:
     """What the docstring of a command states on its exit status."""
-    text = inspect.getdoc(function) or ""
-    return cell(text.partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
+    text = (inspect.getdoc(function) or "").removeprefix("Run the command; ")
+    return cell(text[:1].upper() + text[1:].partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
 
 
 def _option_row(action: argparse.Action) -> tuple[str, str]:

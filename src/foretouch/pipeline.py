@@ -54,7 +54,7 @@ class PipelineConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Object:
-    """One object and the table under it."""
+    """One object, and the table that it stands on."""
 
     id: str  # unique within its cloud
     cloud: Cloud  # (N, 3) [m], only the object's points, in the optical frame of the camera
@@ -168,7 +168,11 @@ class PipelineResult:
 
 
 class Pipeline:
-    """The steps with their settings and the touch model, which is loaded when first needed."""
+    """Runs the steps from a cloud to predicted touch.
+
+    Args:
+        config: Settings of all steps; the defaults if None. The touch model is loaded when it is first needed.
+    """
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
         self.config = config if config is not None else PipelineConfig()
@@ -275,7 +279,12 @@ class Pipeline:
         return replace(plan, grasps=plan.grasps.replace(object_id=target.id))
 
     def grasp_between(self, target: Object, g1: Float64, g2: Float64) -> Grasp:
-        """Return the grasp with given contacts (3,) [m] in the cloud frame, and the rotation that GeoGrasp computes for them.
+        """Make the grasp with given contacts, and the rotation that GeoGrasp computes for them.
+
+        Args:
+            target: The object.
+            g1: (3,) float64 [m], contact of the first finger, in the cloud's frame.
+            g2: (3,) float64 [m], contact of the second.
 
         Raises:
             GraspError: If a contact is not finite, both are equal, or they are out of the hand's reach.
@@ -291,7 +300,17 @@ class Pipeline:
     def predict(
         self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: Snapshot | None = None
     ) -> Predictions:
-        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
+        """Predict touch for each grasp on one object (see `TouchModel.predict`).
+
+        Args:
+            target: The object.
+            grasps: K grasps in the frame of its cloud.
+            tare: A reading without contact, taken shortly before.
+            history: Readings of the hand so far; `tare` must be omitted.
+
+        Returns:
+            A row for each grasp, in order.
+        """
         model = self.model
         if not grasps:
             return Predictions.refused(Grasps.of(grasps), model.sensor.channels, "refused", "")

@@ -141,6 +141,7 @@ def test_clouds_have_tables_objects_and_planned_grasps_and_no_hand_without_one(c
     corners = np.array(written.rows("/scene/table", "Mesh3D:vertex_positions")[0])
     a, b, c, d = record["plane"]
     np.testing.assert_allclose(corners @ [a, b, c], -d, atol=1e-6)
+    np.testing.assert_allclose(corners, record["outline"], atol=1e-6)
     assert list(written.rows("/scene/thumb/taxels", "Points3D:positions")) == [0, 2]
     for path in ("/scene/thumb", "/scene/hand", "/scene/objects"):
         assert 1 in written.rows(path, "Clear:is_recursive")

@@ -28,9 +28,9 @@ from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
-from foretouch.ros.messages.requests import RequestedGrasps, read_cloud, read_plane, read_targets
+from foretouch.ros.messages.requests import RequestedGrasps, Targets, read_cloud, read_plane, read_targets
 from foretouch.ros.nodes.recorder import _decode_label
-from foretouch.ros.nodes.touch_predictor import TouchPredictorConfig
+from foretouch.ros.nodes.single_steps import TouchPredictorConfig
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.predictor import Predictor
@@ -173,11 +173,12 @@ def predicted() -> Reader:
 
     def read(request: Any) -> None:
         table = read_plane(request.table[0]) if request.table else None
-        targets = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
+        found = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
+        targets = Targets(request.cloud.header, found, lambda: request.cloud)
         posing = config.grasp if table else None
         arrays = len(request.contacts) or len(request.rotations)
         requested = RequestedGrasps.of_arrays(request) if arrays else RequestedGrasps.of_messages(request.grasps)
-        answer = predictor.answer(targets, requested, request.cloud.header, config, posing)
+        answer = predictor.answer(targets, requested, config, posing)
         (check_batch if arrays else check_predictions)(answer.reply)
 
     return [touch_request(), array_request()], read
@@ -204,10 +205,10 @@ class _Hand:
             self.assembler.add("executed", message, received_ns=0, now_s=now_s)
         elif isinstance(message, GraspArray):
             cloud = object_messages()[0]
-            self.adapter.add_grasps(cloud.header, lambda: cloud, message.grasps)
+            self.adapter.add_grasps(Targets(cloud.header, (), lambda: cloud), message.grasps)
             self.assembler.add("grasps", message, received_ns=0, now_s=now_s)
         elif isinstance(message, PointCloud2):
-            self.adapter.add_grasps(message.header, lambda: message, grasps_message().grasps)
+            self.adapter.add_grasps(Targets(message.header, (), lambda: message), grasps_message().grasps)
             data = bytes(serialize_message(message))  # as the recorder receives it
             cloud = SerializedCloud(data, lambda: deserialize_message(data, PointCloud2))
             self.assembler.add("cloud", cloud, received_ns=0, now_s=now_s)

@@ -16,6 +16,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.errors import ModelError
+from foretouch.models.contact import above
 from foretouch.models.contact.features import FEATURES, HandFrameFeatures
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.network.preparation import PreparedCloud, _nearest
@@ -151,3 +152,24 @@ def test_distances_from_the_nearest_point(rng) -> None:
         assert _nearest(prepared, targets[:0]).shape == (0,)
 
     every_case([1, 15, 16, 750], check)
+
+
+def test_places_behind_points_are_hidden(rng) -> None:
+    points = rough(rng)
+    places = points + rng.uniform(-0.03, 0.05, points.shape)
+    around = points - PLACE  # the camera is within the object
+    cases = {
+        "an object": (points, places),
+        "around the camera": (around[:50] * [1.0, 1.0, 20.0], places),
+        "a picture too large": (np.array([[1e3, 0.0, 1e-3], [-1e3, 1e3, 1e-3]]), places),
+        "all behind the camera": (points * [1.0, 1.0, -1.0], places),
+        "places behind the camera": (points, places * [1.0, 1.0, -1.0]),
+        "no place": (points, places[:0]),
+        "no point": (points[:0], places),
+    }
+
+    def check(points: np.ndarray, places: np.ndarray) -> None:
+        assert_array_equal(above._is_hidden(places, points), reference.is_hidden(places, points))
+
+    every_case(cases, check)
+    assert 0.1 < above._is_hidden(places, points).mean() < 0.9

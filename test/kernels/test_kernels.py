@@ -24,6 +24,9 @@ def test_an_array_that_would_be_misread_and_an_absent_or_foreign_library_are_ref
     ):
         with pytest.raises(TypeError, match=f"^count_range: .*(?:{fault})"):
             COUNT(*arguments)
+    for fields, fault in ((("nodes", xyz), "int32_t"), (("count", 1.5), "integer"), (("none", 1), "none")):
+        with pytest.raises((TypeError, KeyError), match=fault):
+            kernels.struct("Forests", **dict([fields]))
     with pytest.raises(AttributeError):
         kernels.Kernel("no_such_function")
     copy = tmp_path / "copied_kernels"

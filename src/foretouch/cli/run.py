@@ -285,7 +285,7 @@ def replay_fault(replay: ReplayNode | None) -> str:
     if replay is None or (replay.outcome != "failed" and not replay.unreadable):
         return ""
     failed = replay.outcome == "failed"
-    return f"failed: {replay.reason}" if failed else f"{replay.unreadable} entries could not be read"
+    return f"failed: {replay.failure}" if failed else f"{replay.unreadable} entries could not be read"
 
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:

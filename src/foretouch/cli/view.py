@@ -136,7 +136,7 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
         objects |= {
             str(object_.id): object_.cloud for object_ in scene.segmentation.objects if str(object_.id) not in objects
         }
-        shown |= {"table": scene.segmentation.plane, "objects": objects}
+        shown |= {"table": scene.segmentation.plane, "outline": scene.segmentation.outline, "objects": objects}
         if not scene.targets:
             return ViewStep(**shown, reason=f"{scene.status}: {scene.reason}")
         target = scene.targets[0]

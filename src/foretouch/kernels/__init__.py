@@ -13,6 +13,7 @@ meanwhile. No build needs more than a C compiler; Numba would take 0.65 s at eac
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -39,6 +40,8 @@ _POINTERS: Final = {
     )
 }
 
+_KEPT: Final = WeakKeyDictionary[Any, Any]()  # what structs point to
+
 
 def _check_sources() -> None:
     """Refuse a library of other sources than those beside it; a checkout has some, an installed package none."""
@@ -49,6 +52,29 @@ def _check_sources() -> None:
 
 
 _check_sources()
+
+
+def struct(name: str, **fields: Any) -> Any:
+    """Make a C struct of `kernels.h`, as an argument of a kernel.
+
+    Args:
+        name: Name of the struct.
+        fields: Numbers, and contiguous arrays of the types that the struct declares. They are kept as long as the struct.
+
+    Returns:
+        A pointer to the struct.
+
+    Raises:
+        TypeError: If an array has another dtype or is not contiguous, or a number is of another type.
+    """
+    parts = {field: _argument(value) for field, value in fields.items()}
+    pointer = ffi.new(f"{name} *", parts)
+    _KEPT[pointer] = parts
+    return pointer
+
+
+def _argument(value: Any) -> Any:
+    return _from_buffer(_POINTERS[value.dtype], value) if isinstance(value, np.ndarray) else value
 
 
 class Kernel:
@@ -66,7 +92,7 @@ class Kernel:
         """Call the function.
 
         Args:
-            arguments: Numbers, and contiguous arrays of the types that the function is declared with.
+            arguments: Numbers, structs (see `struct`), and contiguous arrays of the types that the function is declared with.
 
         Raises:
             TypeError: If an array has another dtype or is not contiguous, or a number is of another type.

@@ -544,6 +544,14 @@ void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t
     count[0] = written;
 }
 
+/* How many of n pixels of an image have each of its labels, up to `last`. counts: (last + 1). */
+void count_labels(const int32_t *labels, const int64_t *pixels, int64_t n, int64_t last, int64_t *counts) {
+    memset(counts, 0, (size_t)(last + 1) * sizeof *counts);
+    for (int64_t i = 0; i < n; i++) {
+        counts[labels[pixels[i]]]++;
+    }
+}
+
 /* Every `stride`-th point of every `stride`-th row of an image of h x w points, and which of them are in range.
  *
  * coarse: (h', w', 3). index: (h' w'), their flat indices in it; count: (1), how many. */

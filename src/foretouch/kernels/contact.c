@@ -135,14 +135,13 @@ static void into(const double *frame, const double *vector, double *turned) {
 #define CALL(function, ...) function##_any(__VA_ARGS__)
 #endif
 
-/* Rows (k, 14) of contacts (k, 3) in the frames (k, 3, 3) of their fingers, whose axes are columns. The n points are
- * those of sort_into_cells; squares: of the radii [m^2], the pad's first and the largest last. A row begins with NaN
- * where a patch is so flat that rounding decides. */
+/* Rows (k, 14) of contacts (k, 3) in the frames (k, 3, 3) of their fingers, whose axes are columns. squares: of the
+ * radii [m^2], the pad's first and the largest last. A row begins with NaN where a patch is so flat that rounding
+ * decides. */
 void describe_contacts(
-    const double *sorted, int64_t n, const double *grid, const int64_t *cells, const int32_t *starts,
-    const double *squares, const double *contacts, const double *frames, int64_t count, double *rows
+    const Cells *points, const double *squares, const double *contacts, const double *frames, int64_t count, double *rows
 ) {
-    CALL(describe, sorted, n, grid, cells, starts, squares, contacts, frames, count, rows);
+    CALL(describe, points, squares, contacts, frames, count, rows);
 }
 
 /* Sums of the absolute differences (count, size) of rows (count, columns) from size known ones: over the columns in
@@ -159,4 +158,55 @@ void weighted_sums(
     const double *weights, int64_t count, int64_t size, const double *packed, int64_t outputs, double *sums
 ) {
     CALL(weigh, weights, count, size, packed, outputs, sums);
+}
+
+/* Pixels (n, 2) of points (n, 3) of a camera whose pixels are `pitch` wide, as tangents; NaN of those behind it. */
+VECTORISED static void find_pixels(const double *points, int64_t n, double pitch, double *pixels) {
+    for (int64_t i = 0; i < n; i++) {
+        const double z = points[3 * i + 2] > 0.0 ? points[3 * i + 2] : NAN;
+        pixels[2 * i] = floor(points[3 * i] / z / pitch);
+        pixels[2 * i + 1] = floor(points[3 * i + 1] / z / pitch);
+    }
+}
+
+/* Which of m places are more than `behind` behind one of n points for a camera whose pixels are `pitch` wide, as tangents.
+ *
+ * Nothing is hidden in an image of more than `most` pixels. hidden: (m). found: (1), -1 without memory. */
+void hide_places(const double *points, int64_t n, const double *places, int64_t m, double pitch, double behind, int64_t most,
+                 uint8_t *hidden, int64_t *found) {
+    double *pixels = malloc((size_t)(2 * (n > m ? n : m) + 1) * sizeof(double)), *nearest;
+    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+    memset(hidden, 0, (size_t)m);
+    found[0] = pixels ? 0 : -1;
+    if (!pixels) {
+        return;
+    }
+    find_pixels(points, n, pitch, pixels);
+    for (int64_t i = 0; i < 2 * n; i++) {
+        low[i % 2] = pixels[i] < low[i % 2] ? pixels[i] : low[i % 2];
+        high[i % 2] = pixels[i] > high[i % 2] ? pixels[i] : high[i % 2];
+    }
+    const double across = high[0] - low[0] + 1.0, down = high[1] - low[1] + 1.0;
+    if (across > 0.0 && down > 0.0 && across * down <= (double)most) { /* false without a point in front of the camera */
+        nearest = malloc((size_t)(across * down) * sizeof(double));
+        found[0] = nearest ? 0 : -1;
+        for (int64_t i = 0; nearest && i < (int64_t)(across * down); i++) {
+            nearest[i] = INFINITY;
+        }
+        for (int64_t i = 0; nearest && i < n; i++) {
+            if (points[3 * i + 2] > 0.0) {
+                double *at = nearest + (int64_t)((pixels[2 * i] - low[0]) * down + pixels[2 * i + 1] - low[1]);
+                *at = points[3 * i + 2] < *at ? points[3 * i + 2] : *at;
+            }
+        }
+        find_pixels(places, m, pitch, pixels);
+        for (int64_t i = 0; nearest && i < m; i++) {
+            const double u = pixels[2 * i] - low[0], v = pixels[2 * i + 1] - low[1];
+            if (u >= 0.0 && u < across && v >= 0.0 && v < down) {
+                hidden[i] = places[3 * i + 2] > nearest[(int64_t)(u * down + v)] + behind;
+            }
+        }
+        free(nearest);
+    }
+    free(pixels);
 }

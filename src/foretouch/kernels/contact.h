@@ -77,10 +77,11 @@ static void NAME(collect)(
 }
 
 static void NAME(describe)(
-    const double *sorted, int64_t n, const double *grid, const int64_t *cells, const int32_t *starts,
-    const double *squares, const double *contacts, const double *frames, int64_t count, double *rows
+    const Cells *points, const double *squares, const double *contacts, const double *frames, int64_t count, double *rows
 ) {
-    const double reach = sqrt(squares[RADII - 1]);
+    const double *sorted = points->sorted, *grid = points->grid, reach = sqrt(squares[RADII - 1]);
+    const int64_t n = points->n, *cells = points->cells;
+    const int32_t *starts = points->starts;
     for (int64_t k = 0; k < count; k++) {
         const double *contact = contacts + 3 * k, *frame = frames + 9 * k;
         double *row = rows + FEATURES * k;

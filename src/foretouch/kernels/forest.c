@@ -85,22 +85,20 @@ static void find_leaves(
 
 /* Means over the trees of several forests of the values that rows (count, columns) reach.
  *
- * nodes, roots, leaf and value (bits of float16) are those of all forests, one after the other; leaf is where the values
- * of a leaf begin. sizes:
- * (forests, 2), trees and outputs of each; width is the sum of the outputs. scratch: 64 times the most trees; single: as
- * many as the most trees; result: (count, width). */
+ * scratch: 64 times the most trees; single: as many as the most trees; result: (count, width). */
 VECTORISED void forest_means(
-    const float *rows, int64_t count, int64_t columns, const int32_t *packed, const int32_t *roots, const int64_t *leaf,
-    const uint16_t *value, const int64_t *sizes, int64_t forests, int64_t width, int32_t *scratch, double *single,
+    const float *rows, int64_t count, int64_t columns, const Forests *forests, int32_t *scratch, double *single,
     double *result
 ) {
-    const Node *nodes = (const Node *)packed;
+    const Node *nodes = (const Node *)forests->nodes;
+    const int64_t *leaf = forests->leaf, width = forests->width;
+    const uint16_t *value = forests->value;
     for (int64_t start = 0; start < count; start += ROWS) {
         const int64_t block = count - start < ROWS ? count - start : ROWS;
-        const int32_t *root = roots;
+        const int32_t *root = forests->roots;
         double *sums = result + start * width;
-        for (int64_t f = 0; f < forests; f++) {
-            const int64_t trees = sizes[2 * f], outputs = sizes[2 * f + 1];
+        for (int64_t f = 0; f < forests->count; f++) {
+            const int64_t trees = forests->sizes[2 * f], outputs = forests->sizes[2 * f + 1];
             find_leaves(rows + start * columns, block, columns, nodes, root, trees, scratch);
             for (int64_t i = 0; i < block; i++) {
                 double *sum = sums + i * width;

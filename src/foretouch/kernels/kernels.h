@@ -36,6 +36,7 @@ void collect_members(const int32_t *labels, const uint8_t *solid, int64_t h, int
     float *points, double *columns, float *bounds, float *tops);
 void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t column, const int32_t *ids,
     int64_t across, int32_t *image, int64_t *count);
+void count_labels(const int32_t *labels, const int64_t *pixels, int64_t n, int64_t last, int64_t *counts);
 void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double nearest, double farthest, float *coarse,
     int64_t *index, int64_t *count);
 
@@ -44,14 +45,23 @@ void centre_points(const double *points, int64_t n, double *centre, double *colu
 void bounds(const float *points, int64_t n, double *low, double *high);
 
 /* contact.c */
+typedef struct {
+    const double *sorted; /* (3, n) points as sort_into_cells sorts them */
+    int64_t n;
+    const double *grid;    /* low x, y, z, cells per metre */
+    const int64_t *cells;  /* numbers along x, y, z */
+    const int32_t *starts; /* where the points of each cell begin */
+} Cells;
 void sort_into_cells(const double *xyz, int64_t n, const double *grid, const int64_t *cells, int32_t *cell,
     int32_t *starts, double *sorted);
-void describe_contacts(const double *sorted, int64_t n, const double *grid, const int64_t *cells, const int32_t *starts,
-    const double *squares, const double *contacts, const double *frames, int64_t count, double *rows);
+void describe_contacts(const Cells *points, const double *squares, const double *contacts, const double *frames,
+    int64_t count, double *rows);
 void city_distances(const double *rows, int64_t count, int64_t columns, const double *packed, int64_t size,
     double *distances);
 void weighted_sums(const double *weights, int64_t count, int64_t size, const double *packed, int64_t outputs,
     double *sums);
+void hide_places(const double *points, int64_t n, const double *places, int64_t m, double pitch, double behind,
+    int64_t most, uint8_t *hidden, int64_t *found);
 
 /* crop.c */
 const char *sources(void);
@@ -71,8 +81,16 @@ void count_single(const float *depth, int64_t n, double scale, double low, doubl
 void flying_points(const float *xyz, int64_t n, const double *settings, uint8_t *flying, double *radius);
 
 /* forest.c */
-void forest_means(const float *rows, int64_t count, int64_t columns, const int32_t *packed, const int32_t *roots,
-    const int64_t *leaf, const uint16_t *value, const int64_t *sizes, int64_t forests, int64_t width, int32_t *scratch,
+typedef struct { /* several forests, one after the other */
+    const int32_t *nodes;  /* (nodes, 4) threshold as bits of a float, column, left and right child */
+    const int32_t *roots;  /* (trees) nodes */
+    const int64_t *leaf;   /* (nodes) where the values of a leaf begin */
+    const uint16_t *value; /* bits of float16 */
+    const int64_t *sizes;  /* (count, 2) trees and outputs of each forest */
+    int64_t count;
+    int64_t width; /* sum of the outputs */
+} Forests;
+void forest_means(const float *rows, int64_t count, int64_t columns, const Forests *forests, int32_t *scratch,
     double *single, double *result);
 
 /* lattice.c */
@@ -82,8 +100,15 @@ void fill_image(const float *xyz, int64_t n, double low, double high, const int3
     int64_t height, int64_t width, float *image, int32_t *place, int64_t *result);
 
 /* layer.c */
-void layer_descent(const double *gap, const double *spectrum, int64_t n, double given, int64_t by_force,
-    double safe_length, double tolerance, int64_t most, double *pressure, double *end);
+typedef struct {
+    double given;       /* depth, or sum of the pressure */
+    int64_t by_force;   /* 1 for the sum of the pressure */
+    double safe_length; /* of a step */
+    double tolerance;
+    int64_t most; /* iterations */
+} Descent;
+void layer_descent(const double *gap, const double *spectrum, int64_t n, const Descent *how, double *pressure,
+    double *end);
 
 /* nearest.c */
 void nearest_squares(const float *targets, int64_t count, const float *points, int64_t n, float *squares);

@@ -241,13 +241,14 @@ static double mean_depth(const double *displacement, const double *gap, const do
     return sum / (double)count;
 }
 
-/* Steps until the tolerance is met or the iterations are spent. pressure (n, n) is the start and becomes the result;
- * given is the depth or, where by_force is 1, the sum of the pressure. end (4): depth, iterations, residual, and 1 where it
+/* Steps until the tolerance is met or the iterations are spent. pressure (n, n) is the start and becomes the result.
+ * end (4): depth, iterations, residual, and 1 where it
  * ran: 0 without memory. Where neither clipping nor new cells disturb a step, K p follows from K t of the step instead of
  * a second convolution. */
-void layer_descent(const double *gap, const double *spectrum, int64_t n, double given, int64_t by_force, double safe_length,
-                   double tolerance, int64_t most, double *pressure, double *end) {
-    const int64_t size = n * n;
+void layer_descent(const double *gap, const double *spectrum, int64_t n, const Descent *how, double *pressure,
+                   double *end) {
+    const int64_t size = n * n, by_force = how->by_force;
+    const double given = how->given, safe_length = how->safe_length;
     Convolution convolution;
     double *room = malloc((size_t)(6 * size + 8 * n * (n + 1) + 4 * n) * sizeof(double));
     end[3] = room != NULL;
@@ -260,7 +261,7 @@ void layer_descent(const double *gap, const double *spectrum, int64_t n, double 
     int64_t iterations = 0;
     memset(t, 0, (size_t)size * sizeof(double));
     convolve(&convolution, n, pressure, spectrum, displacement);
-    while (iterations < most && residual >= tolerance) {
+    while (iterations < how->most && residual >= how->tolerance) {
         const double depth = by_force ? mean_depth(displacement, gap, pressure, size) : given;
         double squares = 0.0, bend = 0.0, along = 0.0, t_sum = 0.0, q_wet = 0.0, total = 0.0, change = 0.0;
         int64_t wet = 0;

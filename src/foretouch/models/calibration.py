@@ -118,7 +118,7 @@ class Calibration:
             raise ModelError(f"between, within: no tracker can be made of them: {err}") from err
 
     def contact_signs(self, tare: Touch) -> tuple[str, ...]:
-        """Why a reading may be one in contact and thus no tare, a line each; empty for one at rest.
+        """Return why a reading may be one in contact and thus no tare, a line each; empty for one at rest.
 
         Contact moves values to the side that the sensor's description states: PDC up, electrodes down. The rule is three deviations of
         the drift that the tracker expects, of a scalar such as PDC or of three taxels. It is for the fingers of the training data: the
@@ -160,7 +160,7 @@ class Calibration:
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], channels: Channels) -> Self:
-        """From `to_tensors`, for a model of these channels.
+        """Make a calibration of the arrays of `to_tensors`, for a model of these channels.
 
         Raises:
             ModelError: Names the array that is missing, of another shape or not finite, or no variance, width,
@@ -181,5 +181,5 @@ class Calibration:
 
 
 def tare_offset(tare: Touch, rest: Float64) -> Float64:
-    """(D,) a tare minus a rest level; 0 of channels that are not tared."""
+    """Return (D,) a tare minus a rest level; 0 of channels that are not tared."""
     return np.where(tare.channels.tared, tare.values - rest, 0.0)

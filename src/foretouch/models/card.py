@@ -99,7 +99,7 @@ def read_card(path: str | Path) -> dict[str, Any]:
 
 
 def card_sensor(card: Mapping[str, Any], where: str | Path) -> Sensor:
-    """The sensor whose readings a model predicts.
+    """Return the sensor whose readings a model predicts.
 
     Raises:
         ModelError: Names `where` the card was read: its description is damaged, or has changed since the card was written.
@@ -116,7 +116,7 @@ def card_sensor(card: Mapping[str, Any], where: str | Path) -> Sensor:
 
 
 def card_text(card: Mapping[str, Any]) -> str:
-    """The content of a card's file."""
+    """Return the content of a card's file."""
     return json.dumps(card, indent=1) + "\n"
 
 
@@ -165,7 +165,7 @@ def save_model(
 def load_calibration(
     card_path: Path, card: Mapping[str, Any], channels: Channels
 ) -> tuple[Calibration | None, Fallback | None]:
-    """The calibration of a model of some channels that a card names, and the fallback in the same file; None where there is none.
+    """Return the calibration of a model of some channels that a card names, and the fallback in the same file; None where there is none.
 
     Raises:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.

@@ -21,7 +21,7 @@ EQUAL_PRESSURE: Final = "equal_pressure"
 
 
 def equal_groups(costs: ArrayLike, half: ArrayLike) -> Index:
-    """(K,) number of the group of each of (K,) costs with half widths (K,), group 0 with the lowest cost.
+    """Return (K,) number of the group of each of (K,) costs with half widths (K,), group 0 with the lowest cost.
 
     A group holds all costs that exceed its lowest by less than the half width of that one; NaN and infinity are alone.
     """
@@ -36,19 +36,19 @@ def equal_groups(costs: ArrayLike, half: ArrayLike) -> Index:
 
 
 def scale_of(model: TouchModel) -> tuple[Touch | None, Ranges]:
-    """The reading at rest of a model, if it has one, and the ranges that its predictions are shown in."""
+    """Return the reading at rest of a model, if it has one, and the ranges that its predictions are shown in."""
     rest = None if model.calibration is None else Touch(model.calibration.rest, model.sensor.channels)
     return rest, model.ranges
 
 
 def predicted_pressures(predictions: Predictions, model: TouchModel) -> Float64:
-    """(3, K, F) how hard each finger presses in predictions of a model, and its bounds (see `TaxelView.pressures`); NaN for none."""
+    """Return (3, K, F) how hard each finger presses in predictions of a model, and its bounds (see `TaxelView.pressures`); NaN for none."""
     rows = np.stack([predictions.value, predictions.lower, predictions.upper])
     return TaxelView(model.sensor).pressures(rows, *scale_of(model))
 
 
 def flag_equal_pressures(predictions: Predictions, model: TouchModel) -> Predictions:
-    """The predictions for grasps on one object, with `EQUAL_PRESSURE` on each that cannot be ranked before another as the gentlest.
+    """Return the predictions for grasps on one object, with `EQUAL_PRESSURE` on each that cannot be ranked before another as the gentlest.
 
     The pressure is the mean of both fingers; models without intervals get no flag.
     """

@@ -18,7 +18,7 @@ from foretouch.types.channels import Channels
 
 
 def file_beside(card_path: Path, name: Any, field: str) -> Path:
-    """The file beside a card that a field of the card names; folders in the name are ignored.
+    """Return the file beside a card that a field of the card names; folders in the name are ignored.
 
     Raises:
         ModelError: If the field is not a valid file name.
@@ -85,7 +85,7 @@ class TensorRecord:
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
-        """From `to_tensors`, with `channels` where the record has that field.
+        """Make the record of the arrays of `to_tensors`, with `channels` where it has that field.
 
         Raises:
             ModelError: Names the array that is missing, or breaks a rule of `_check`.
@@ -122,12 +122,12 @@ Value = TypeVar("Value")
 
 
 def under(prefix: str, tensors: Mapping[str, Value]) -> dict[str, Value]:
-    """Those whose names begin with a prefix, by the rest of their names."""
+    """Return the arrays whose names begin with a prefix, by the rest of their names."""
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def read_part(record: type[Record], tensors: Mapping[str, AnyArray], prefix: str, **stated: Channels) -> Record:
-    """The record whose arrays are stored under names that begin with a prefix, which errors name too; see `from_tensors`."""
+    """Return the record whose arrays are stored under names that begin with a prefix, which errors name too; see `from_tensors`."""
     try:
         return record.from_tensors(under(prefix, tensors), **stated)
     except ModelError as err:

@@ -43,17 +43,17 @@ _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tare
 
 
 def place_and_size(cloud: Cloud) -> Float64:
-    """(6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
+    """Return (6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
     points = cloud.xyz.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
 class History:
-    """Readings of one hand, compared with the predictions of one model. Not thread-safe.
+    """Adapts the predictions of one model to the readings of one hand. Use it in one thread at a time.
 
     Args:
-        model: With a calibration.
+        model: A model with a calibration.
 
     Raises:
         ModelError: If the model has no calibration.
@@ -79,10 +79,18 @@ class History:
         return self.tracker.touches
 
     def add_tare(self, stamp_ns: int, tare: Touch, *, tdc: Float64 | None = None) -> tuple[str, ...]:
-        """Add a reading without contact; one within a minute of the last is left out, since their errors are the same.
+        """Add a reading without contact. One within a minute of the last is left out, since their errors are the same.
 
-        Arguments, result and errors are as of `SensorTracker.add_tare`, for the reading itself [counts]; one that is not of
-        working sensors is a `TactileError` too.
+        Args:
+            stamp_ns: When it was taken [ns].
+            tare: The reading, in the unit of the sensor.
+            tdc: (F,) temperature of the fingers [counts], where it is known.
+
+        Returns:
+            The fingers that were restarted, since their readings jumped.
+
+        Raises:
+            TactileError: If the reading is of another sensor or not of working ones, or the stamp cannot be used.
         """
         if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             return ()
@@ -102,17 +110,26 @@ class History:
         tdc: Float64 | None = None,
         table: Plane | None = None,
     ) -> tuple[str, ...]:
-        """Add the reading of an executed grasp; stamps, temperature and result are as of `SensorTracker.add_tare`.
+        """Add the reading of an executed grasp (`touched` is the simpler form).
 
         Args:
             stamp_ns: When it was taken [ns].
             cloud: The cloud that the grasp was planned on.
-            grasp: As executed.
-            reading: Both fingers in contact [counts].
+            grasp: As executed, in the frame of the cloud.
+            reading: Both fingers in contact, in the unit of the sensor.
             new_object: Whether it is another object than before.
+<<<<<<< HEAD
             estimate: The model's of this grasp (see `TouchModel.estimate_executed`), which is made here by default, for objects of usual range and size.
             tdc: (F,) [counts].
+=======
+            limits: Range and size of objects.
+            estimate: The model's estimate of this grasp, if it is known already (see `TouchModel.estimate_executed`).
+            tdc: (F,) temperature of the fingers [counts], where it is known.
+>>>>>>> main
             table: In the cloud's frame; without one the camera is taken to look straight down on it.
+
+        Returns:
+            The fingers that were restarted, since their readings jumped.
 
         Raises:
             TactileError: If the reading is of another sensor or not of working ones, or the stamp cannot be used.
@@ -129,7 +146,16 @@ class History:
         return self._counted(restarted)
 
     def tare(self, reading: Touch, *, stamp_ns: int | None = None, tdc: Float64 | None = None) -> None:
-        """Add a reading without contact (see `add_tare`), of now unless a stamp [ns] is given."""
+        """Add a reading without contact.
+
+        Args:
+            reading: Both fingers at rest, in the unit of the sensor.
+            stamp_ns: When it was taken [ns]; now if None.
+            tdc: (F,) temperature of the fingers [counts], where it is known.
+
+        Raises:
+            TactileError: If the reading is of another sensor or not of working ones, or older than the last one.
+        """
         self.add_tare(self._stamp(stamp_ns), reading, tdc=tdc)
         self._tared = True
 
@@ -172,32 +198,63 @@ class History:
         stamp_ns: int | None = None,
         same_object: bool | None = None,
     ) -> Predictions:
-        """Predict as `TouchModel.predict`, adapted to all readings so far; arguments as of `touched`."""
+        """Predict the readings at each grasp, adapted to all readings so far.
+
+        Args:
+            target: The object, or its cloud.
+            grasps: K grasps in the frame of its cloud.
+            stamp_ns: Time of the predictions [ns]; now if None.
+            same_object: Whether it is the object that was touched last; by default by place and size.
+
+        Returns:
+            A row for each grasp, as of `TouchModel.predict`. `reference` names the strongest reading that it was adapted to.
+
+        Raises:
+            CloudError: If the cloud cannot be used.
+        """
         cloud = target if isinstance(target, Cloud) else target.cloud
         same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
         read = self.snapshot(self._stamp(stamp_ns), same_object=same, tare=self._tared)
         return self.model.predict(target, grasps, history=read)
 
     def save(self, path: str | Path) -> None:
-        """Write everything read so far to a file, which is replaced; a `FileError` if it cannot be written."""
+        """Write everything read so far to a file.
+
+        Args:
+            path: The file, which is replaced.
+
+        Raises:
+            FileError: If it cannot be written.
+        """
         replace_files({Path(path): _content(self, "")})
 
     @classmethod
     def load(cls, path: str | Path, model: TouchModel) -> "History":
-        """Read what `save` wrote, or the file of a hand; errors as of `read_history`."""
+        """Read what `save` wrote, or the file of a hand of the graph.
+
+        Args:
+            path: The file.
+            model: The model of the history.
+
+        Raises:
+            FileError: If the file is absent or damaged, or of another version, sensor, hand or model.
+            ModelError: If the model has no calibration.
+        """
         return read_history(Path(path), model)
 
     def _stamp(self, stamp_ns: int | None) -> int:
         return time.time_ns() if stamp_ns is None else stamp_ns
 
     def keep_to_clock(self, now_ns: int) -> bool:
-        """See `SensorTracker.keep_to_clock`."""
+        """Count readings from the future of a clock [ns] as taken now (see `SensorTracker.keep_to_clock`)."""
         return self.tracker.keep_to_clock(now_ns)
 
     def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
-        """Whether the object of a cloud is the one that was touched last.
+        """Say whether the object of a cloud is the one that was touched last, by its place and size.
 
-        It is if no mean and no deviation of its points differs by more than a distance [m].
+        Args:
+            cloud: The object's points [m].
+            same_object_m: Largest difference of the mean and of the deviation of its points [m].
         """
         if self.signature is None or self.signature[0] != cloud.frame_id:
             return False
@@ -205,12 +262,12 @@ class History:
             return bool((np.abs(place_and_size(cloud) - self.signature[1]) <= same_object_m).all())
 
     def start_object(self) -> None:
-        """The object is another one now: forget the touches of the last one, keep the state of the sensors."""
+        """Forget the touches of the last object, and keep the state of the sensors: another object is touched from now on."""
         self.tracker.start_object()
         self.signature = None
 
     def forget(self) -> int:
-        """Forget everything, such as after the sensors were exchanged; gives the number of readings."""
+        """Forget everything, such as after the sensors were exchanged. Returns the number of readings that were forgotten."""
         count = self.tracker.evidence(0).readings
         self.tracker = self.model.new_tracker()
         self.signature, self._tare_ns = None, -1
@@ -223,13 +280,13 @@ class History:
         return self._forgotten, self.tracker.revision
 
     def copy(self) -> Self:
-        """An independent history of the same readings."""
+        """Return an independent history of the same readings."""
         twin = copy.copy(self)
         twin.tracker, twin.restarts = self.tracker.copy(), dict(self.restarts)
         return twin
 
     def to_tensors(self) -> dict[str, AnyArray]:
-        """All of it, for a file."""
+        """Return all of it as arrays, for a file."""
         frame, numbers = self.signature or ("", np.full(6, np.nan))
         own: dict[str, AnyArray] = {
             "signature": numbers,
@@ -240,7 +297,7 @@ class History:
 
     @classmethod
     def from_tensors(cls, model: TouchModel, tensors: Mapping[str, AnyArray]) -> Self:
-        """From `to_tensors`; goes on to the bit as the history that wrote it.
+        """Make a history from `to_tensors`. It goes on to the bit as the history that wrote it.
 
         Raises:
             ModelError: Names an array that is missing or cannot be, or if it is of another model.
@@ -257,7 +314,7 @@ class History:
         return history
 
     def snapshot(self, stamp_ns: int, *, same_object: bool, tare: bool = False, tdc: Float64 | None = None) -> Snapshot:
-        """The readings so far, for predictions at a time; later readings do not change it.
+        """Return the readings so far, for predictions at a time. Later readings do not change them.
 
         Args:
             stamp_ns: Time of the predictions [ns].
@@ -304,7 +361,7 @@ class HistoryFile:
             self._lock = -1
 
     def read(self, model: TouchModel) -> History | None:
-        """What was read before; None without a file.
+        """Return what was read before; None without a file.
 
         Raises:
             FileError: If the file is damaged, or of another version, sensor, hand or model.
@@ -344,7 +401,7 @@ def _content(history: History, hand: str) -> bytes:
 
 
 def read_history(path: Path, model: TouchModel, hand: str | None = None) -> History:
-    """The history in a hand's file.
+    """Read the history in a hand's file.
 
     Args:
         path: The file.

@@ -116,7 +116,7 @@ class HistoryKeeper:
 
 
 def _path(folder: str, hand: str) -> Path:
-    """The file of a hand."""
+    """Return the file of a hand."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", hand):
         raise ConfigError(
             f"hand: {hand!r} must be 1 to 64 letters, digits, '_', '-' or '.', and begin with a letter or digit"

@@ -33,7 +33,7 @@ _MINIMUM_POINTS: Final = 8
 
 
 def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
-    """(M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
+    """Return (M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
     points = np.ascontiguousarray(xyz, np.float64).reshape(-1, 3)
     if not np.isfinite(points).all():
         points = points[np.isfinite(points).all(axis=1)]
@@ -45,13 +45,13 @@ def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Fl
 
 
 def principal_axes(covariance: Float64) -> tuple[Float64, Float64]:
-    """(…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
+    """Return (…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
     values, axes = np.linalg.eigh(covariance)
     return np.sqrt(np.maximum(values, 0.0)), axes
 
 
 def object_sizes(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
-    """(8,) float64 of (N, 3) points [m]: extents along x, y, z, principal deviations, radius, logarithm of their number.
+    """Return (8,) float64 of (N, 3) points [m]: extents along x, y, z, principal deviations, radius, logarithm of their number.
 
     Raises:
         CloudError: If fewer than eight points are finite, or all are at one position.
@@ -63,7 +63,7 @@ def object_sizes(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Flo
 
 
 def standardisation(rows: Float64) -> tuple[Float64, Float64]:
-    """Mean and deviation of each column; 1 where a column is constant."""
+    """Return the mean and deviation of each column; 1 where a column is constant."""
     deviation = rows.std(axis=0)
     return rows.mean(axis=0), np.where(deviation > 1e-9, deviation, 1.0)  # a smaller one is rounding [m or 1]
 
@@ -83,7 +83,7 @@ class Fallback(TensorRecord):
 
     @classmethod
     def fit(cls, channels: Channels, sizes: Float64, labels: Float64) -> Self:
-        """From the (S, 8) sizes of the training clouds, S of at least 5, and their (S, D) labels [counts]."""
+        """Fit to the (S, 8) sizes of the training clouds, S of at least 5, and their (S, D) labels [counts]."""
         centre, scale = standardisation(sizes)
         known = ((sizes - centre) / scale).astype(np.float32)
         distance = np.sort(cdist(known, known, "cityblock"), axis=1)[:, 1 : _NEAREST + 1].mean(axis=1)

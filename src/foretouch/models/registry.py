@@ -16,7 +16,7 @@ SIMULATED_HAND_MODEL: Final = "simulated"
 
 
 def available_models() -> list[str]:
-    """Names of the models that come with the package, the default first."""
+    """Return the names of the models that come with the package, the default first."""
     return sorted((path.stem for path in _released().glob("*.json")), key=lambda name: (name != DEFAULT_MODEL, name))
 
 
@@ -70,7 +70,7 @@ def find_card(name_or_path: str | Path) -> Path:
 
 
 def _card_in(folder: Path) -> Path:
-    """The card of the only model in a folder."""
+    """Return the card of the only model in a folder."""
     models = [path.name for path in sorted(folder.glob("*.json")) if _is_card(path)]
     if len(models) == 1:
         return folder / models[0]
@@ -91,7 +91,7 @@ def _is_folder(path: Path) -> bool:
 
 
 def _is_card(path: Path) -> bool:
-    """Whether a JSON file is a model card; a damaged file counts as one, so that it is reported and not overlooked."""
+    """Return whether a JSON file is a model card; a damaged file counts as one, so that it is reported and not overlooked."""
     try:
         document = read_json(path)
     except FileError:

@@ -51,12 +51,12 @@ class SimilarTouches:
         return len(self.where) >= _FEWEST
 
     def added(self, where: Float64, reading: Float64) -> Self:
-        """With one touch more, of (P,) features."""
+        """Return the touches with one more, of (P,) features."""
         wheres, readings = np.vstack([self.where, where])[-MOST:], np.vstack([self.readings, reading])[-MOST:]
         return type(self)(self.parameters, wheres, readings)
 
     def regress(self, where: Float64, level: Float64) -> tuple[Float64, Float64]:
-        """What grasps with (K, P) features differ from a (D,) level by; each as it is alone, to the last bit.
+        """Return what grasps with (K, P) features differ from a (D,) level by; each as it is alone, to the last bit.
 
         The level is the reading of a grasp on this object that is like no other, as `readings`. The results are (K, D)
         differences [counts], and (K, M) shares of the variance of the noise that are left.
@@ -69,7 +69,7 @@ class SimilarTouches:
         return change, 1.0 - explained
 
     def _kernel(self, where: Float64) -> Float64:
-        """(K, n) k of eq. 1."""
+        """Return the (K, n) k of eq. 1."""
         from scipy.spatial.distance import cdist  # for `--help` without SciPy
 
         distance = cdist(where / self.parameters.where_scale, self.where / self.parameters.where_scale)

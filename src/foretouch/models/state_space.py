@@ -87,7 +87,7 @@ class TrackerParameters(TensorRecord):
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], **stated: Channels) -> Self:
-        """As `TensorRecord.from_tensors`."""
+        """Make the parameters of the arrays of `to_tensors`."""
         none, nowhere = np.zeros(stated["channels"].size), np.zeros(len(stated["channels"].modalities))
         absent = {"slope": none, "slope_sd": none, "where_scale": np.empty(0), "where_ratio": nowhere}
         return super().from_tensors({**absent, **tensors}, **stated)
@@ -101,7 +101,7 @@ class TrackerParameters(TensorRecord):
         difference_shrinkage: tuple[Float64, Float64],
         factor: Float64,
     ) -> Self:
-        """Of sensors without drift, from the statistics of residuals.
+        """Return parameters of sensors without drift, from the statistics of residuals.
 
         After n touches of a new object with mean residual r its offset is then B (B + W/n)⁻¹ r, the multivariate
         empirical Bayes estimate [Efron and Morris 1973].
@@ -151,12 +151,12 @@ class TrackerParameters(TensorRecord):
         return bool(self.slope.any() or self.slope_sd.any())
 
     def slopes(self) -> Float64:
-        """(2, D) mean and variance of the slopes of the coordinates of the basis."""
+        """Return (2, D) mean and variance of the slopes of the coordinates of the basis."""
         inverse = np.linalg.inv(self.basis)
         return np.array([inverse @ self.slope, inverse**2 @ self.slope_sd**2])
 
     def finger_of(self) -> Index:
-        """(D,) index of the finger of the values that each coordinate of the basis changes most."""
+        """Return (D,) index of the finger of the values that each coordinate of the basis changes most."""
         return np.asarray(self.channels.finger_of_value[np.argmax(np.abs(self.basis), axis=0)], np.intp)
 
     def _keeps_fingers_apart(self) -> bool:
@@ -216,7 +216,7 @@ class StateFilter:
         self.restart(np.arange(prior.shape[1]))
 
     def copy(self) -> Self:
-        """An independent filter in the same state."""
+        """Return an independent filter in the same state."""
         twin = copy.copy(self)
         twin.prior, twin.mean, twin.covariance = self.prior.copy(), self.mean.copy(), self.covariance.copy()
         return twin
@@ -257,7 +257,7 @@ class StateFilter:
             self.covariance[0, 0, chosen] = np.maximum(self.prior[0], change**2)[chosen]
 
     def predicted(self, parts: int = 3, x: Float64 | None = None) -> tuple[Float64, Float64]:
-        """(K,) mean and variance of the sum of the parts, with (K,) x also of the slope times x.
+        """Return (K,) mean and variance of the sum of the parts, with (K,) x also of the slope times x.
 
         Args:
             parts: 3 of them, or 1: the slow state alone.

@@ -23,7 +23,7 @@ OUTSIDE: Final = 0.05
 
 
 def patterns(readings: Float64) -> Float64:
-    """(S, D) patterns of (S, F, N) electrodes of the fingers, in the order of the card [counts]; D = F x N."""
+    """Return (S, D) patterns of (S, F, N) electrodes of the fingers, in the order of the card [counts]; D = F x N."""
     apart = readings - readings.mean(axis=-1, keepdims=True)
     pattern: Float64 = (apart / np.maximum(apart.std(axis=-1, keepdims=True), 1.0)).reshape(len(readings), -1)
     return pattern
@@ -42,19 +42,19 @@ class TouchHold(TensorRecord):
     calibration: Float64  # (2,) slope and offset of their mean
 
     def chance(self, readings: Float64) -> Float64:
-        """(S,) probabilities that grasps hold, of (S, F, N) electrodes [counts]."""
+        """Return (S,) probabilities that grasps hold, of (S, F, N) electrodes [counts]."""
         slope, offset = self.calibration
         probability: Float64 = 1.0 / (1.0 + np.exp(-slope * self.logits(readings) - offset))
         return probability
 
     def logits(self, readings: Float64) -> Float64:
-        """(S,) means of the networks, not calibrated."""
+        """Return (S,) means of the networks, not calibrated."""
         units = np.tanh(np.einsum("sd,kdh->skh", patterns(readings), self.hidden) + self.hidden_bias)
         logit: Float64 = (np.einsum("skh,kh->sk", units, self.out) + self.out_bias).mean(axis=1)
         return logit
 
     def outside(self, readings: Float64) -> Float64:
-        """(S,) share of each pattern that is out of the range of training; see `OUTSIDE`."""
+        """Return (S,) share of each pattern that is out of the range of training; see `OUTSIDE`."""
         pattern = patterns(readings)
         share: Float64 = ((pattern < self.low) | (pattern > self.high)).mean(axis=1)
         return share
@@ -71,7 +71,7 @@ class TouchHold(TensorRecord):
 
 
 def load_touch_hold(card_path: Path | None = None) -> tuple[TouchHold, dict[str, Any]]:
-    """The model and its card, whose `config` names the fingers; by default that of the package.
+    """Return the model and its card, whose `config` names the fingers; by default that of the package.
 
     Raises:
         ModelError: Names the file and what is wrong with it.

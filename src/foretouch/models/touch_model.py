@@ -68,7 +68,7 @@ class Snapshot:
     tdc: Float64 | None = None  # (F,) TDC of the fingers at that time [counts]; None: the latest one
 
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
-        """(K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
+        """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
         counts, half = np.empty((2, *estimate.counts.shape))
         for known in (False, True):
             rows = estimate.in_distribution == known
@@ -122,19 +122,19 @@ class HasCloud(Protocol):
 
 
 class TouchModel:
-    """An estimator with its card and its calibration; immutable, so threads may share it.
+    """Predicts what both fingertips would read at a grasp. It never changes, so threads may share it.
 
     Args:
-        estimator: Predicts from the cloud and the grasp alone.
+        estimator: Predicts from the cloud and the grasp only.
         card: The card of the model.
         calibration: Rest level, adaptation and intervals; None if the card holds no calibration.
-        widen: (D,) factors of the half widths of the intervals; 1 by default.
 
     Attributes:
-        name, sha256: From the card; the hash is of the weights, or over those of all members.
-        sensor: What it predicts the readings of.
+        name: Name of the model, from its card.
+        sha256: Hash of the weights, from the card.
+        sensor: The sensor whose readings are predicted.
         ranges: Ranges outside which a predicted value is flagged.
-        estimator: Predicts from the cloud and the grasp alone.
+        estimator: Predicts from the cloud and the grasp only.
     """
 
     def __init__(self, estimator: Estimator, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
@@ -154,7 +154,13 @@ class TouchModel:
         return "scene_sha256" in self.card.get("data", {})
 
     def save(self, folder: str | Path) -> Path:
-        """Write card, weights and calibration to a folder, for `load_model`; returns the path of the card.
+        """Write card, weights and calibration to a folder, for `load_model`.
+
+        Args:
+            folder: It is made if it does not exist.
+
+        Returns:
+            The path of the card.
 
         Raises:
             ModelError: If it was not loaded from files.
@@ -174,7 +180,11 @@ class TouchModel:
         return folder / self.path.name
 
     def new_tracker(self) -> SensorTracker:
-        """A tracker of a hand whose readings are compared with predictions; `ModelError` without a calibration."""
+        """Make a tracker of a hand, of which nothing was read yet.
+
+        Raises:
+            ModelError: If the model has no calibration.
+        """
         return SensorTracker(self._calibrated().tracker_parameters)
 
     def predict(
@@ -233,7 +243,7 @@ class TouchModel:
     def _predict(
         self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: Snapshot | None, table: Plane | None
     ) -> Predictions:
-        """Predictions for executable grasps."""
+        """Return predictions for executable grasps."""
         estimate = self.estimator.estimate(cloud, grasps, table)
         if tare is not None:
             tracker = self.new_tracker()
@@ -253,9 +263,17 @@ class TouchModel:
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS, table: Plane | None = None
     ) -> Estimate:
-        """Predictions by vision for grasps that were executed, which readings are compared with.
+        """Predict by vision the readings of grasps that were executed, to compare them with what was read.
 
-        Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
+        Args:
+            cloud: The object's points [m].
+            grasps: K grasps in the cloud's frame.
+            limits: Range and size of objects.
+            table: In the cloud's frame; without one the camera is taken to look straight down on it.
+
+        Raises:
+            CloudError: If the cloud cannot be used.
+            GraspError: If no hand can execute a grasp.
         """
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range or wider than any hand.
@@ -267,7 +285,13 @@ class TouchModel:
         return estimate
 
     def tare_offset(self, tare: Touch) -> Float64:
-        """(D,) a tare minus the rest level of the model [counts].
+        """Compute the difference of a tare from the rest level of the model.
+
+        Args:
+            tare: A reading without contact.
+
+        Returns:
+            (D,) float64, in the unit of each channel.
 
         Raises:
             ModelError: If the model has no calibration.
@@ -277,10 +301,17 @@ class TouchModel:
         return tare_offset(Touch(self.usable_values(tare, "tare"), tare.channels), rest)
 
     def usable_values(self, touch: Touch, what: str) -> Float64:
-        """(D,) values of a reading; NaN of taxels that are dead in the training data, or whose reading cannot be used.
+        """Return the values of a reading that can be used.
+
+        Args:
+            touch: The reading.
+            what: What it is, for the error.
+
+        Returns:
+            (D,) float64; NaN of taxels that are dead in the training data, or whose reading cannot be used.
 
         Raises:
-            TactileError: Names `what` is of another sensor, or not a reading of working sensors.
+            TactileError: If the reading is of another sensor, or not of working ones. The message names `what`.
         """
         require_same(touch.channels, self.sensor.channels, what)
         if faults := touch_faults(touch):
@@ -301,7 +332,7 @@ class TouchModel:
         reference: Reference,
         evidence: Evidence,
     ) -> Predictions:
-        """Rows of values with their intervals and flags; a row that is not finite is refused."""
+        """Return rows of values with their intervals and flags; a row that is not finite is refused."""
         half = np.full(counts.shape, np.nan) if half is None else half
         finite = np.asarray(np.isfinite(counts).all(axis=1), np.bool_)
         outside = self.ranges.outside(counts).any(axis=1) & finite
@@ -328,7 +359,7 @@ class TouchModel:
 
 
 def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
-    """Why no hand can execute each grasp; "" where one can."""
+    """Return why no hand can execute each grasp; "" where one can."""
     return joined_faults(
         contact_faults(grasps.g1, grasps.g2, grasps.rotation),
         rotation_faults(grasps.rotation),

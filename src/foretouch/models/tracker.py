@@ -114,7 +114,7 @@ class SensorTracker:
         self.revision = 0
 
     def copy(self) -> Self:
-        """An independent tracker in the same state."""
+        """Return an independent tracker in the same state."""
         twin = copy.copy(self)
         twin._filter = self._filter.copy()  # noqa: SLF001  its own class
         return twin
@@ -248,7 +248,7 @@ class SensorTracker:
         )
 
     def _followed(self, tdc: Float64 | None, stamp_ns: int) -> tuple[Float64, int]:
-        """(2, F) reference and latest TDC by finger after a reading of it, NaN without any, and how many jumped."""
+        """Return (2, F) reference and latest TDC by finger after a reading of it, NaN without any, and how many jumped."""
         reference, before = self._tdc
         if tdc is None or not self.parameters.thermal:
             return self._tdc, 0
@@ -260,7 +260,7 @@ class SensorTracker:
         return np.stack([reference, latest]), int(jumped.sum())
 
     def _change(self, tdc: Float64) -> Float64 | None:
-        """(D,) latest TDC minus reference, of each coordinate's finger; None where there is none."""
+        """Return (D,) latest TDC minus reference, of each coordinate's finger; None where there is none."""
         if np.isnan(tdc).all():
             return None
         return np.asarray(np.nan_to_num(tdc[1] - tdc[0])[self._finger], np.float64)
@@ -275,7 +275,7 @@ class SensorTracker:
         return self._change(self._tdc)
 
     def evidence(self, stamp_ns: int, *, same_object: bool = True) -> Evidence:
-        """Numbers and ages of the readings behind a level; arguments as of `level`."""
+        """Return numbers and ages of the readings behind a level; arguments as of `level`."""
         touches = self.touches if same_object else 0
         return Evidence(
             touches=touches,
@@ -285,7 +285,7 @@ class SensorTracker:
         )
 
     def adapt(self, level: Level, expected: Float64, where: Float64 | None = None) -> tuple[Float64, Float64]:
-        """(K, D) predictions adapted to all readings, and (K, D) half widths of their 90 % intervals [counts].
+        """Return (K, D) predictions adapted to all readings, and (K, D) half widths of their 90 % intervals [counts].
 
         After touches of the object, differences of the predictions by vision from their mean at the touches are
         multiplied by `difference_shrinkage`, and touches at similar places take part.
@@ -299,7 +299,7 @@ class SensorTracker:
         return counts, self.factor(level) * np.sqrt(variance)
 
     def moments(self, level: Level, expected: Float64, where: Float64 | None = None) -> tuple[Float64, Float64]:
-        """(K, D) means [counts] and variances [counts²] of readings, without the factor of the intervals; see `adapt`."""
+        """Return (K, D) means [counts] and variances [counts²] of readings, without the factor of the intervals; see `adapt`."""
         counts, noise = expected + level.offset, self._squared @ self.parameters.noise[level.kind]
         if level.evidence.touches:
             shrinkage = self.parameters.difference_shrinkage[level.kind]
@@ -312,12 +312,12 @@ class SensorTracker:
         return counts, np.broadcast_to(level.variance + noise, counts.shape)
 
     def factor(self, level: Level) -> Float64:
-        """(D,) half widths of the intervals over the deviations."""
+        """Return (D,) half widths of the intervals over the deviations."""
         logarithm = self._log_factor if level.same_object else self._other_log_factor()
         return np.asarray(self._channels.by_modality(np.exp(logarithm)), np.float64)
 
     def _completed(self, innovation: Float64, variance: Float64) -> Float64:
-        """(D,) innovations, with their mean given the others where they are NaN; the variance is (D,) in coordinates.
+        """Return (D,) innovations, with their mean given the others where they are NaN; the variance is (D,) in coordinates.
 
         The mean of the state after them is then that after the others alone.
         """
@@ -337,16 +337,16 @@ class SensorTracker:
         )
 
     def _other_log_factor(self) -> Float64:
-        """(M,) logarithm of the factor for another object."""
+        """Return (M,) logarithm of the factor for another object."""
         return self._first_log_factor + _KEPT_SHARE * (self._log_factor - self._first_log_factor)
 
     def _failed(self, innovation: Float64, variance: Float64, limits: Float64) -> Bool:
-        """(F,) whether each finger fails the test, from (D,) innovations [counts] and variances in coordinates."""
+        """Return (F,) whether each finger fails the test, from (D,) innovations [counts] and variances in coordinates."""
         statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance), self._channels)
         return np.asarray((statistics > limits).any(axis=1), np.bool_)
 
     def _coordinates_of(self, fingers: Bool) -> Bool:
-        """(D,) which coordinates the chosen fingers' values depend on."""
+        """Return (D,) which coordinates the chosen fingers' values depend on."""
         chosen = np.zeros(self._channels.size, np.bool_)
         for own, finger in zip(self._coordinates, fingers, strict=True):
             if finger:
@@ -382,7 +382,7 @@ class SensorTracker:
         return max(0, int(stamp_ns) - self._newest_ns) / 1e9 if self._newest_ns >= 0 else 0.0
 
     def _checked_stamp(self, stamp_ns: int) -> int:
-        """The stamp, not before the newest one; a `TactileError` if it is not a valid stamp, or too late."""
+        """Return the stamp, not before the newest one; a `TactileError` if it is not a valid stamp, or too late."""
         if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
             raise TactileError(f"stamp: {stamp_ns!r} is not nanoseconds from 0")
         stamp = int(stamp_ns)
@@ -392,7 +392,7 @@ class SensorTracker:
         return max(stamp, self._newest_ns)
 
     def to_tensors(self) -> dict[str, AnyArray]:
-        """All that is known, for a file; a tracker made from it continues to the bit as this one."""
+        """Return all that is known, for a file; a tracker made from it continues to the bit as this one."""
         flags = [self.touches, self._readings, self._kind, *self._suspect]
         optional = {} if np.isnan(self._tdc).all() else self._thermal_tensors()
         if len(self.similar.where):
@@ -408,7 +408,7 @@ class SensorTracker:
         }
 
     def _thermal_tensors(self) -> dict[str, AnyArray]:
-        """What TDC said, which files of histories without it lack."""
+        """Return what TDC said, which files of histories without it lack."""
         return {
             "slope": np.concatenate([self._filter.mean[3:], self._filter.covariance[3]]),
             "tdc": np.nan_to_num(self._tdc),  # 0 where none was read
@@ -417,7 +417,7 @@ class SensorTracker:
 
     @classmethod
     def from_tensors(cls, parameters: TrackerParameters, tensors: Mapping[str, AnyArray]) -> Self:
-        """From `to_tensors`.
+        """Make the object of the arrays of `to_tensors`.
 
         Raises:
             ModelError: Names the array that is missing, of another shape or type or not possible, or `parameters` if it
@@ -478,7 +478,7 @@ class SensorTracker:
 
 
 def innovation_statistics(standard: Float64, channels: Channels) -> Float64:
-    """(F, 2) by finger: mean square and squared mean of the (D,) innovations in units of their deviations."""
+    """Return (F, 2) by finger: mean square and squared mean of the (D,) innovations in units of their deviations."""
     means = channels.finger_means
     return np.stack([means @ standard**2, (means @ standard) ** 2], axis=1)
 
@@ -494,7 +494,7 @@ def _similar(parameters: TrackerParameters, touches: int, tensors: Mapping[str, 
 
 
 def _digest(parameters: TrackerParameters) -> UInt8:
-    """Of all but the slopes and units of features, which a state without TDC or features does not depend on."""
+    """Hash all but the slopes and units of features, which a state without TDC or features does not depend on."""
     tensors = parameters.to_tensors()
     for name in ("slope", "slope_sd", "where_scale", "where_ratio"):
         del tensors[name]

@@ -51,6 +51,7 @@ class ViewStep:
     name: str  # of the input
     cloud: Cloud | None = None  # as the camera saw it; None if it is not known
     table: Plane | None = None  # in the cloud's frame
+    outline: Float64 | None = None  # (n, 3) [m], convex outline of the table; None or empty if it is not known
     objects: Mapping[str, Cloud] | None = None  # by id; the first is the target
     grasp: Grasp | None = None  # whose touch is predicted or was read
     candidates: Sequence[Grasp] = ()  # the other planned grasps
@@ -142,7 +143,10 @@ class _Writer:
         if step.objects:
             self._to.log("/scene/objects", self._boxes(step.objects))
         if step.table is not None and len(points):
-            corners, faces = _table_corners(step.table, points), [(0, 1, 2), (0, 2, 3)]
+            corners = step.outline
+            if corners is None or not len(corners):
+                corners = _table_corners(step.table, points)
+            faces = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
             table = rr.Mesh3D(vertex_positions=corners, triangle_indices=faces, albedo_factor=_TABLE)
             self._to.log("/scene/table", table)
         if step.candidates:

@@ -23,6 +23,7 @@ _HEIGHT: Final = 3.4  # of a panel [inch]
 _COLOURS: Final = ("#ff8000", "#00a6d6", "#e6007e", "#7ab800", "#8f4fd1", "#d9b300", "#00a88f", "#d1495b")
 _FINGERS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others
 _DARK: Final = "#202020"
+_TABLE: Final = "#8a6d3b"
 _MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 _AROUND_M: Final = 0.06  # shown around object and grasp
 _HAND_M: Final = 0.15  # as far a hand is shown beyond the object
@@ -97,13 +98,16 @@ def _object_of(scene: Scene, grasp: Grasp | None) -> Object | None:
 
 
 def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
-    """Draw the image in colour, or its depth, with outline and id of each object, and the contacts."""
+    """Draw the image in colour, or its depth, with the outlines of the table and of each object, ids and contacts."""
     depth = scene.cloud.xyz[..., 2]
     if scene.cloud.rgb is not None:
         axes.imshow(scene.cloud.rgb)
     elif np.isfinite(depth).any():
         near, far = np.nanpercentile(depth[np.isfinite(depth)], [1.0, 97.0])
         axes.imshow(depth, cmap="gray_r", vmin=near - 0.1, vmax=max(far, near + 0.1))
+    if len(scene.segmentation.outline):
+        corners = _pixels(scene.cloud, scene.segmentation.outline)
+        axes.fill(corners[:, 0], corners[:, 1], fill=False, edgecolor=_TABLE, linewidth=1.4, linestyle="--")
     for k, object_ in enumerate(scene.objects):
         colour = _COLOURS[k % len(_COLOURS)]
         inside = (scene.labels == int(object_.id)).astype(np.float32)
@@ -197,7 +201,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
         axes.set_ylabel("across [mm]" if row == 1 else "height above the table [mm]", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.set_title(name, fontsize=9)
-    side.axhline(0.0, color="#8a6d3b", linewidth=1.5)
+    side.axhline(0.0, color=_TABLE, linewidth=1.5)
     width = f", {1e3 * np.linalg.norm(grasp.g1 - grasp.g2):.0f} mm wide" if grasp is not None else ""
     above.set_title(f"object {target.id or '1'} from above{width}", fontsize=9)
 

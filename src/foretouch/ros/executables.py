@@ -34,7 +34,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
         graph = Graph({name: {} for name in names}, arguments=arguments, monitor=None)
         with suppress(KeyboardInterrupt), graph:
             graph.wait_until_ended()
-        return int(any(node.has_failed for node in graph.nodes.values()))
+        return int(any(node.failure for node in graph.nodes.values()))
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1

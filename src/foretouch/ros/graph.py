@@ -8,7 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -37,10 +37,14 @@ _SOURCES = ("replay", "camera")
 
 
 class Graph:
-    """Nodes by name, and a monitor, that run while the context is open.
+    """Nodes, and a monitor, that run while the context is open; on entering, a `ConfigError` if a parameter breaks a rule.
 
-    `nodes` are the parameters of each node by name (see `NODES`), `monitor` the options of `MonitorNode`, None
-    for no monitor, and `arguments` a command line with ROS arguments. On entering, a `ConfigError` if a parameter breaks a rule.
+    Args:
+        nodes: Parameters of each node by its name (see `NODES`).
+        namespace: Of all nodes.
+        params_file: Parameters of nodes in a file.
+        monitor: Options of `MonitorNode`; None for no monitor.
+        arguments: A command line with ROS arguments.
     """
 
     def __init__(
@@ -54,57 +58,75 @@ class Graph:
     ) -> None:
         self._parameters = nodes
         self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": _checked(namespace)}
-        self._arguments = [
-            *arguments,
-            *([] if params_file is None else ["--ros-args", "--params-file", str(params_file)]),
-        ]
+        given = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
+        self._arguments = [*arguments, *given]
         self._monitor_options = monitor
+        self._closing, self._closed = threading.Event(), ExitStack()
         self._thread: threading.Thread | None = None
-        self._closing = threading.Event()
-        self._last_played = 0  # when the source of others was left
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
         begin(self._arguments, list(self._parameters), **self._namespace)
-        from rclpy.executors import SingleThreadedExecutor
-
         try:
-            with uninterrupted():
-                if self._monitor_options is not None:
-                    from foretouch.ros.nodes.monitor import MonitorNode
-
-                    self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
-            for name, parameters in self._parameters.items():
-                with uninterrupted():
-                    overrides = _parameters(parameters)
-                    self.nodes[name] = node_class(name)(parameter_overrides=overrides, **self._namespace)
-            with uninterrupted():
-                served = [*([] if self._monitor_options is None else [self.monitor]), *self.nodes.values()]
-                self._errors = served[0].internal_errors
-                self._executor = SingleThreadedExecutor()
-                for served_node in served:
-                    self._executor.add_node(served_node)
-            for node in self.nodes.values():
-                with uninterrupted():
-                    node.autostart()
+            self._start()
         except BaseException:
             self.__exit__()
             raise
-        self._thread = threading.Thread(target=self._serve, name="executor", daemon=True)
-        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Stop and destroy all nodes, the last one started first."""
         with uninterrupted():
-            self._close()
+            for node in reversed(self.nodes.values()):
+                node.stop()
+            time.sleep(0.1)  # for messages in flight: rclpy's shutdown breaks running callbacks
+            self._closing.set()
+            self._closed.close()
+
+    def _start(self) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        from foretouch.ros.nodes.monitor import MonitorNode
+        from foretouch.ros.runtime.internal_errors import spin_on
+
+        self._closed.callback(rclpy.try_shutdown)
+        served: list[MonitorNode | ForetouchNode[Any]] = []
+        with uninterrupted():
+            if self._monitor_options is not None:
+                self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
+                self._closed.callback(self.monitor.destroy_node)
+                served.append(self.monitor)
+        for name, parameters in self._parameters.items():
+            with uninterrupted():
+                node = node_class(name)(parameter_overrides=_parameters(parameters), **self._namespace)
+                self._closed.callback(node.destroy_node)
+                self.nodes[name] = node
+                served.append(node)
+        with uninterrupted():
+            executor = SingleThreadedExecutor()
+            self._closed.callback(executor.shutdown, timeout_sec=1.0)
+            for each in served:
+                executor.add_node(each)
+        for node in self.nodes.values():
+            with uninterrupted():
+                node.autostart()
+
+        def serve() -> None:
+            with suppress(rclpy.executors.ExternalShutdownException):
+                spin_on(executor, served[0].internal_errors, self._closing.is_set, 0.2)
+
+        self._thread = threading.Thread(target=serve, name="executor", daemon=True)
+        self._thread.start()
+        self._closed.callback(self._thread.join, timeout=2.0)
 
     def require_active(self) -> None:
-        """A `ForetouchError` that gives the cause, if a node with `autostart` is not active."""
-        idle = {name: node for name, node in self.nodes.items() if node.state_name != "active"}
+        """Raise a `ForetouchError` that gives the cause, if a node with `autostart` is not active."""
         causes = [
-            f"{name}: {node.last_failure or node.state_name}" for name, node in idle.items() if node.config.autostart
+            f"{name}: {node.failure or node.state_name}"
+            for name, node in self.nodes.items()
+            if node.state_name != "active" and node.config.autostart
         ]
         if causes:
             raise ForetouchError(f"a node did not start: {'; '.join(causes)}")
@@ -158,39 +180,14 @@ class Graph:
 
     def wait_for_answers(self, count: int) -> bool:
         """Wait until the monitor has received `count` answers; False once none has come for five seconds."""
-        answered, last = self.answered(), time.monotonic()
-        while answered < count:
+        answered, last = 0, time.monotonic()
+        while (now := self.answered()) < count:
+            if now > answered:
+                answered, last = now, time.monotonic()
             if time.monotonic() - last > 5.0:
                 return False
             time.sleep(0.02)
-            if self.answered() > answered:
-                answered, last = self.answered(), time.monotonic()
         return True
-
-    def _close(self) -> None:
-        import rclpy
-
-        for node in reversed(self.nodes.values()):
-            node.stop()
-        time.sleep(0.1)  # for messages in flight: rclpy's shutdown breaks running callbacks
-        self._closing.set()
-        if hasattr(self, "_executor"):
-            self._executor.shutdown(timeout_sec=1.0)
-        if self._thread is not None:
-            self._thread.join(timeout=2.0)
-        for node in self.nodes.values():
-            node.destroy_node()
-        if hasattr(self, "monitor"):
-            self.monitor.destroy_node()
-        rclpy.try_shutdown()
-
-    def _serve(self) -> None:
-        from rclpy.executors import ExternalShutdownException
-
-        from foretouch.ros.runtime.internal_errors import spin_on
-
-        with suppress(ExternalShutdownException):
-            spin_on(self._executor, self._errors, self._closing.is_set, 0.2)
 
 
 def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
@@ -211,45 +208,13 @@ def node_class(name: str) -> "type[ForetouchNode[Any]]":
         KeyError: If there is no such node.
     """
     with needs_laboratory(f"node {name}"):
-        match name:
-            case "camera":
-                from foretouch.ros.nodes.camera import CameraNode
+        if name == "hand":
+            from foretouch_lab.ros.hand import HandNode
 
-                return CameraNode
-            case "perception":
-                from foretouch.ros.nodes.perception import PerceptionNode
+            return HandNode
+        from foretouch.ros.nodes import NODE_CLASSES
 
-                return PerceptionNode
-            case "segmentation":
-                from foretouch.ros.nodes.segmentation import SegmentationNode
-
-                return SegmentationNode
-            case "grasp":
-                from foretouch.ros.nodes.grasp import GraspNode
-
-                return GraspNode
-            case "touch_predictor":
-                from foretouch.ros.nodes.touch_predictor import TouchPredictorNode
-
-                return TouchPredictorNode
-            case "replay":
-                from foretouch.ros.nodes.replay import ReplayNode
-
-                return ReplayNode
-            case "hand":
-                from foretouch_lab.ros.hand import HandNode
-
-                return HandNode
-            case "recorder":
-                from foretouch.ros.nodes.recorder import RecorderNode
-
-                return RecorderNode
-            case "bridge":
-                from foretouch.ros.nodes.bridge import BridgeNode
-
-                return BridgeNode
-            case _:
-                raise KeyError(name)
+        return NODE_CLASSES[name]
 
 
 NODES: Final = {

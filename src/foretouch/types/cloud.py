@@ -96,7 +96,11 @@ class Cloud:
         return self.xyz.size // 3
 
     def take(self, index: Index | Bool) -> "Cloud":
-        """Return selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
+        """Return selected points as an unorganised cloud.
+
+        Args:
+            index: Flat indices of points, or a mask (N,) or (H, W) bool.
+        """
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
         # take() is four times as fast as indexing here.
@@ -159,9 +163,13 @@ class Plane:
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Self:
-        """Return a plane from (a, b, c, d) of any scale.
+        """Make a plane of the coefficients of a x + b y + c z + d = 0.
 
-        A `CloudError` if they or the offset are not finite or (a, b, c) is zero.
+        Args:
+            coefficients: a, b, c and d, of any scale.
+
+        Raises:
+            CloudError: If they or the offset are not finite, or (a, b, c) is zero.
         """
         abcd = np.asarray(coefficients, dtype=np.float64)
         if abcd.shape != (4,) or not np.isfinite(abcd).all():
@@ -188,7 +196,14 @@ class Plane:
         return Plane(-self.normal, -self.offset) if self.offset < 0.0 else self
 
     def height(self, xyz: Floating) -> Floating:
-        """Return signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
+        """Compute the distance of points from the plane.
+
+        Args:
+            xyz: (..., 3) floating [m], in the plane's frame.
+
+        Returns:
+            (...) [m], positive on the normal's side.
+        """
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
 
 

@@ -94,8 +94,8 @@ def contact_faults(g1: Float64, g2: Float64, rotation: Float64) -> list[str]:
 class Grasps(Columns, Sequence[Grasp]):
     """K grasps on one cloud as columns, best first where they were planned.
 
-    A grasp more is a row, a property more a column here and a field of `Grasp`. Rows may hold numbers that are no grasp,
-    such as NaN in a request: `grasps[k]` then raises a `GraspError`, and a touch model refuses them with a reason.
+    `grasps[k]` is a `Grasp`, and a slice or a mask selects several. Rows may hold numbers that are no grasp, such as NaN in
+    a request: `grasps[k]` then raises a `GraspError`, and a touch model refuses them with a reason.
     """
 
     fault: ClassVar[type[ForetouchError]] = GraspError
@@ -112,7 +112,11 @@ class Grasps(Columns, Sequence[Grasp]):
 
     @classmethod
     def of(cls, grasps: Sequence[Grasp]) -> "Grasps":
-        """Return the columns of some grasps."""
+        """Make columns of single grasps.
+
+        Args:
+            grasps: K grasps on one cloud.
+        """
         if isinstance(grasps, Grasps):
             return grasps
         if not grasps:
@@ -128,7 +132,11 @@ class Grasps(Columns, Sequence[Grasp]):
 
     @classmethod
     def unknown(cls, count: int) -> "Grasps":
-        """Return K rows of NaN."""
+        """Make rows of NaN.
+
+        Args:
+            count: K, their number.
+        """
         nothing = np.full((count, 3), np.nan)
         return cls(nothing, nothing, np.full((count, 3, 3), np.nan))
 

@@ -115,7 +115,14 @@ class Predictions(Columns, Sequence["Prediction"]):
     def refused(
         cls, grasps: Grasps, channels: Channels, status: str | list[str], reason: str | list[str]
     ) -> "Predictions":
-        """Return rows without a value for some grasps, with one status and reason or one each."""
+        """Make rows without a value, of grasps that were refused.
+
+        Args:
+            grasps: K grasps.
+            channels: What the values would be.
+            status: Of all, or a list of K.
+            reason: Of all, or a list of K.
+        """
         nothing = np.full((len(grasps), channels.size), np.nan)
         count = len(grasps)
         statuses = objects([status] * count if isinstance(status, str) else status)
@@ -128,7 +135,12 @@ class Predictions(Columns, Sequence["Prediction"]):
         return np.asarray(self.status == "ok", np.bool_)
 
     def flagged(self, flag: str, rows: Bool | bool = True) -> "Predictions":
-        """Return the same with one flag more on rows by a mask (K,), or on all."""
+        """Return the same predictions with another flag.
+
+        Args:
+            flag: Its name.
+            rows: (K,) bool, the rows that get it; True for all.
+        """
         if not np.any(rows):
             return self
         marked = np.broadcast_to(rows, len(self)).tolist()

@@ -29,7 +29,7 @@ from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.diagnostics import Report
-from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.runtime.workers import Worker
 from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
@@ -80,10 +80,12 @@ class HandNodeConfig(NodeConfig):
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
 
 
-class HandNode(ForetouchNode[HandNodeConfig]):
+class HandNode(ThreadNode[HandNodeConfig]):
     """The hand as a lifecycle node."""
 
-    def __init__(self, name: str = "hand", **options: Any) -> None:
+    default_name, config_class = "hand", HandNodeConfig
+
+    def __init__(self, **options: Any) -> None:
         self.phase = "idle"  # or the phase of the current grasp (`GraspTrajectory.phase`)
         self.busy = False  # whether a grasp is being executed or computed
         self.executed: Counter[str] = Counter()  # grasps by outcome: `success`, or the reason of the failure
@@ -96,12 +98,10 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self._pressed: tuple[Counts, float] | None = None  # what a person adds to the counts, and until when
         self._behind_s = 0.0  # longest since the last report
         self._began = time.monotonic()
-        self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
         self._hand: SimulatedHand | None = None
         self._resting: SimulatedHand
         self._faults = MessageFaults(FaultConfig())
-        super().__init__(name, HandNodeConfig, **options)
+        super().__init__(**options)
 
     def _setup(self) -> None:
         self._faults = MessageFaults(self.config.faults)
@@ -124,19 +124,14 @@ class HandNode(ForetouchNode[HandNodeConfig]):
         self.subscribe(InputTopic(GRASPS_TOPIC, GraspArray), self._on_grasps)
 
     def _start(self) -> None:
-        self._stopping.clear()
         self._solver.start()
-        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
-        self._thread.start()
 
     def _stop(self) -> None:
         """A grasp that is being executed is not reported."""
-        self._stopping.set()
-        if self._thread is not None:
+        if self._hand is not None:
             self._solver.stop()
-            self._thread.join()
-            self._thread = None
-            self._abandon("stopped")
+        super()._stop()
+        self._abandon("stopped")
 
     def _teardown(self) -> None:
         self._hand = self._newest = None
@@ -235,14 +230,11 @@ class HandNode(ForetouchNode[HandNodeConfig]):
     # Messages, published by the sender's thread.
 
     def _run(self) -> None:
-        while self.state_name != "active":  # a lifecycle publisher is silent until then
-            if self._stopping.wait(0.01):
-                return
         period_ns = round(1e9 / self.config.course.rate_hz)
         start_ns, start, number = self.get_clock().now().nanoseconds, time.monotonic(), 0
         while True:
             due = start + number * period_ns * 1e-9
-            if self._stopping.wait(max(0.0, due - time.monotonic())):
+            if self.stopping.wait(max(0.0, due - time.monotonic())):
                 return
             self._behind_s = max(self._behind_s, time.monotonic() - due)
             try:

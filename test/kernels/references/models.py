@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from foretouch.models.contact import above
+
 Array = np.ndarray[Any, Any]
 
 
@@ -52,3 +54,18 @@ def contact_rows(xyz, contacts, fingers, radii_m=(0.02, 0.008, 0.015, 0.03)) -> 
             row += [0.0] * 3 if np.count_nonzero(weight) < 4 else list(length * normal)
         rows.append(row)
     return np.array(rows)
+
+
+def is_hidden(places, points) -> Array:
+    """A picture of the depth of points, which hides what is behind it by more than a step."""
+    hidden = np.zeros(len(places), bool)
+    ahead, front = points[points[:, 2] > 0.0], np.flatnonzero(places[:, 2] > 0.0)
+    pixel, at = (np.floor(some[:, :2] / some[:, 2:] / above._PITCH) for some in (ahead, places[front]))
+    if not len(ahead) or (np.ptp(pixel, axis=0) + 1.0).prod() > above._MOST_CELLS:
+        return hidden
+    nearest: dict[tuple[float, ...], float] = {}
+    for where, z in zip(map(tuple, pixel), ahead[:, 2], strict=True):
+        nearest[where] = min(z, nearest.get(where, np.inf))
+    depths = np.array([nearest.get(tuple(where), np.inf) for where in at])
+    hidden[front] = places[front, 2] > depths + above._BEHIND_M
+    return hidden

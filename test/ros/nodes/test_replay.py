@@ -223,8 +223,8 @@ def test_a_source_that_breaks_off_or_is_none_is_a_failure_with_its_reason(graph,
     file.write_bytes(file.read_bytes()[:-20])
     node, received = play(graph, path)
     assert (len(received["points"]), node.outcome) == (5, "failed")
-    assert f"what is intact was read; `foretouch dataset repair {file}` makes a complete file of it" in node.reason
-    assert node.reported().errors == [node.reason]
+    assert f"what is intact was read; `foretouch dataset repair {file}` makes a complete file of it" in node.failure
+    assert node.reported().errors == [node.failure]
     for nothing, reason in (("", "path: is empty"), ("/nowhere", "/nowhere: does not exist")):
         node = start(graph, nothing)
         assert node.state_name == "unconfigured"

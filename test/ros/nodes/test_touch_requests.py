@@ -18,7 +18,7 @@ from foretouch.grasp import GeoGraspConfig
 from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.ros.messages.requests import plan_targets
+from foretouch.ros.steps.grasping import plan_targets
 from foretouch.types import Cloud, Grasps
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, Status

@@ -64,4 +64,4 @@ def test_an_invalid_transition_is_no_internal_error_and_a_failing_start_ends_wha
     monkeypatch.setattr(node, "_start", fail)
     monkeypatch.setattr(node, "_stop", lambda: stopped.append(True))
     assert not graph.change("segmentation", "activate")
-    assert (stopped, node.state_name, node.last_failure) == ([True], "inactive", "OSError: no thread")
+    assert (stopped, node.state_name, node.failure) == ([True], "inactive", "OSError: no thread")

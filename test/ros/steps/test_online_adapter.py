@@ -30,6 +30,7 @@ from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.ros.messages.requests import Targets
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.touch_settings import TouchSettings
@@ -115,7 +116,7 @@ class DirectHand(CanRobot):
 
     def see(self, name, *, requested=False):
         cloud, grasps = self.look(name)
-        self.adapter.add_grasps(cloud.header, lambda: cloud, grasps, requested=requested)
+        self.adapter.add_grasps(Targets(cloud.header, (), lambda: cloud), grasps, requested=requested)
 
     def ask(self):
         """The predictions for a cloud of now."""
@@ -232,13 +233,13 @@ def test_a_touch_is_compared_on_the_table_of_its_cloud_however_many_came_since()
     table = Plane(up, -float(up @ [0.0, 0.0, 0.84]))
     options = {"limits": hand.config.limits, "reach": hand.config, "table": table}
     first, stamp = hand.look("good"), hand.now
-    hand.adapter.add_grasps(first[0].header, lambda: first[0], first[1])
+    hand.adapter.add_grasps(Targets(first[0].header, (), lambda: first[0]), first[1])
     hand.adapter.predict(hand.cloud, hand.planned, **options)
     touched = hand.cloud, hand.planned[0]
     for number in range(70):
         hand.now += MS
         later, grasps = hand.look(f"later {number}")
-        hand.adapter.add_grasps(later.header, partial(lambda message: message, later), grasps)
+        hand.adapter.add_grasps(Targets(later.header, (), partial(lambda message: message, later)), grasps)
         hand.adapter.predict(hand.cloud, [], **options)
     hand.see = lambda name: None  # the grasp is executed on the first cloud
     cut = hand.cut(hand.grasp("good", 0))

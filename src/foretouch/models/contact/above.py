@@ -15,8 +15,16 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import minimum_filter
 
+<<<<<<< HEAD
 from foretouch.cloud.geometry.columns import centred_columns
 from foretouch.types import Float64, Int64, Plane
+=======
+from foretouch.cloud.geometry.columns import quantiles
+from foretouch.kernels import Kernel
+from foretouch.types import Bool, Float64, Int64, Plane
+
+_hide_places = Kernel("hide_places")
+>>>>>>> main
 
 STEEP: Final = float(np.radians(17.0))
 """Angle between line of sight and vertical up to which a view is taken as it is: objects in the recordings reach 17° [rad]."""
@@ -144,29 +152,20 @@ def _highest(points: Float64, edge: float) -> Float64:
 def _mirrored(points: Float64) -> Float64:
     """Half a turn about the vertical line through the middle of the top."""
     height = points[:, 2]
-    low, high = np.quantile(height, (0.03, 0.98))
-    top = points[height < low + max(_TOP_SHARE * (high - low), _TOP_M), :2]
+    low, high = quantiles(height, (0.03, 0.98))
+    top = height < low + max(_TOP_SHARE * (high - low), _TOP_M)
     twin = points.copy()
-    twin[:, :2] = top.min(axis=0) + top.max(axis=0) - twin[:, :2]
+    for k in (0, 1):
+        values = points[top, k]
+        twin[:, k] = values.min() + values.max() - twin[:, k]
     return twin
 
 
-def _is_hidden(places: Float64, points: Float64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _is_hidden(places: Float64, points: Float64) -> Bool:
     """(M,) whether points hide places from the camera, both in its frame."""
-    hidden = np.zeros(len(places), np.bool_)
-    front = np.flatnonzero(places[:, 2] > 0.0)
-    ahead = points[points[:, 2] > 0.0]
-    if not len(front) or not len(ahead):
-        return hidden
-    pixel = np.floor(ahead[:, :2] / ahead[:, 2:] / _PITCH).astype(np.int64)
-    low = pixel.min(axis=0)
-    size = pixel.max(axis=0) - low + 1
-    if size.prod() > _MOST_CELLS:  # a camera within the object
-        return hidden
-    nearest = np.full(size.prod(), np.inf)
-    np.minimum.at(nearest, (pixel - low) @ [size[1], 1], ahead[:, 2])
-    at = np.floor(places[front, :2] / places[front, 2:] / _PITCH).astype(np.int64) - low
-    inside = ((at >= 0) & (at < size)).all(axis=1)
-    front, at = front[inside], at[inside]
-    hidden[front] = places[front, 2] > nearest[at @ [size[1], 1]] + _BEHIND_M
-    return hidden
+    hidden, found = np.empty(len(places), np.uint8), np.empty(1, np.int64)
+    places, points = np.ascontiguousarray(places), np.ascontiguousarray(points)
+    _hide_places(points, len(points), places, len(places), _PITCH, _BEHIND_M, _MOST_CELLS, hidden, found)
+    if found[0] < 0:
+        raise MemoryError("hide_places")
+    return hidden.view(np.bool_)

@@ -24,8 +24,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
+<<<<<<< HEAD
 from foretouch.kernels import Kernel
 from foretouch.models.contact.above import seen_from_above, upper_side
+=======
+from foretouch.kernels import Kernel, struct
+from foretouch.models.contact.above import seen_from_above
+>>>>>>> main
 from foretouch.models.novelty import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, Grasps, Int32, Int64, Plane
 
@@ -197,9 +202,10 @@ class HandFrameFeatures:
         step of the depth: there the features depend on rounding, and are computed by NumPy in a fixed order.
         """
         rows = np.empty((len(contacts), len(_CONTACT_FEATURES)))
-        columns, *grid = self._grid
+        columns, grid, cells, starts = self._grid
+        points = struct("Cells", sorted=columns, n=columns.shape[1], grid=grid, cells=cells, starts=starts)
         at, fingers = contacts - self._centre, np.ascontiguousarray(fingers)
-        _describe_contacts(columns, columns.shape[1], *grid, _SQUARES, at, fingers, len(at), rows)
+        _describe_contacts(points, _SQUARES, at, fingers, len(at), rows)
         flat = np.flatnonzero(np.isnan(rows[:, 0]))
         if flat.size:
             rows[flat] = self._summed(contacts[flat], fingers[flat])

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 from foretouch.models.files import Rules, TensorRecord
 from foretouch.types import Float32, Float64, Floating, Int32
 
@@ -61,7 +61,7 @@ class Forest(TensorRecord):
 
     @classmethod
     def from_trees(cls, trees: Sequence[Any]) -> Self:
-        """From the `tree_` of fitted scikit-learn regressors with targets of (S, M)."""
+        """Make a forest of the `tree_` of fitted scikit-learn regressors with targets of (S, M)."""
         roots, features, thresholds, children, leaves, values = [], [], [], [], [], []
         nodes = rows = 0
         for tree in trees:
@@ -84,7 +84,7 @@ class Forest(TensorRecord):
         return int(self.value.shape[1])
 
     def first(self, count: int) -> "Forest":
-        """The first trees, with their nodes and values alone."""
+        """Return the first trees, with their nodes and values alone."""
         if count >= len(self.roots):
             return self
         nodes = int(self.roots[count])
@@ -93,7 +93,7 @@ class Forest(TensorRecord):
         return Forest(roots=self.roots[:count], value=self.value[:leaves], **cut)
 
     def predict(self, rows: Float64) -> Float64:
-        """(K, M) float64: mean over the trees for (K, F) rows, which are rounded to float32 as in the fit."""
+        """Return (K, M) float64: mean over the trees for (K, F) rows, which are rounded to float32 as in the fit."""
         return self._compiled.predict(rows)
 
     @cached_property
@@ -162,7 +162,7 @@ class CompiledForests:
         self._widest = max(int(forest.feature.max()) for forest in forests)
 
     def predict(self, rows: Float64) -> Float64:
-        """(K, M) float64: predictions of the forests beside each other.
+        """Return (K, M) float64: predictions of the forests beside each other.
 
         Raises:
             ModelError: If a node compares a column that the rows do not have.
@@ -172,10 +172,17 @@ class CompiledForests:
         rounded = np.ascontiguousarray(rows, np.float32)
         scratch, single = np.empty(_ROWS_AT_ONCE * self._most, np.int32), np.empty(self._most)
         result = np.empty((len(rows), self._width))
-        _forest_means(
-            *(rounded, *rounded.shape, self._nodes, self._roots, self._leaf, self._value),
-            *(self._sizes, len(self._sizes), self._width, scratch, single, result),
+        forests = struct(
+            "Forests",
+            nodes=self._nodes,
+            roots=self._roots,
+            leaf=self._leaf,
+            value=self._value,
+            sizes=self._sizes,
+            count=len(self._sizes),
+            width=self._width,
         )
+        _forest_means(rounded, *rounded.shape, forests, scratch, single, result)
         return result
 
 
@@ -198,7 +205,7 @@ class KernelRegression(TensorRecord):
     }
 
     def predict(self, rows: Float64) -> Float64:
-        """(K, M) float64 for (K, F) rows; 0, the mean, far from all training rows."""
+        """Return (K, M) float64 for (K, F) rows; 0, the mean, far from all training rows."""
         scaled = (rows - self.centre) / self.scale
         size, outputs = self.weight.shape
         known, weight = self._packed
@@ -219,18 +226,18 @@ class KernelRegression(TensorRecord):
 
 
 def laplacian(rows: Float64, known: Float64, decay: float) -> Float64:
-    """(K, S) float64 kernel of (K, F) and (S, F) standardised rows."""
+    """Return (K, S) float64 kernel of (K, F) and (S, F) standardised rows."""
     return _fade(np.asarray(cdist(rows, known, "cityblock"), np.float64), decay, rows.shape[1])
 
 
 def _fade(distance: Float64, decay: float, columns: int) -> Float64:
-    """The kernel at some distances, in their place."""
+    """Return the kernel at some distances, in their place."""
     distance *= -decay / columns
     return np.exp(distance, out=distance)
 
 
 def _in_groups(rows: Floating, size: int) -> Float64:
-    """(G, F, size) float64: (S, F) rows in groups, a column after the other; the last group is filled up with zeros."""
+    """Return (G, F, size) float64: (S, F) rows in groups, a column after the other; the last group is filled up with zeros."""
     groups = -(-len(rows) // size)
     filled = np.zeros((groups * size, rows.shape[1]))
     filled[: len(rows)] = rows

@@ -48,7 +48,7 @@ class NetworkEstimator:
         return self.config.ranges.ranges
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
-        """See `Estimator.estimate`.
+        """Predict (K, D) counts of grasps on a cloud, and whether they are in the distribution of training.
 
         Out of distribution where a length leaves its range or the object's sizes are novel.
         """
@@ -67,7 +67,7 @@ class NetworkEstimator:
 
 
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
-    """The model of one network, with its calibration.
+    """Return the model of one network, with its calibration.
 
     Raises:
         ModelError: As `load_network`; if a file of the calibration is damaged, a modality is not predicted, or the
@@ -85,7 +85,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
 
 
 def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, AnyArray], dict[str, Any]]:
-    """The architecture of a card's network, its checked weights by name, and the card.
+    """Return the architecture of a card's network, its checked weights by name, and the card.
 
     Raises:
         ModelError: Names the file and the field: a card of another kind, or weights that are absent, damaged, with

@@ -64,7 +64,7 @@ class _Affine:
     bias: Float32  # (out,) float32
 
     def __call__(self, x: Float32) -> Float32:
-        """(..., in) to (..., out)."""
+        """Map (..., in) to (..., out)."""
         return np.asarray(x @ self.weight.T + self.bias, np.float32)
 
 
@@ -89,7 +89,7 @@ class FoldedNetwork:
     head: tuple[_Affine, ...]
 
     def features(self, points: Float32) -> Float32:
-        """(N, C) float32 points of one cloud to its (F,) features."""
+        """Map (N, C) float32 points of one cloud to its (F,) features."""
         if self.transform is not None:
             shared, rest = self.transform
             matrix = _chain(rest, _pooled(shared, points, relu=True)[None]).reshape(3, 3)
@@ -97,7 +97,7 @@ class FoldedNetwork:
         return _pooled(self.trunk, points, relu=self.trunk_relu)
 
     def regress(self, features: Float32, grasps: Float32) -> Float32:
-        """(F,) features and (K, G) grasps to (K, M) predictions [counts]; K may be 0."""
+        """Map (F,) features and (K, G) grasps to (K, M) predictions [counts]; K may be 0."""
         count = len(grasps)
         padded = np.zeros((-(-count // BLOCK) * BLOCK, grasps.shape[1]), np.float32)
         padded[:count] = grasps
@@ -158,7 +158,7 @@ def _affine(weight: AnyArray, bias: AnyArray) -> _Affine:
 
 
 def _relu(x: Float32) -> Float32:
-    """In its place."""
+    """Set negative values to zero, in their place."""
     return np.maximum(x, 0.0, out=x)
 
 

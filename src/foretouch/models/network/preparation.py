@@ -44,7 +44,7 @@ class PreparedCloud:
 
 
 def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
-    """The points that have a depth, unorganised.
+    """Return the points that have a depth, unorganised.
 
     Raises:
         CloudError: If fewer than `MINIMUM_POINTS` remain, or all are at one position.
@@ -71,7 +71,7 @@ def prepare_cloud(cloud: Cloud, config: ModelConfig) -> PreparedCloud:
 
 
 def sample_channels(cloud: Cloud, index: Integer, frame: UnitSphereFrame, config: ModelConfig) -> Float32:
-    """(n, C) float32: the chosen points as inputs of the network.
+    """Return (n, C) float32: the chosen points as inputs of the network.
 
     Colour is scaled to [-1, 1], the range of P2's generator. Normals are of unit length.
 
@@ -94,7 +94,7 @@ def sample_channels(cloud: Cloud, index: Integer, frame: UnitSphereFrame, config
 
 
 def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: ModelConfig) -> Float32:
-    """(K, G) float32: g1, g2 in the unit sphere, R row by row, then radius and width [dm] if configured.
+    """Return (K, G) float32: g1, g2 in the unit sphere, R row by row, then radius and width [dm] if configured.
 
     Args:
         grasps: In the cloud's frame.
@@ -114,7 +114,7 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
 
 
 def _normals(xyz: Float32, index: Integer) -> Float64:
-    """(n, 3) unit normals towards the camera; zero where fewer than three points are near."""
+    """Return (n, 3) unit normals towards the camera; zero where fewer than three points are near."""
     return np.nan_to_num(normals_and_curvature(xyz, index)[0], nan=0.0)
 
 
@@ -127,12 +127,12 @@ class LengthRangeCheck:
 
     @classmethod
     def fit(cls, lengths: Float64) -> Self:
-        """From (S, 5) lengths of the training samples."""
+        """Fit to (S, 5) lengths of the training samples."""
         return cls(lengths.min(axis=0), lengths.max(axis=0))
 
     @classmethod
     def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> Self:
-        """From `to_card`.
+        """Read the plain data of `to_card`.
 
         Raises:
             ModelError: If a length is missing or its range is not [low, high].
@@ -146,18 +146,18 @@ class LengthRangeCheck:
         return cls(low, high)
 
     def to_card(self) -> dict[str, list[float]]:
-        """Plain data for the card's field `familiar`."""
+        """Return plain data for the card's field `familiar`."""
         return {name: [float(a), float(b)] for name, a, b in zip(LENGTHS, self.low, self.high, strict=True)}
 
     def within(self, lengths: Float64) -> Bool:
-        """(K,) whether all five of each of (K, 5) lengths are in their ranges."""
+        """Return (K,) whether all five of each of (K, 5) lengths are in their ranges."""
         margin = _MARGIN * (self.high - self.low)
         inside = (lengths >= self.low - margin) & (lengths <= self.high + margin)
         return np.asarray(inside.all(axis=1), np.bool_)
 
 
 def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
-    """(K, 5) float64 [m]: the `LENGTHS` of each grasp on a cloud."""
+    """Return (K, 5) float64 [m]: the `LENGTHS` of each grasp on a cloud."""
     if not grasps:
         return np.empty((0, len(LENGTHS)))
     frame = prepared.frame
@@ -171,7 +171,7 @@ def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
 
 
 def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
-    """(T,) distance of (T, 3) points from the nearest sampled point [m]."""
+    """Return (T,) distance of (T, 3) points from the nearest sampled point [m]."""
     moved, points = prepared.frame.apply_points(targets).astype(np.float32), prepared.points[:, :3]
     squared = np.empty(len(moved), np.float32)
     _nearest_squares(moved, len(moved), points.T.copy(), len(points), squared)

@@ -15,31 +15,30 @@ from std_msgs.msg import Header
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
-from foretouch.grasp import GraspHold, GraspPlan, Obstacles
-from foretouch.grasp.messages import decode_grasp, has_orientation
+from foretouch.grasp import Obstacles
+from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
 from foretouch.grasp.pose import joined_faults, rotation_faults
-from foretouch.pipeline import Object, Pipeline
+from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_from_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, obstacles_from_msg, plane_from_msg
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Grasps, Plane, stamp_ns
+from foretouch.ros.messages.conversions import obstacles_from_msg, plane_from_msg
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Grasps, Plane
 from foretouch.types.arrays import Bool, objects
 from foretouch.types.grasps import contact_faults
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import GraspArray, Status, TablePlane
+from foretouch_msgs.msg import Status, TablePlane
 
-_CODES: dict[str, int] = {name.lower(): getattr(Status, name) for name in dir(Status) if name.isupper()}
-_NAMES = {code: name for name, code in _CODES.items()}
+_CODES = {name: code for code, name in STATUSES.items()}
 _M = TypeVar("_M")
 
 
 def status_code(name: str) -> int:
-    """The number in `foretouch_msgs/Status` of a status of the core; FAILED for one without a number."""
+    """Convert the name of a status to its number in `foretouch_msgs/Status`; FAILED for one without a number."""
     return _CODES.get(name, Status.FAILED)
 
 
 def status_name(code: int) -> str:
-    """The reverse of `status_code`, for logs and diagnostics."""
-    return _NAMES.get(code, f"status {code}")
+    """Convert the number of a status to its name."""
+    return STATUSES.get(code, f"status {code}")
 
 
 class RefusalError(ForetouchError):
@@ -203,57 +202,20 @@ def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits
 
 
 def no_latest_cloud() -> RefusalError:
-    """The refusal of a request that is about the latest cloud before there is one."""
+    """Make the refusal of a request that is about the latest cloud before there is one."""
     return RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:
-    """The refusal of a message, called `name`, whose sender has refused the cloud; with a reason in any case."""
-    if status not in _NAMES:
+    """Make the refusal of a message, called `name`, whose sender has refused the cloud; with a reason in any case."""
+    if status not in STATUSES:
         return RefusalError(Status.BAD_REQUEST, f"{name}: status {status} is unknown")
     return RefusalError(status, reason or f"{name}: status {status_name(status)} without a reason")
 
 
 def check_frames(name: str, header: Header, cloud: Header) -> None:
-    """A `RefusalError`, UNKNOWN_FRAME, unless a message called `name` is in the frame of its cloud."""
+    """Raise a `RefusalError`, UNKNOWN_FRAME, unless a message called `name` is in the frame of its cloud."""
     if header.frame_id != cloud.frame_id:
         raise RefusalError(
             Status.UNKNOWN_FRAME, f"{name}: frame {header.frame_id!r} is not the cloud's, {cloud.frame_id!r}"
         )
-
-
-def plan_targets(
-    pipeline: Pipeline,
-    targets: Sequence[Object],
-    header: Header,
-    note: str = "",
-    held: GraspHold | None = None,
-    margin: float = 0.0,
-) -> tuple[GraspArray, list[GraspPlan]]:
-    """Plan grasps on all targets, and give them as message and as plans; those of the first target come first, each with an id made of stamp, object and rank.
-
-    There is at least one target; `note` says how they were selected, for the reason. `held`, the best grasps of the
-    previous cloud, are kept and updated: another grasp must be better by a score of `margin`. The status is OK if any
-    target has a grasp, else that of the first target; the reasons are of all that have none.
-    """
-    plans = []
-    for target in targets:
-        plan = pipeline.plan(target, held=held.find(target.cloud) if held else None, hold=margin)
-        plans.append((target, plan))
-        if held is not None and plan.grasps:
-            held.remember(target.cloud, (plan.grasps[0], plan.outdone))
-    if held is not None:
-        held.next_cloud()
-    grasps = []
-    for target, plan in plans:
-        for rank, grasp in enumerate(plan.grasps):
-            planned = grasp_to_msg(grasp, status_code(plan.status), plan.reason)
-            planned.id = planned.id or f"{stamp_ns(header.stamp)}/{target.id}/{rank}"
-            planned.object_id = target.id
-            grasps.append(planned)
-    reasons = [note] if note else []
-    reasons += [f"object {t.id}: {p.reason}" if len(plans) > 1 else p.reason for t, p in plans if p.status != "ok"]
-    answered = [plan.status for _, plan in plans if plan.grasps]
-    status = min(map(status_code, answered)) if answered else status_code(plans[0][1].status)
-    message = GraspArray(header=header, grasps=grasps, status=status, reason="; ".join(reasons))
-    return message, [plan for _, plan in plans]

@@ -47,14 +47,16 @@ class BridgeConfig(NodeConfig, TactileInput, read_only=True):
 class BridgeNode(ForetouchNode[BridgeConfig]):
     """The bridge as a lifecycle node; it serves while it is active."""
 
-    def __init__(self, name: str = "bridge", **options: Any) -> None:
+    default_name, config_class = "bridge", BridgeConfig
+
+    def __init__(self, **options: Any) -> None:
         self.url = ""  # where clients connect, while it is active
         self._served: dict[str, tuple[InputTopic, Any]] = {}  # topics with their channels, by full name
         self._asked: set[str] = set()  # full names of the topics that clients ask for
         self._server: Any = None
         self._thinned = 0  # clouds of which every n-th point was served
         self._lock = threading.Lock()
-        super().__init__(name, BridgeConfig, **options)
+        super().__init__(**options)
 
     def _setup(self) -> None:
         foxglove = foxglove_sdk()

@@ -7,7 +7,6 @@ Threads: one thread reads the camera (and so opens, waits for and reopens it) an
 executor's callbacks only read its status.
 """
 
-import threading
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -19,11 +18,11 @@ from foretouch.camera.realsense import CameraStatus, RealSenseCamera
 from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.config import setting
-from foretouch.errors import CloudError, ForetouchError
+from foretouch.errors import CloudError
 from foretouch.laboratory import needs_laboratory
 from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
 from foretouch.ros.runtime.diagnostics import Report
-from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
 
 DEPTH_TOPIC: Final = "depth/image_rect_raw"
 """Of the depth images, as `realsense2_camera` names it; their infos are beside it."""
@@ -40,19 +39,17 @@ class CameraNodeConfig(NodeConfig):
     scene: ScheduleConfig = field(default_factory=ScheduleConfig)
 
 
-class CameraNode(ForetouchNode[CameraNodeConfig]):
+class CameraNode(ThreadNode[CameraNodeConfig]):
     """Publishes depth images with their camera info, clouds where they are asked for, and the camera's state in /diagnostics."""
 
+    default_name, config_class = "camera", CameraNodeConfig
     exclusive_topics = (DEPTH_TOPIC,)
 
-    def __init__(self, name: str = "camera", **options: Any) -> None:
+    def __init__(self, **options: Any) -> None:
         self.synthetic: Any = None  # the laboratory's `SyntheticCamera` where `source` is `scene`
         self._camera: RealSenseCamera | None = None
-        self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
-        self._failure = ""
         self._size: dict[str, int] = {}  # of the image, where it is set by a scene
-        super().__init__(name, CameraNodeConfig, **options)
+        super().__init__(**options)
 
     def _setup(self) -> None:
         config = self.config
@@ -67,23 +64,15 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._points = self.advertise(PointCloud2, "points")
 
     def _start(self) -> None:
-        self._failure = ""
-        self._stopping.clear()
         config, source = self.config.camera.replace(**self._size), self.config.source
         if source not in {"device", "scene"}:
             config = config.replace(file=source)
         self._camera = RealSenseCamera(config, self.synthetic, self._log_status)
         if self.synthetic is not None:
             self.synthetic.start()
-        run = self.internal_errors.guarded("camera", self._run, lambda _, reason: self._fail(reason))
-        self._thread = threading.Thread(target=run, args=(self._camera,), name="camera", daemon=True)
-        self._thread.start()
 
     def _stop(self) -> None:
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        super()._stop()
         if self._camera is not None:
             self._camera.close()
             self._camera = None
@@ -100,31 +89,26 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
     def diagnose(self, report: Report) -> None:
         """Report the camera's state and counts, and why a scene is not shown."""
         report.values["source"] = self.config.source
-        if self._failure:
-            report.errors.append(self._failure)
         if fault := getattr(self.synthetic.frame, "fault", "") if self.synthetic else "":
             report.warnings.append(fault)
         if self._camera is None:
             report.values["camera"] = "closed"
             return
         status = self._camera.status
-        if not (status.is_ok or self._failure):
+        if not (status.is_ok or self.failure):
             report.errors.append(f"{status.state}: {status.reason}")
         report.values |= {"camera": status.state, "reason": status.reason, "device": status.device}
         report.values |= {"opened": str(status.opened), "failures": str(status.failures)}
 
     # The thread.
 
-    def _run(self, camera: RealSenseCamera) -> None:
+    def _run(self) -> None:
+        """Read the device until it does not offer what the settings ask for."""
+        camera = self._camera
+        assert camera is not None  # noqa: S101  made by start
         counted: Counter[str] = Counter()
-        while self.state_name != "active" and not self._stopping.wait(0.01):
-            pass  # an image that is read before would not be published
-        while not self._stopping.is_set() and camera.status.state != "ended":
-            try:
-                frame = camera.read_frame(0.1)  # then the thread checks whether it should end
-            except ForetouchError as err:  # the device does not offer what the settings ask for: do not try again
-                self._fail(str(err))
-                return
+        while not self.stopping.is_set() and camera.status.state != "ended":
+            frame = camera.read_frame(0.1)  # then the thread checks whether it should end
             for reason, count in camera.status.dropped.items():
                 for _ in range(count - counted[reason]):
                     self.statistics.receive()
@@ -144,10 +128,6 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
                 self._points.publish(cloud_to_msg(frame.cloud()))
             except CloudError as err:
                 self.get_logger().warning(f"points: {err}")
-
-    def _fail(self, reason: str) -> None:
-        self._failure = reason
-        self.get_logger().error(reason)
 
     def _log_status(self, status: CameraStatus) -> None:
         if status.is_ok:

@@ -113,13 +113,14 @@ def _decode_label(request: Any) -> Label:
 class RecorderNode(ForetouchNode[RecorderConfig]):
     """The recorder as a lifecycle node; deactivating it ends the recording."""
 
+    default_name, config_class = "recorder", RecorderConfig
     exclusive_topics = (GRASPS_TOPIC,)
 
-    def __init__(self, name: str = "recorder", **options: Any) -> None:
+    def __init__(self, **options: Any) -> None:
         self.inputs: RecorderInputs | None = None  # once it is configured
         self._session: RecordingSession | None = None  # the current one, or the last
         self._told = False  # whether it is logged that it has ended by itself
-        super().__init__(name, RecorderConfig, **options)
+        super().__init__(**options)
 
     def _setup(self) -> None:
         self.reader: TactileReader = make_reader(self.config.tactile)

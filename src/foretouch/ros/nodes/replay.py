@@ -31,11 +31,11 @@ from foretouch.config import setting
 from foretouch.dataset.bag import Topic
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.source import Source, open_source
-from foretouch.errors import ConfigError, ForetouchError
+from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
-from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane, stamp_ns
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
@@ -148,27 +148,29 @@ class ReplayConfig(NodeConfig):
         )
 
 
-class ReplayNode(ForetouchNode[ReplayConfig]):
+class ReplayNode(ThreadNode[ReplayConfig]):
     """The replay as a lifecycle node; activating it again plays from the beginning."""
 
+    default_name, config_class = "replay", ReplayConfig
     exclusive_topics = ("points", "objects", GRASPS_TOPIC, "touch")
 
-    def __init__(self, name: str = "replay", **options: Any) -> None:
-        self.ended = threading.Event()  # set at the end of the replay
-        self.outcome = "waiting"  # or `playing`, and at the end `finished`, `stopped` or `failed`
+    def __init__(self, **options: Any) -> None:
+        self._phase = "waiting"  # or `playing`, and at the end `finished` or `stopped`
         self.played: Counter[str] = Counter()  # published messages by topic, also of the clouds
         self.unanswered = 0  # in lockstep, clouds without an answer on `touch` in time
-        self.reason = ""  # why it failed
         self.clouds_topic = ""  # full name of the topic of the clouds, once it is known
         self._source: Source | None = None
         self._topic_publishers: dict[str, Any] = {}
         self._left_out: dict[str, str] = {}
         self._table: Any = None
-        self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()
         self._answered = threading.Condition()
         self._last_answer_ns = -1
-        super().__init__(name, ReplayConfig, **options)
+        super().__init__(**options)
+
+    @property
+    def outcome(self) -> str:
+        """State of the replay: `waiting` or `playing`, and at the end `finished`, `stopped` or `failed`."""
+        return "failed" if self.failure else self._phase
 
     @property
     def unreadable(self) -> int:
@@ -184,13 +186,9 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def _setup(self) -> None:
         config = self.config
-        try:
-            if not config.path:
-                raise ConfigError("path: is empty; set it to a recording, a folder or a file")
-            self._source = open_source(config.path, config.topic or None, frame_id=_FRAME, camera=config.camera)
-        except ForetouchError as err:
-            self.outcome, self.reason, self.has_failed = "failed", str(err), True
-            raise
+        if not config.path:
+            raise ConfigError("path: is empty; set it to a recording, a folder or a file")
+        self._source = open_source(config.path, config.topic or None, frame_id=_FRAME, camera=config.camera)
         for note in self._source.notes:
             self.get_logger().warning(note)
         segmented = cloud_is_object(self._source)  # samples, and files whose clouds are not organised
@@ -211,20 +209,14 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             raise ConfigError(f"wait_for: {list(config.wait_for)}: not valid topic names") from err
 
     def _start(self) -> None:
-        self._stopping.clear()
-        self.ended.clear()
         self.played.clear()
         self.unanswered, self._last_answer_ns = 0, -1
-        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
-        self._thread.start()
 
     def _stop(self) -> None:
-        self._stopping.set()
+        self.stopping.set()
         with self._answered:
             self._answered.notify_all()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        super()._stop()
 
     def _teardown(self) -> None:
         self._topic_publishers.clear()
@@ -236,8 +228,6 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def diagnose(self, report: Report) -> None:
         """Report the state of the replay, and counts by topic."""
-        if self.has_failed:
-            report.errors.append(self.reason)
         clouds = len(self._source) if self._source is not None else 0
         report.values |= {"replay": self.outcome, "source": self.config.path, "clouds": str(clouds)}
         report.values["unanswered"] = str(self.unanswered)
@@ -247,68 +237,56 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     # The thread.
 
     def _run(self) -> None:
-        self._set_outcome("waiting")
-        try:
-            if self._wait_for_subscribers():
-                self.look_for_second_graph()
-                self._set_outcome("playing")
-                self._play()
-            self._set_outcome("stopped" if self._stopping.is_set() else "finished")
-        except ForetouchError as err:
-            self._set_outcome("failed", str(err))
-        except Exception as err:  # noqa: BLE001  the end of a thread must be reported
-            if self.context.ok():
-                self._set_outcome("failed", f"{type(err).__name__}: {err}")
-        finally:
-            self.ended.set()
+        self._phase = "waiting"
+        if self._wait_for_subscribers():
+            self.look_for_second_graph()
+            self._phase = "playing"
+            self._play()
+        self._phase = "stopped" if self.stopping.is_set() else "finished"
 
     def _wait_for_subscribers(self) -> bool:
         """Wait for those of the clouds, and then, with a limit, until all know each other; False if the replay must stop."""
-        config, clouds = self.config, self._topic_publishers[CLOUDS]
-        if not self._wait(lambda: self._missing_ends(clouds), math.inf, 0.5):
+        config = self.config
+        if not self._wait(self._missing_ends, math.inf, 0.5):
             return False
         if not config.subscribers and not config.wait_for:
             return True
-        return self._wait(self._unsettled(), config.wait_limit_s, 0.5 + config.discovery_s)
-
-    def _wait(self, missing: Callable[[], str], limit_s: float, say_s: float) -> bool:
-        """Wait until nothing is missing, or for a limit, and say after some time what is; False if the replay must stop."""
-        began, logged = time.monotonic(), False
-        while self.state_name != "active" or (text := missing()):
-            waited_s = time.monotonic() - began
-            if self.state_name == "active" and waited_s >= limit_s:
-                self.get_logger().warning(f"plays after {limit_s:g} s, still without {text}")
-                return True
-            if self.state_name == "active" and waited_s >= say_s and not logged:
-                logged = True
-                self.get_logger().info(f"waits for {text}")
-            if self._stopping.wait(_POLL_S):
-                return False
-        return True
-
-    def _missing_ends(self, clouds: Any) -> str:
-        """Which subscribers and publishers the first cloud waits for; "" if none."""
-        subscribers, wanted, missing = clouds.get_subscription_count(), self.config.subscribers, []
-        if subscribers < wanted:
-            count = f"{subscribers} of {wanted} (is the graph running? --no-wait waits for none)"
-            missing.append(f"subscribers of {clouds.topic_name}, {count}")
-        if self.config.lockstep and not self.count_publishers("touch"):
-            missing.append("a publisher of touch")
-        return " and ".join(missing)
-
-    def _unsettled(self) -> Callable[[], str]:
-        """What says which topics to wait for have no subscriber, and whether the graph has changed lately; "" if neither."""
         seen, since_s = ends_of_topics(self), time.monotonic()
 
-        def missing() -> str:
+        def unsettled() -> list[str]:
             nonlocal seen, since_s
             if (now := ends_of_topics(self)) != seen:
                 seen, since_s = now, time.monotonic()
             absent = [f"a subscriber of {topic}" for topic in self._wait_for if not is_heard_outside(self, topic)]
-            if time.monotonic() - since_s < self.config.discovery_s:
-                absent.append(f"{self.config.discovery_s:g} s in which no node comes or goes")
-            return " and ".join(absent)
+            if time.monotonic() - since_s < config.discovery_s:
+                absent.append(f"{config.discovery_s:g} s in which no node comes or goes")
+            return absent
 
+        return self._wait(unsettled, config.wait_limit_s, 0.5 + config.discovery_s)
+
+    def _wait(self, missing: Callable[[], list[str]], limit_s: float, say_s: float) -> bool:
+        """Wait until nothing is missing, or for a limit, and say after some time what is; False if the replay must stop."""
+        began, logged = time.monotonic(), False
+        while texts := missing():
+            waited_s, text = time.monotonic() - began, " and ".join(texts)
+            if waited_s >= limit_s:
+                self.get_logger().warning(f"plays after {limit_s:g} s, still without {text}")
+                return True
+            if waited_s >= say_s and not logged:
+                logged = True
+                self.get_logger().info(f"waits for {text}")
+            if self.stopping.wait(_POLL_S):
+                return False
+        return True
+
+    def _missing_ends(self) -> list[str]:
+        """Name the subscribers and publishers that the first cloud waits for."""
+        clouds, missing = self._topic_publishers[CLOUDS], []
+        if (subscribers := clouds.get_subscription_count()) < self.config.subscribers:
+            count = f"{subscribers} of {self.config.subscribers} (is the graph running? --no-wait waits for none)"
+            missing.append(f"subscribers of {clouds.topic_name}, {count}")
+        if self.config.lockstep and not self.count_publishers("touch"):
+            missing.append("a publisher of touch")
         return missing
 
     def _play(self) -> None:
@@ -335,8 +313,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if entry.refusal:
             self.statistics.drop("unreadable")
             self.get_logger().warning(entry.refusal)
-            return not self._stopping.is_set()
-        if self._stopping.wait(max(due - time.monotonic(), 0.0)):
+            return not self.stopping.is_set()
+        if self.stopping.wait(max(due - time.monotonic(), 0.0)):
             if entry.topic == CLOUDS:
                 self.statistics.drop("stopped")
             return False
@@ -363,7 +341,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if self.config.lockstep:
             with self._answered:
                 self.unanswered += not self._answered.wait_for(
-                    lambda: self._last_answer_ns == stamp_ns or self._stopping.is_set(), _ANSWER_S
+                    lambda: self._last_answer_ns == stamp_ns or self.stopping.is_set(), _ANSWER_S
                 )
 
     def _on_answer(self, message: TouchPredictionArray) -> None:
@@ -383,8 +361,3 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._left_out = {name: why for name, why in self._left_out.items() if name != source.info_topic}
         for topic_name, reason in self._left_out.items():
             self.get_logger().info(f"{topic_name}: not played: {reason}")
-
-    def _set_outcome(self, outcome: str, reason: str = "") -> None:
-        self.outcome, self.reason, self.has_failed = outcome, reason, bool(reason)
-        if reason:
-            self.get_logger().error(reason)

@@ -11,11 +11,13 @@ incompatible QoS.
 
 import inspect
 import os
+import threading
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
@@ -53,14 +55,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     `options` are for rclpy's `Node`; the namespace is `/foretouch` by default.
     """
 
+    default_name: ClassVar[str]
+    config_class: ClassVar[type[NodeConfig]]
     exclusive_topics: ClassVar[tuple[str, ...]] = ()
     """Topics that only one node of a graph publishes; another publisher is reported as a second graph."""
 
-    def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
-        super().__init__(name, **{"namespace": NAMESPACE, **options})
+    def __init__(self, **options: Any) -> None:
+        super().__init__(self.default_name, **{"namespace": NAMESPACE, **options})
         self.closing = ExitStack()  # of what `_setup` made, closed when the node is cleaned up
         try:
-            self._settings = NodeSettings(self, config_class, self._config_changed)
+            self._settings = NodeSettings(self, cast("type[_C]", self.config_class), self._config_changed)
         except ForetouchError:
             self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
@@ -69,8 +73,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
                 service.callback = partial(self._change_state, service.callback)
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
-        self.has_failed = False  # whether the process ends with exit status 1
-        self.last_failure = ""  # why the latest step that failed did
+        self.failure = ""  # why the node could not be configured or activated, or its thread has ended
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
@@ -85,7 +88,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """The current settings; a change replaces the whole object."""
         return self._settings.value
 
-    # Hooks that a node implements.
+    # Hooks that a node implements; an error is logged, and is the `failure`.
 
     def _setup(self) -> None:
         """Configure: make publishers and subscriptions, and load what takes long."""
@@ -195,6 +198,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Set up."""
+        self.failure = ""
         if not self._attempt(self._setup):
             self._release()
             return TransitionCallbackReturn.FAILURE
@@ -203,6 +207,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start."""
+        self.failure = ""
         if not self._attempt(self._start):
             self.stop()  # what it has started
             return TransitionCallbackReturn.FAILURE
@@ -244,12 +249,12 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         try:
             hook()
         except ForetouchError as err:
-            self.last_failure = str(err)
-            self.get_logger().error(self.last_failure)
+            self.failure = str(err)
+            self.get_logger().error(self.failure)
             return False
         except Exception as err:  # noqa: BLE001  rclpy would not report it
-            self.last_failure = f"{type(err).__name__}: {err}"
-            self.internal_errors.report(hook.__name__.strip("_"), err)
+            if self.context.ok():
+                self.failure = self.internal_errors.report(hook.__name__.strip("_"), err)
             return False
         return True
 
@@ -266,6 +271,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return report
 
     def _describe(self, report: Report) -> None:
+        if self.failure:
+            report.errors.append(self.failure)
         report.warnings += self.conflicts
         for name, subscription in tuple(self._followed.items()):
             report.warnings += subscription.excluded
@@ -284,3 +291,42 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+
+class ThreadNode(ForetouchNode[_C]):
+    """A node that works in a thread while it is active.
+
+    Attributes:
+        stopping: Set when the thread must end.
+        ended: Set when it has ended.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        self.stopping, self.ended = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        super().__init__(**options)
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Work until `stopping` is set."""
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start, and then the thread: what it published before would be lost."""
+        result = super().on_activate(state)
+        if result == TransitionCallbackReturn.SUCCESS:
+            self.stopping.clear()
+            self.ended.clear()
+            self._thread = threading.Thread(target=self._work, name=self.get_name(), daemon=True)
+            self._thread.start()
+        return result
+
+    def _stop(self) -> None:
+        """End the thread."""
+        self.stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _work(self) -> None:
+        self._attempt(self._run)
+        self.ended.set()

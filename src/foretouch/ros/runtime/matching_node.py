@@ -9,10 +9,9 @@ is an error in /diagnostics.
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Any, ClassVar, Final, TypeVar
 
 from foretouch.config import setting
 from foretouch.ros.runtime.diagnostics import Report
@@ -38,19 +37,13 @@ class MatchingConfig(ProcessingConfig):
 
 
 class MatchingNode(ProcessingNode[_P]):
-    """Matches two messages by stamp and answers each pair, the newest next; the answer gets the header of the first.
+    """Matches two messages by stamp and answers each pair, the newest next; the answer gets the header of the first."""
 
-    Args:
-        name: Of the node.
-        config_class: Class of its settings.
-        inputs: Message type and name of both topics.
-        options: For rclpy's `Node`.
-    """
+    inputs: ClassVar[tuple[InputTopic, InputTopic]]
 
-    def __init__(self, name: str, config_class: type[_P], inputs: Sequence[tuple[type, str]], **options: Any) -> None:
-        super().__init__(name, config_class, **options)
-        self._inputs = tuple(inputs)
-        self._first, self._second = (topic for _, topic in inputs)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._first, self._second = (topic.name for topic in self.inputs)
         self._lock = threading.Lock()
         self._incomplete: dict[int, Input] = {}  # by stamp; their content are messages by topic
         self._given_up: dict[int, str] = {}  # the topic that was missing, by stamp
@@ -58,8 +51,8 @@ class MatchingNode(ProcessingNode[_P]):
         self._lacking_s = (0.0, 0.0)  # when the first and the last of them were given up, `time.monotonic` [s]
 
     def _setup(self) -> None:
-        for message, topic in self._inputs:
-            self.subscribe(InputTopic(topic, message), partial(self._match, topic))
+        for topic in self.inputs:
+            self.subscribe(topic, partial(self._match, topic.name))
 
     def _stop(self) -> None:
         super()._stop()
@@ -94,7 +87,7 @@ class MatchingNode(ProcessingNode[_P]):
             if item is None:
                 item = Input(message.header, {}, self.statistics.receive())
             item.content[topic] = message
-            complete = len(item.content) == len(self._inputs)
+            complete = len(item.content) == len(self.inputs)
             if not complete:
                 self._incomplete[stamp] = item
                 overfull = self._give_up() if len(self._incomplete) > _INCOMPLETE else None

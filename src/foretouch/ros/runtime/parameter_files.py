@@ -6,8 +6,7 @@ may stand in the same file, outside of the namespace of the graph and with names
 """
 
 import re
-import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from itertools import pairwise
 from typing import Any, Final
@@ -91,7 +90,7 @@ def _refuse_moved(path: str, name: str, given: Mapping[str, Any], own: Sequence[
         )
 
 
-def _taken_for(name: str, known: typing.Iterable[str]) -> bool:
+def _taken_for(name: str, known: Iterable[str]) -> bool:
     return bool(get_close_matches(name, list(known), 1, _ALIKE))
 
 
@@ -107,5 +106,4 @@ def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], n
 
 
 def _parameters_of(node: type[Any]) -> list[str]:
-    (config,) = typing.get_args(node.__orig_bases__[0])
-    return [info.name for info in setting_infos(config)]
+    return [info.name for info in setting_infos(node.config_class)]

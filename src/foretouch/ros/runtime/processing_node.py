@@ -62,8 +62,9 @@ class ProcessingNode(ForetouchNode[_P]):
 
     steps: tuple[Step, ...] = ()
 
-    def __init__(self, name: str, config_class: type[_P], **options: Any) -> None:
-        super().__init__(name, config_class, **options)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        name = self.get_name()
         self._worker: Worker[Input] = Worker(
             name,
             self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),

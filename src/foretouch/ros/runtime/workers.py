@@ -1,20 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow work beside callbacks.
+"""Slow work beside callbacks: these only store, and the newest input comes next.
 
-`Worker` serves topics: callbacks only store, and the newest input comes next. `ThreadPool` serves services and actions, whose
-callbacks await it as coroutines. So a `SingleThreadedExecutor` of rclpy serves a whole graph.
+So a `SingleThreadedExecutor` of rclpy serves a whole graph.
 """
 
-import asyncio
 import threading
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Generic, TypeVar
-
-from rclpy.node import Node
-
-from foretouch.ros.messages.requests import RefusalError, status_code
+from typing import Generic, TypeVar
 
 _T = TypeVar("_T")
 
@@ -77,43 +70,3 @@ class Worker(Generic[_T]):
                     return
                 item = self._waiting.popleft()
             self._work(item)
-
-
-class ThreadPool:
-    """Threads for the requests of a node, whose executor is woken when work is done.
-
-    Args:
-        node: The node.
-        threads: Number of threads.
-        limit: Number of requests that may wait or be worked on; others are refused as `busy`.
-    """
-
-    def __init__(self, node: Node, threads: int, limit: int) -> None:
-        self._node = node
-        self._limit, self._waiting = limit, 0
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix=node.get_name())
-
-    async def run(self, work: Callable[[], _T]) -> _T:
-        """Run work in a thread, and return or raise what it does.
-
-        Only for callbacks in a reentrant callback group: another group is busy while its callback waits.
-        """
-        if self._waiting >= self._limit:
-            raise RefusalError(status_code("busy"), f"busy: {self._limit} requests wait already: ask again later")
-        self._waiting += 1
-        try:
-            future = self._pool.submit(work)
-            future.add_done_callback(self._wake)
-            while not future.done():  # noqa: ASYNC110  the executor goes on below when it is woken
-                await asyncio.sleep(0)
-            return future.result()
-        finally:
-            self._waiting -= 1
-
-    def close(self) -> None:
-        """Wait for running work and cancel the rest."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
-
-    def _wake(self, _: Future[Any]) -> None:
-        if self._node.executor is not None:
-            self._node.executor.wake()

@@ -11,10 +11,12 @@ from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, HandConfig
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
-from foretouch.ros.messages.requests import plan_targets
+from foretouch.ros.messages.conversions import grasp_to_msg
+from foretouch.ros.messages.requests import status_code
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.topics import GRASPS_TOPIC
+from foretouch.types import stamp_ns
 from foretouch_msgs.msg import GraspArray
 
 HOLD_TOLERANCE_M: Final = 0.005
@@ -67,3 +69,48 @@ class GraspStep(Step):
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish that there is no grasp, and why."""
         self._grasps.publish(GraspArray(header=header, status=status, reason=reason))
+
+
+def plan_targets(
+    pipeline: Pipeline,
+    targets: Sequence[Object],
+    header: Header,
+    note: str = "",
+    held: GraspHold | None = None,
+    margin: float = 0.0,
+) -> tuple[GraspArray, list[GraspPlan]]:
+    """Plan grasps on all targets; those of the first target come first, each with an id made of stamp, object and rank.
+
+    Args:
+        pipeline: Plans.
+        targets: At least one.
+        header: Of their cloud.
+        note: How they were selected, for the reason.
+        held: The best grasps of the previous cloud, which are kept and updated.
+        margin: Score by which another grasp must be better than one that is kept.
+
+    Returns:
+        The message and the plans. The status is OK if any target has a grasp, else that of the first target; the reasons are of
+        all that have none.
+    """
+    plans = []
+    for target in targets:
+        plan = pipeline.plan(target, held=held.find(target.cloud) if held else None, hold=margin)
+        plans.append((target, plan))
+        if held is not None and plan.grasps:
+            held.remember(target.cloud, (plan.grasps[0], plan.outdone))
+    if held is not None:
+        held.next_cloud()
+    grasps = []
+    for target, plan in plans:
+        for rank, grasp in enumerate(plan.grasps):
+            planned = grasp_to_msg(grasp, status_code(plan.status), plan.reason)
+            planned.id = planned.id or f"{stamp_ns(header.stamp)}/{target.id}/{rank}"
+            planned.object_id = target.id
+            grasps.append(planned)
+    reasons = [note] if note else []
+    reasons += [f"object {t.id}: {p.reason}" if len(plans) > 1 else p.reason for t, p in plans if p.status != "ok"]
+    answered = [plan.status for _, plan in plans if plan.grasps]
+    status = min(map(status_code, answered)) if answered else status_code(plans[0][1].status)
+    message = GraspArray(header=header, grasps=grasps, status=status, reason="; ".join(reasons))
+    return message, [plan for _, plan in plans]

@@ -21,7 +21,6 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
@@ -31,6 +30,7 @@ from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.models.touch_model import Snapshot, TouchModel
+from foretouch.ros.messages.requests import Targets
 from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
@@ -38,7 +38,6 @@ from foretouch.tactile.live_tare import LiveTare
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp
-from foretouch_msgs.msg import Grasp as GraspMsg
 
 _TABLES = 64  # of the latest clouds, which come before the clouds themselves are kept
 
@@ -107,23 +106,21 @@ class OnlineAdapter:
             if self._config().use_touches and self._received:
                 self._assembler.add("executed", message, received_ns=0, now_s=time.monotonic())
 
-    def add_grasps(
-        self, header: Header, cloud: Callable[[], PointCloud2], grasps: Sequence[GraspMsg], *, requested: bool = False
-    ) -> None:
+    def add_grasps(self, targets: Targets, grasps: Sequence[Any], *, requested: bool = False) -> None:
         """Keep a cloud and the grasps on it that have an id, if there is a hand that may execute one.
 
         Args:
-            header: Of the cloud.
-            cloud: Makes its message.
-            grasps: The grasps.
+            targets: The objects of the cloud.
+            grasps: The grasps, as messages or not.
             requested: Whether a cloud from the topic with the same stamp is used instead, if there is one.
         """
+        header = targets.header
         stamp, named = stamp_ns(header.stamp), [grasp for grasp in grasps if grasp.id]
         if not self._config().use_touches or not self._received or not stamp or not named:
             return
         with self._input_lock:
             known = requested and self._assembler.clouds.get(stamp) is not None
-        data = b"" if known else bytes(serialize_message(cloud()))
+        data = b"" if known else bytes(serialize_message(targets.message()))
         with self._input_lock:
             if not known:
                 message = SerializedCloud(data, partial(deserialize_message, data, PointCloud2))

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import check_object, check_table
 from foretouch.errors import CloudError, ForetouchError, FrameError, GraspError, LimitError, ModelError
@@ -15,7 +14,7 @@ from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.pipeline import Object, Pipeline
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import grasp_to_msg
-from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, status_name
+from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, Targets, status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.touch_settings import TouchSettings
@@ -59,19 +58,13 @@ class Predictor:
         return NO_CHANNELS if self.model is None else self.model.sensor.channels
 
     def answer(
-        self,
-        targets: Sequence[Object],
-        requested: RequestedGrasps,
-        header: Header,
-        config: TouchSettings,
-        posing: GeoGraspConfig | None = None,
+        self, targets: Targets, requested: RequestedGrasps, config: TouchSettings, posing: GeoGraspConfig | None = None
     ) -> TouchAnswer:
         """Predict or refuse every grasp, in order.
 
         Args:
             targets: The objects; features are computed once for each that has grasps.
             requested: The grasps, each on the object that it names, or on the only one.
-            header: Header of the cloud.
             config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
         """
@@ -80,23 +73,23 @@ class Predictor:
         by_target: dict[int, list[int]] = {}
         for i in np.flatnonzero(rows.ok).tolist():
             try:
-                by_target.setdefault(_target_of(requested.grasps.object_id[i], targets), []).append(i)
+                by_target.setdefault(_target_of(requested.grasps.object_id[i], targets.objects), []).append(i)
             except GraspError as err:
                 rows.status[i], rows.reason[i] = "bad_grasp", str(err)
         for k, members in by_target.items():
             posed = rows.take(members)
             if not requested.turned[members].all():
-                posed = _posed(posed, requested.turned[members], targets[k], config, posing)
-            rows = rows.put(members, self.predict(targets[k], posed, config))
+                posed = _posed(posed, requested.turned[members], targets.objects[k], config, posing)
+            rows = rows.put(members, self.predict(targets.objects[k], posed, config))
         if requested.messages is None:
             computed = None if requested.turned.any() else np.where(rows.ok[:, None, None], rows.grasps.rotation, 0.0)
-            return TouchAnswer(header, rows.grasps, rows, sensor=self.sensor, arrays=True, rotations=computed)
+            return TouchAnswer(targets.header, rows.grasps, rows, sensor=self.sensor, arrays=True, rotations=computed)
         posed_now = rows.ok & ~requested.turned
         messages = [
             grasp_to_msg(rows[k].grasp, message.status, message.reason) if posed_now[k] else message
             for k, message in enumerate(requested.messages)
         ]
-        return TouchAnswer(header, messages, rows, sensor=self.sensor)
+        return TouchAnswer(targets.header, messages, rows, sensor=self.sensor)
 
     def predict(self, target: Object, posed: Predictions, config: TouchSettings) -> Predictions:
         """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.

@@ -21,7 +21,8 @@ from foretouch.errors import described
 from foretouch.grasp.hand import tool_of
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, predicted_pressures
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.requests import RefusalError, Targets, no_latest_cloud, plan_targets, requested_targets
+from foretouch.ros.messages.requests import RefusalError, Targets, no_latest_cloud, requested_targets
+from foretouch.ros.steps.grasping import plan_targets
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import COSTS, HARDER_FINGER, SCORE, TouchSettings
 from foretouch.types import Float64

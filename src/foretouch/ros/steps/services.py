@@ -1,26 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """What planners ask for: the service `predict_touch`, the actions that sample grasps, and forgetting readings.
 
-Requests are answered in threads (see `ThreadPool`), beside the worker that answers the topic: the model is immutable and serves
-all of them.
+Requests are answered in threads, which their callbacks await as coroutines, beside the worker that answers the topic: the model is
+immutable and serves all of them.
 """
 
+import asyncio
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
 from foretouch.errors import quoted
-from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, requested_targets, status_name
+from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, requested_targets, status_code, status_name
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import REQUESTS, ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
-from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.sampling import (
     PLANNER_ACTION,
@@ -38,14 +39,18 @@ from foretouch_msgs.srv import PredictTouch
 _T = TypeVar("_T")
 
 
+_THREADS: Final = 2  # more would only share the processor
+_LIMIT: Final = 100  # requests that may wait or be worked on
+
+
 class TouchServices(Step):
     """Services and actions of a node, which predict by its `TouchStep`."""
 
     def __init__(self, node: ForetouchNode[Any], step: TouchStep) -> None:
         self._node, self._step = node, step
         self._requests: Counter[str] = Counter()  # by name and status
-        self._threads = ThreadPool(node, 2, 100)  # more threads would only share the processor
-        node.closing.callback(self._threads.close)
+        self._threads, self._waiting = ThreadPoolExecutor(_THREADS, thread_name_prefix=node.get_name()), 0
+        node.closing.callback(partial(self._threads.shutdown, cancel_futures=True))
         group = ReentrantCallbackGroup()
         node.serve(PredictTouch, "predict_touch", self._predict_touch, group)
         node.serve(Trigger, "forget_touches", partial(self._forget, OnlineAdapter.forget, "touches"), group)
@@ -69,9 +74,12 @@ class TouchServices(Step):
         return response
 
     async def _do(self, name: str, work: Callable[[], _T]) -> _T | RefusalError:
-        """Answer a request in a thread, and count its outcome; an internal error is reported and becomes a refusal."""
+        """Answer a request in a thread, and count its outcome; an internal error is reported and becomes a refusal.
+
+        Only for callbacks in a reentrant callback group: another group is busy while its callback waits.
+        """
         try:
-            answer: _T | RefusalError = await self._threads.run(work)
+            answer: _T | RefusalError = await self._in_thread(work)
         except RefusalError as refusal:
             answer = refusal
         except Exception as err:  # noqa: BLE001  it would end the process
@@ -79,6 +87,23 @@ class TouchServices(Step):
         outcome = answer.status if isinstance(answer, RefusalError) else Status.OK
         self._requests[f"{name}.{status_name(outcome).lower()}"] += 1
         return answer
+
+    async def _in_thread(self, work: Callable[[], _T]) -> _T:
+        if self._waiting >= _LIMIT:
+            raise RefusalError(status_code("busy"), f"busy: {_LIMIT} requests wait already: ask again later")
+        self._waiting += 1
+        try:
+            future = self._threads.submit(work)
+            future.add_done_callback(self._wake)
+            while not future.done():  # noqa: ASYNC110  the executor goes on below when it is woken
+                await asyncio.sleep(0)
+            return future.result()
+        finally:
+            self._waiting -= 1
+
+    def _wake(self, _: object) -> None:
+        if self._node.executor is not None:
+            self._node.executor.wake()
 
     # The service.
 
@@ -109,7 +134,7 @@ class TouchServices(Step):
         if not count:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = config.grasp if targets.refusal is None else None
-        answer = step.answer(targets.objects, requested, targets.header, posing)
+        answer = step.answer(targets, requested, posing)
         step.add_requested(targets, answer.answered)  # not before: it may have been executed already
         return answer.reply
 

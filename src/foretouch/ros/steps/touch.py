@@ -9,10 +9,9 @@ A model that cannot be loaded does not stop the node: every answer then gives th
 again retries.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
@@ -88,22 +87,16 @@ class TouchStep(Step):
         answer = TouchAnswer(grasps.header, grasps.grasps, Predictions.join(parts), sensor=self.predictor.sensor)
         return self._end(answer)
 
-    def answer(
-        self,
-        targets: Sequence[Object],
-        requested: RequestedGrasps,
-        header: Header,
-        posing: GeoGraspConfig | None = None,
-    ) -> TouchAnswer:
+    def answer(self, targets: Targets, requested: RequestedGrasps, posing: GeoGraspConfig | None = None) -> TouchAnswer:
         """Predict for requested grasps (see `Predictor.answer`)."""
-        return self._end(self.predictor.answer(targets, requested, header, self._node.config, posing))
+        return self._end(self.predictor.answer(targets, requested, self._node.config, posing))
 
-    def publish(self, answer: TouchAnswer, grasps: GraspArray, cloud: Callable[[], PointCloud2]) -> None:
-        """Publish the answer to planned grasps; `cloud` makes the message of their objects."""
+    def publish(self, answer: TouchAnswer, grasps: GraspArray, targets: Targets) -> None:
+        """Publish the answer to planned grasps."""
         answer.flags += tuple(flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
         self._touch.publish(answer.message)
         if self.adapter is not None:
-            self.adapter.add_grasps(answer.header, cloud, grasps.grasps)
+            self.adapter.add_grasps(targets, grasps.grasps)
         if self._markers.get_subscription_count():  # the answer is out: an error must not refuse the cloud
             self._node.internal_errors.guarded("markers", self._draw)(answer)
 
@@ -114,7 +107,7 @@ class TouchStep(Step):
     def add_requested(self, targets: Targets, grasps: Sequence[Any]) -> None:
         """Keep grasps of a request, which may be executed."""
         if self.adapter is not None:
-            self.adapter.add_grasps(targets.header, targets.message, grasps, requested=True)
+            self.adapter.add_grasps(targets, grasps, requested=True)
 
     def diagnose(self, report: Report) -> None:
         """Report the model, the state of online adaptation, and why the model does not fit the hand."""

@@ -18,7 +18,7 @@ from foretouch.tactile import Ranges
 from foretouch.tactile.description import require_same
 from foretouch.types import Bool, Float64, Sample
 from foretouch_lab.learning.data.dataset import Dataset
-from foretouch_lab.learning.data.folds import Fold, Indices
+from foretouch_lab.learning.data.folds import Indices
 from foretouch_lab.learning.data.training_set import TrainingSet, labels_of, predict_set
 from foretouch_lab.learning.evaluation.baselines import BASELINES, Baseline, predict_part, training_mean
 from foretouch_lab.learning.evaluation.metrics import score
@@ -64,8 +64,7 @@ def evaluate_model(
     chosen = np.concatenate([part.test for part in parts])
     if not len(chosen):
         raise DatasetError(f"{data.name}: the split tests no sample")
-    path = find_card(model)
-    card = read_card(path)
+    card = read_card(path := find_card(model))
     sensor = card_sensor(card, path)
     require_same(data.sensor.channels, sensor.channels, data.name)
     own = _own_samples(card, data, chosen)
@@ -74,24 +73,20 @@ def evaluate_model(
     if not kept.any():
         return {**facts, **_stored(card, str(model), split, parts[0].name)}
 
+    def fitted(baseline: Baseline) -> Float64:
+        return np.concatenate([predict_part(baseline, data.filled, seed, part) for part in parts])[kept]
+
     tested = [data.masked[k] for k in chosen[kept]]
-    plain_network = card["kind"] == "network" and card.get("calibration") is None
-    predicted = (_by_network if plain_network else _by_model)(path, tested)
-    by_baseline = {name: _fitted(baseline, data, seed, parts)[kept] for name, baseline in baselines.items()}
-    reference = _fitted(training_mean, data, seed, parts)[kept]
+    predicted = _predict(path, card, tested)
+    by_baseline = {name: fitted(baseline) for name, baseline in baselines.items()}
     valid = sensor.valid_values & ~np.isnan(labels_of(tested)).any(axis=0)
     return {
-        "scores": _scores(predicted, by_baseline, labels_of(tested), reference, valid),
+        "scores": _scores(predicted, by_baseline, labels_of(tested), fitted(training_mean), valid),
         "samples": len(tested),
         "unfamiliar": predicted[2],
         **facts,
         "not_scored": sensor.taxels_of(~valid),
     }
-
-
-def _fitted(baseline: Baseline, data: Dataset, seed: int, parts: Sequence[Fold]) -> Float64:
-    """(S, D) predictions of a baseline [counts] on the test samples of all parts, each fitted without them."""
-    return np.concatenate([predict_part(baseline, data.filled, seed, part) for part in parts])
 
 
 def _facts(own: Bool | None, kept: Bool) -> dict[str, Any]:
@@ -155,6 +150,11 @@ def _own_samples(card: Mapping[str, Any], data: Dataset, index: Indices) -> Bool
 
 _Predictions = tuple[Float64, Float64, int, Ranges]
 """(S, D) predictions, NaN for modalities without; (S, D) half widths of intervals, NaN without [counts]; how many are flagged."""
+
+
+def _predict(card_path: Path, card: Mapping[str, Any], samples: Sequence[Sample]) -> _Predictions:
+    plain_network = card["kind"] == "network" and card.get("calibration") is None
+    return (_by_network if plain_network else _by_model)(card_path, samples)
 
 
 def _by_model(card_path: Path, samples: Sequence[Sample]) -> _Predictions:

@@ -36,7 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ContactError, ConvergenceError
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 from foretouch.types import Float64
 from foretouch_lab.simulation.contact.problem import (
     Command,
@@ -238,10 +238,16 @@ def _descend(
     else:
         given = command.force_n / problem.cell_m2
         pressure = np.ascontiguousarray(start * (given / float(start.sum())))
-    safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
-    limits = safe_length, TOLERANCE, MAX_ITERATIONS
-    n, by_force = gap.shape[0], int(command.force_n is not None)
-    _layer_descent(gap, spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
+    how = struct(
+        "Descent",
+        given=given,
+        by_force=int(command.force_n is not None),
+        safe_length=1.0 / float(np.abs(spectrum).max()),  # below 2 / (largest eigenvalue of K)
+        tolerance=TOLERANCE,
+        most=MAX_ITERATIONS,
+    )
+    end = np.zeros(4)
+    _layer_descent(gap, spectrum.view(np.float64), gap.shape[0], how, pressure, end)
     if not end[3]:
         raise MemoryError("layer_descent")
     return pressure, float(end[0]), int(end[1]), float(end[2])
