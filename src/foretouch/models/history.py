@@ -118,14 +118,8 @@ class History:
             grasp: As executed, in the frame of the cloud.
             reading: Both fingers in contact, in the unit of the sensor.
             new_object: Whether it is another object than before.
-<<<<<<< HEAD
-            estimate: The model's of this grasp (see `TouchModel.estimate_executed`), which is made here by default, for objects of usual range and size.
-            tdc: (F,) [counts].
-=======
-            limits: Range and size of objects.
-            estimate: The model's estimate of this grasp, if it is known already (see `TouchModel.estimate_executed`).
+            estimate: The model's estimate of this grasp (see `TouchModel.estimate_executed`). By default it is made here, for objects of usual range and size.
             tdc: (F,) temperature of the fingers [counts], where it is known.
->>>>>>> main
             table: In the cloud's frame; without one the camera is taken to look straight down on it.
 
         Returns:

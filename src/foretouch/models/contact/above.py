@@ -15,16 +15,11 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-<<<<<<< HEAD
-from foretouch.cloud.geometry.columns import centred_columns
-from foretouch.types import Float64, Int64, Plane
-=======
-from foretouch.cloud.geometry.columns import quantiles
+from foretouch.cloud.geometry.columns import centred_columns, quantiles
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float64, Int64, Plane
 
 _hide_places = Kernel("hide_places")
->>>>>>> main
 
 STEEP: Final = float(np.radians(17.0))
 """Angle between line of sight and vertical up to which a view is taken as it is: objects in the recordings reach 17° [rad]."""

@@ -24,13 +24,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
-<<<<<<< HEAD
-from foretouch.kernels import Kernel
-from foretouch.models.contact.above import seen_from_above, upper_side
-=======
 from foretouch.kernels import Kernel, struct
-from foretouch.models.contact.above import seen_from_above
->>>>>>> main
+from foretouch.models.contact.above import seen_from_above, upper_side
 from foretouch.models.novelty import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, Grasps, Int32, Int64, Plane
 
