@@ -76,6 +76,11 @@ class Client:
             found = [report for (name, _), report in self.reports.items() if name == node]
         return max(found, key=lambda report: report.time_s).values if found else {}
 
+    def reported_at(self, node: str) -> float:
+        """Time of the latest report of a node (`time.monotonic`) [s]; 0 if there is none."""
+        with self.lock:
+            return max((report.time_s for (name, _), report in self.reports.items() if name == node), default=0.0)
+
     def is_active(self, nodes: Sequence[str]) -> bool:
         """Whether each node has reported that it is active."""
         return all(self.report(name).get("state") == "active" for name in nodes)

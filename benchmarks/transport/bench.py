@@ -5,6 +5,7 @@ import argparse
 import itertools
 import multiprocessing
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -97,6 +98,12 @@ class Bench(Client):
         self.wait(lambda: all(stamp in self.answers for stamp in stamps), 3.0)
         return stamps
 
+    def received(self) -> int:
+        """Number of images or clouds that the first node has received so far, by a report that is newer than all of them."""
+        now = time.monotonic()
+        self.wait(lambda: self.reported_at(self._nodes[0]) > now + 0.1, 5.0)  # at least a callback later
+        return int(self.report(self._nodes[0])["received"])
+
     def _hear(self, message: Any) -> None:
         arrived = time.time_ns()  # whole messages of ten minutes would take gigabytes
         values = [value for touch in message.predictions for value in touch.scalars]
@@ -137,8 +144,13 @@ def check(bench: Bench, clouds: Sequence[Cloud], inputs: Sequence[Sequence[Any]]
             raise SystemExit(f"input {number}: {values} is not {expected}")
 
 
-def measure(condition: Condition, source: Path, rates: Sequence[float], seconds: float) -> list[dict[str, Any]]:
-    """A row of the results for each rate, of one start of a version's graph, whose checkout is `source`; in a process alone."""
+def measure(
+    condition: Condition, source: Path, rates: Sequence[float], seconds: float, busy: int
+) -> list[dict[str, Any]]:
+    """A row of the results for each rate, of one start of a version's graph, whose checkout is `source`; in a process alone.
+
+    Beside it, `busy` processes compute.
+    """
     if condition.transport == "shipped":
         ignored = PROFILES[profile_variable() == PROFILES[0]]  # by this release of Fast DDS
         os.environ[ignored] = ""  # so that neither version names its profile
@@ -153,6 +165,7 @@ def measure(condition: Condition, source: Path, rates: Sequence[float], seconds:
     now = condition.version == "now"
     parameters = {"diagnostics_period_s": 0.5, "grasp_hold": 0.0} | ({"input": condition.input} if now else {})
     graph = spawn(NOW if now else BEFORE, parameters)
+    beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     bench = Bench(condition)
     try:
         bench.ready()
@@ -163,21 +176,26 @@ def measure(condition: Condition, source: Path, rates: Sequence[float], seconds:
         rest = (cpu_s(graph.pid) - before) / REST_S
         bench.send_at(inputs, 10.0, 1.0)  # warm
         for rate in rates:
+            received = bench.received()
             before, began = cpu_s(graph.pid), time.monotonic()
             stamps = bench.send_at(inputs, rate, seconds)
             cpu = cpu_s(graph.pid) - before - rest * (time.monotonic() - began)
+            lost = len(stamps) - (bench.received() - received)
             ages = [(bench.answers[stamp][0] - stamp) / 1e6 for stamp in stamps if bench.answers.get(stamp, (0, []))[1]]
             p50, p95 = np.percentile(ages, (50, 95)) if ages else (np.nan, np.nan)
-            counts = {"rate_hz": f"{rate:g}", "seconds": f"{seconds:g}", "sent": len(stamps), "lost": len(stamps) - len(ages)}  # fmt: skip
+            counts = {"rate_hz": f"{rate:g}", "seconds": f"{seconds:g}", "sent": len(stamps), "lost": lost, "superseded": len(stamps) - lost - len(ages)}  # fmt: skip
             times = {"p50_ms": p50, "p95_ms": p95, "cpu_ms": 1e3 * cpu / max(1, len(ages)), "rest_percent": 100.0 * rest}  # fmt: skip
             rows.append(condition._asdict() | counts | {name: f"{value:.4g}" for name, value in times.items()})
     finally:
-        end(graph)
+        for process in (graph, *beside):
+            end(process)
         bench.leave()
-    return [row | {"other_cores": others.cores()} for row in rows]
+    return [{"busy": busy} | row | {"other_cores": others.cores()} for row in rows]
 
 
-def in_turns(before: Path | None, rates: Sequence[float], seconds: float, turns: int) -> list[dict[str, Any]]:
+def in_turns(
+    before: Path | None, rates: Sequence[float], seconds: float, turns: int, busy: int
+) -> list[dict[str, Any]]:
     """Measure all inputs, transports and versions one after the other, `turns` times."""
     conditions = [Condition(*one) for one in itertools.product(["now"], TOPICS, ["profile", "shipped"])]
     if before:
@@ -186,23 +204,25 @@ def in_turns(before: Path | None, rates: Sequence[float], seconds: float, turns:
     for turn, condition in itertools.product(range(turns), sorted(conditions, key=lambda one: one.transport)):
         source = before if before and condition.version == "before" else ROOT
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:  # Fast DDS reads its profile once
-            found = alone.submit(measure, condition, source, rates, seconds).result()
+            found = alone.submit(measure, condition, source, rates, seconds, busy).result()
         rows += [{"turn": turn + 1} | row for row in found]
         print_rows(rows[-len(found) :])
     return rows
 
 
 def write_table(rows: Sequence[dict[str, Any]]) -> None:
-    """All conditions as a table of the README: what was lost in all turns, and the median of the turns' times."""
-    columns = ["input", "transport", "version", "a second", "lost", "p50, p95 [ms]", "CPU an answer [ms]"]
+    """All conditions as a table of the README: what was lost and superseded in all turns, and the median of the turns' times."""
+    columns = ["a second", "busy", "input", "transport", "version", "sent", "lost", "superseded", "p50, p95 [ms]", "CPU an answer [ms]"]  # fmt: skip
     cells: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
-        cells.setdefault(tuple(row[key] for key in ("input", "transport", "version", "rate_hz")), []).append(row)
+        cells.setdefault(tuple(row[key] for key in ("rate_hz", "busy", "input", "transport", "version")), []).append(
+            row
+        )
     lines = []
-    for key, group in sorted(cells.items(), key=lambda cell: (float(cell[0][3]), *cell[0][:3])):
+    for key, group in sorted(cells.items(), key=lambda cell: (float(cell[0][0]), *cell[0][1:])):
         p50, p95, cpu = (np.median([float(row[name]) for row in group]) for name in ("p50_ms", "p95_ms", "cpu_ms"))
-        lost, sent = (sum(int(row[name]) for row in group) for name in ("lost", "sent"))
-        lines.append((*key, f"{lost} of {sent}", f"{p50:.0f}, {p95:.0f}", f"{cpu:.1f}"))
+        counts = [sum(int(row[name]) for row in group) for name in ("sent", "lost", "superseded")]
+        lines.append((*key, *counts, f"{p50:.1f}, {p95:.1f}", f"{cpu:.1f}"))
     others = [float(row["other_cores"]) for row in rows]
     load = f"Other processes used {min(others):.2f} to {max(others):.2f} of {os.cpu_count()} cores meanwhile.\n\n"
     replace_marked(Path(__file__).with_name("README.md"), load + markdown(columns, lines))
@@ -214,14 +234,18 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=5.0, help="length of each run [s]")
     parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="inputs a second, in turn [Hz]")
     parser.add_argument("--turns", type=int, default=1, help="how often all is measured")
+    parser.add_argument("--busy", type=int, default=0, metavar="N", help="processes that compute meanwhile")
+    parser.add_argument("--add", action="store_true", help="keep the rows that the table has already")
     parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one, and the page)")  # fmt: skip
     parser.add_argument("--requests", type=Path, metavar="CHECKOUT", help="only measure predict_touch, in turns with an older checkout that has an environment of its own")  # fmt: skip
     options = parser.parse_args()
     if options.requests:
         write_csv(REQUESTS, compare(options.requests.resolve(), ROOT, DOMAIN + 1))
         return 0
-    rows = in_turns(options.before and options.before.resolve(), options.rates, options.seconds, options.turns)
-    write_csv(options.out, rows)
+    rows = in_turns(
+        options.before and options.before.resolve(), options.rates, options.seconds, options.turns, options.busy
+    )
+    write_csv(options.out, [*(read_csv(options.out) if options.add else []), *rows])
     if options.out == RESULTS:
         write_table(read_csv(RESULTS))
     return 0

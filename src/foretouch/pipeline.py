@@ -214,7 +214,7 @@ class Pipeline:
         if segmentation.status != "ok" or segmentation.plane is None:
             return Scene(segmentation.status, segmentation.reason, cloud, segmentation, (), ())
         plane = segmentation.plane
-        shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
+        shape = (segmentation.labels.shape[0], segmentation.labels.shape[1]) if cloud.organised else None
         solid = [part for part in segmentation.background if part.background != "floating"]
         obstacles = Obstacles.of([(object_.id, object_.cloud.xyz) for object_ in (*segmentation.objects, *solid)])
         objects = {

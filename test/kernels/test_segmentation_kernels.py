@@ -14,6 +14,7 @@ from foretouch.cloud.segmentation import objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.pipeline import Pipeline
 from foretouch.types import AnyArray, CameraModel, Cloud
 from foretouch_lab.simulation.depth_scene import random_scene
 
@@ -101,6 +102,7 @@ def test_a_depth_image_gives_what_its_points_give_without_making_all_of_them(rng
     def check(depth: AnyArray, model: CameraModel) -> None:
         cloud = Cloud.from_depth(depth, model)
         ours = _assert_same(cloud)
+        Pipeline().segment(cloud)
         assert ("xyz" in vars(cloud)) == (ours.status == "empty_cloud")  # for the reason, and nowhere else
         plain = segment(Cloud(model.points(depth), camera=model))
         assert (ours.status, ours.reason, ours.counts) == (plain.status, plain.reason, plain.counts)

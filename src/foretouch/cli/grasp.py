@@ -21,7 +21,10 @@ from foretouch.pipeline import Pipeline
 def add_arguments(parser: CommandParser) -> None:
     """Declare the common inputs and the settings of the planner."""
     inputs.add_options(parser, *inputs.READ, *inputs.PLANNED, *inputs.CHOSEN)
-    parser.add_argument("--tip-mm", type=float, metavar="MM", help="size of the gripper's fingertip [mm] (default: 25)")
+    tip_help = (
+        "size of the gripper's fingertip for grasp.method=original [mm] (default: 25); else set hand.tip_radius_m"
+    )
+    parser.add_argument("--tip-mm", type=float, metavar="MM", help=tip_help)
     parser.add_argument("--count", type=int, metavar="K", help="maximum number of grasps (default: 1)")
     slide = parser.headings["model and adaptation"].add_mutually_exclusive_group()
     slide_help = "shift the grasp plane along the object's axis by this distance [m]"

@@ -141,7 +141,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "PATH",
         **_REPEATED,
         "help": "executed grasps of any objects with their readings, earlier ones of the same hand (as --touched), or the file of a hand that "
-        "the touch_predictor keeps: adapt the predictions to the state of its sensors",
+        "`perception` keeps: adapt the predictions to the state of its sensors",
     },
     "--model": {
         "help": "name of a model, or path of its card, weights or model folder (default: contact-v3; of `run` with a scene: simulated)"

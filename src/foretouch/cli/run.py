@@ -50,7 +50,7 @@ def add_arguments(parser: CommandParser) -> None:
         required=True,
         metavar="DIR|FILE|SCENE|TOPIC|camera",
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
-        " a topic of depth images (with camera_info beside it) or clouds, or `camera`, the RealSense",
+        " a topic of depth images (with camera_info next to it) or clouds, or `camera`, the RealSense",
     )
     parser.add_argument(
         "--dwell",
@@ -77,7 +77,7 @@ def add_arguments(parser: CommandParser) -> None:
         nargs="?",
         const=("127.0.0.1", 8765),
         metavar="HOST:PORT",
-        help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
+        help="serve the topics to Foxglove or Lichtblick (default: no; without an address at 127.0.0.1:8765)",
     )
 
 

@@ -22,7 +22,7 @@ _FLYING = (
 class GeoGraspConfig(Settings):
     """Settings of the grasp planner (GeoGrasp: Zapata-Impata et al. 2019)."""
 
-    tip_mm: float = setting(25.0, "Size of the gripper's fingertip", bounds=(1.0, 200.0))
+    tip_mm: float = setting(25.0, "Size of the gripper's fingertip, which `original` uses", bounds=(1.0, 200.0))
     count: int = setting(1, "Maximum number of grasps, best first", bounds=(1, 10_000))
     max_points: int = setting(
         8000,

@@ -66,7 +66,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
         scene = self._segmentation.segment(cloud)
         message = partial(objects_to_msg, scene.targets, header.frame_id, stamp_ns(header.stamp))
         outcome = self._answer_targets(Targets(header, scene.targets, message), status_code(scene.status), scene.reason)
-        self._segmentation.publish(header, scene, cloud.xyz.shape)
+        self._segmentation.publish(header, scene)
         return outcome
 
     def _answer_targets(self, targets: Targets, status: int, reason: str) -> tuple[int, str]:

@@ -56,7 +56,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     def _answer(self, item: Input) -> tuple[int, str]:
         cloud = self._camera.cloud(item.content)
         scene = self._step.segment(cloud)
-        self._step.publish(item.header, scene, cloud.xyz.shape)
+        self._step.publish(item.header, scene)
         return status_code(scene.status), scene.reason
 
 

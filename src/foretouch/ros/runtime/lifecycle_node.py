@@ -5,8 +5,8 @@ A node implements four hooks, `_setup` and `_teardown` (configure, clean up) and
 deactivate). An error in `_setup` or `_start` refuses the transition and is logged in one line.
 
 Inputs follow the QoS of their publishers (see `FollowingSubscription`), outputs are published reliably. Outputs that are kept for
-late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). rclpy logs subscribers with
-incompatible QoS.
+late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). Subscribers with
+incompatible QoS are logged.
 """
 
 import inspect
@@ -22,6 +22,7 @@ from typing import Any, ClassVar, Generic, TypeVar, cast
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -75,6 +76,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self.failure = ""  # why the node could not be configured or activated, or its thread has ended
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
+        self._outputs: list[LifecyclePublisher] = []
+        self._incompatible: set[tuple[str, str]] = set()  # topics and the nodes that receive nothing from them
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._input_group = MutuallyExclusiveCallbackGroup()
@@ -132,9 +135,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions(overridden),
+            # Each event would take as long as a subscription in every wait of rclpy's executor.
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
-        self.closing.callback(self.destroy_lifecycle_publisher, publisher)
+        self._outputs.append(publisher)
+        self.closing.callback(self._withdraw, publisher)
         return publisher
+
+    def _withdraw(self, publisher: LifecyclePublisher) -> None:
+        self._outputs.remove(publisher)
+        self.destroy_lifecycle_publisher(publisher)
 
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
         """Subscribe until the node is cleaned up (see `FollowingSubscription`); callbacks of a node never run at the same time."""
@@ -158,7 +168,21 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         for subscription in tuple(self._followed.values()):
             for line in subscription.follow():
                 self.get_logger().info(line)
+        self._look_for_incompatible_subscribers()
         self.look_for_second_graph()
+
+    def _look_for_incompatible_subscribers(self) -> None:
+        """Log subscribers that receive nothing, once each: they ask for reliable or latched messages where none are offered."""
+        for publisher in self._outputs:
+            offer, topic = publisher.qos_profile, publisher.topic_name
+            for end in self.get_subscriptions_info_by_topic(topic):
+                asked = end.qos_profile
+                unreliable = asked.reliability == ReliabilityPolicy.RELIABLE != offer.reliability
+                volatile = asked.durability == DurabilityPolicy.TRANSIENT_LOCAL != offer.durability
+                if (unreliable or volatile) and (topic, end.node_name) not in self._incompatible:
+                    self._incompatible.add((topic, end.node_name))
+                    policy = "reliability best_effort" if unreliable else "durability volatile"
+                    self.get_logger().warning(f"{topic}: {end.node_name} receives nothing: subscribe with {policy}")
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""

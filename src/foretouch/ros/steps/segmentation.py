@@ -81,8 +81,8 @@ class SegmentationStep(Step):
         self._previous = centroids[0] if centroids else None
         return scene
 
-    def publish(self, header: Header, scene: Scene, shape: tuple[int, ...]) -> None:
-        """Publish a scene, found in a cloud of a shape, for those who subscribe."""
+    def publish(self, header: Header, scene: Scene) -> None:
+        """Publish a scene for those who subscribe."""
         state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
         drawn = self._markers.get_subscription_count()
         if self._table.get_subscription_count() or drawn:
@@ -95,7 +95,7 @@ class SegmentationStep(Step):
         if not (self._objects.get_subscription_count() or self._markers.get_subscription_count()):
             return
         chosen = {target.id for target in scene.targets}
-        height, width = shape[:2] if len(shape) == 3 else (1, shape[0])
+        height, width = np.atleast_2d(scene.labels).shape
         objects = [object_to_msg(segment, target=str(segment.id) in chosen) for segment in scene.segmentation.objects]
         background = [segment.background for segment in scene.segmentation.background]
         message = ObjectArray(height=height, width=width, objects=objects, background=background, **state)
