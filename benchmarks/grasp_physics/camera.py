@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.common import scene
 from benchmarks.grasp_physics.objects import Item
 from foretouch.types import Cloud, Float32, Float64
-from foretouch_lab.simulation.depth_scene import CameraView, DepthImage, to_millimetres
+from foretouch_lab.simulation.depth_scene import CameraView, RenderedFrame, to_millimetres
 from foretouch_lab.simulation.effects.view import FRAME_EFFECTS
 from foretouch_lab.simulation.engine import Effect, Engine, Job, SampleState
 from foretouch_lab.simulation.solids import Body, Hits
@@ -85,4 +85,4 @@ def see(item: Item, number: int, view: str) -> Seen:
     engine = Engine(config, (Effect("object", stand, "objects"), *FRAME_EFFECTS))
     depth = to_millimetres(engine.run(SampleKey(seed, slot)).depth)
     nothing, rgb = np.zeros(depth.shape, np.int32), np.zeros((*depth.shape, 3), np.uint8)
-    return Seen(item, pose, camera, DepthImage(depth, rgb, nothing, camera.matrix, camera.table_plane()).cloud())
+    return Seen(item, pose, camera, RenderedFrame(depth, rgb, nothing, camera.matrix, camera.table_plane()).cloud())

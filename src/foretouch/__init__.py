@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feel before you touch: predict tactile readings from a depth cloud, before the hand moves.
+"""Plan two-finger grasps from a depth camera, and predict what tactile fingertips will read, before anything moves.
 
     import foretouch as ft
     scene = ft.segment(ft.Cloud.from_depth(depth, K))

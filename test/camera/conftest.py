@@ -9,7 +9,7 @@ import pytest
 
 from foretouch.camera import realsense
 from foretouch.camera.config import RealSenseConfig
-from foretouch_lab.simulation import DepthImage, random_scene
+from foretouch_lab.simulation import RenderedFrame, random_scene
 from foretouch_lab.simulation.software_camera import SyntheticCamera
 
 WIDTH, HEIGHT = 424, 240
@@ -19,13 +19,13 @@ if find_spec("pyrealsense2") is None:
 
 
 @pytest.fixture(scope="session")
-def images() -> list[DepthImage]:
+def images() -> list[RenderedFrame]:
     """Three frames that differ."""
     return [random_scene(np.random.default_rng(seed), WIDTH, HEIGHT).render() for seed in range(3)]
 
 
 @pytest.fixture
-def source(images: list[DepthImage]) -> Iterator[SyntheticCamera]:
+def source(images: list[RenderedFrame]) -> Iterator[SyntheticCamera]:
     """Not feeding yet: `feed()` by hand, or `start()`."""
     camera = SyntheticCamera(images, fps=30)
     yield camera

@@ -29,7 +29,29 @@ from foretouch.tactile.description import packaged_sensor, with_sensor
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-LISTENER = Path(__file__).parents[2] / "examples" / "listen_touch.py"
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LISTENER = EXAMPLES / "listen_touch.py"
+CAMERA = f"""
+import numpy as np, rclpy
+from sensor_msgs.msg import CameraInfo, Image
+seen = np.load({str(EXAMPLES / "data" / "table_depth.npz")!r})
+(height, width), K = seen["depth"].shape, seen["K"]
+size = {{"height": height, "width": width}}
+rclpy.init()
+node = rclpy.create_node("camera_of_others")
+images = node.create_publisher(Image, "/cam/depth/image_rect_raw", 5)
+infos = node.create_publisher(CameraInfo, "/cam/depth/camera_info", 5)
+image = Image(**size, encoding="16UC1", step=2 * width, data=seen["depth"].tobytes())
+info = CameraInfo(**size, k=K.ravel(), p=np.c_[K, np.zeros(3)].ravel(), distortion_model="plumb_bob", d=[0.0] * 5)
+def send():
+    image.header.frame_id = "camera_depth_optical_frame"
+    image.header.stamp = node.get_clock().now().to_msg()
+    info.header = image.header
+    infos.publish(info)
+    images.publish(image)
+node.create_timer(0.2, send)
+rclpy.spin(node)
+"""
 
 
 def run(environment: dict[str, str], *words: object) -> tuple[int, list[dict[str, Any]], str]:
@@ -56,6 +78,18 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path, environment)
     assert "second graph" not in err
     assert len({answer["stamp_ns"] for answer in answers}) == 5
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_a_topic_of_depth_images_is_answered_until_the_count(environment) -> None:
+    with subprocess.Popen([sys.executable, "-c", CAMERA], env=environment) as camera:
+        try:
+            status, (*answers, last), err = run(environment, "--source", "/cam/depth/image_rect_raw", "--count", 3)
+        finally:
+            camera.kill()
+    assert (status, len(answers)) == (0, 3), err
+    assert {len(answer["predictions"]) for answer in answers} == {1}
+    assert 3 == last["answered"] <= last["played"] <= 5, "what comes after the last answer does not count"
 
 
 def test_mistakes_are_one_line_before_anything_starts(call, tmp_path) -> None:

@@ -11,7 +11,7 @@ from every_case import every_case
 from kernels.references import closing as reference
 from seen_solids import Camera, Solid, ball, box, can
 
-from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, plan_grasps
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, hand, plan_grasps
 from foretouch.types import Cloud
 
 SOLIDS = {
@@ -136,7 +136,7 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
 
 
 def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
-    """A block of 60 x 40 x 80 mm, worked by hand: its line is at half of 76 mm, the palm reaches down to the free depth over it."""
+    """A block of 60 x 40 x 80 mm, worked by hand: its line is 6 mm below half of 76 mm, and the palm reaches down to the free depth over it."""
     axis = np.arange(-0.03, 0.0301, 0.001)
     x, y, z = np.meshgrid(axis + 0.0002, np.arange(-0.02, 0.0201, 0.001) + 0.0002, np.arange(0.001, 0.08, 0.002))
     points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
@@ -153,11 +153,13 @@ def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
         return found[0, 0]
 
     free = line(1.0, 1.0)
-    assert free[2] == pytest.approx(0.038, abs=0.001)
+    assert free[2] == pytest.approx(0.032, abs=0.001)
     assert free[7] == 0.0
+    middle_m = line(0.041, 0.041)[2]  # no room to spare
+    assert middle_m == pytest.approx(0.038, abs=0.001)
     for one in (line(0.03, 0.05), line(0.05, 0.03)):  # 79 mm of block less 30 mm
         assert one[2] == pytest.approx(0.049, abs=0.003)
-        assert one[7] == pytest.approx(one[2] - free[2])
+        assert one[7] == pytest.approx(one[2] - middle_m)
         assert one[6] == pytest.approx(0.0, abs=1e-6)
     none = line(0.005, 0.005)  # 74 mm would be nearer than 12 mm to the top
     assert none[7] == 0.0
@@ -166,3 +168,16 @@ def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
     assert from_the_side[7] == 0.0
     assert from_the_side[6] == pytest.approx(0.02 - 0.03, abs=0.005)
     assert line(0.03, 0.03, (0.0, np.pi / 2.0), lift=0.05)[7] > 0.007  # but where the hand would be in the table
+
+
+def test_how_far_a_hand_can_go_on(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    recorder = Recorder(hand._hand_clearance, reference.hand_clearance, 2)
+    monkeypatch.setattr(hand, "_hand_clearance", recorder)
+    for name in ("shadow_thumb_middle", "franka_hand"):
+        own = rng.uniform((-0.04, -0.04, -0.05), (0.04, 0.04, 0.03), (300, 3))
+        others = rng.uniform(-0.3, 0.3, (60, 3))  # also outside of the map
+        for points in (others, others[:0]):
+            hand.load_hand(name).clearance(0.05, own, points, 0.06)
+    for answer, expected in recorder.answers:
+        for one, other in zip(answer, expected, strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-6)

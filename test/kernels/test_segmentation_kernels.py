@@ -89,7 +89,11 @@ def test_a_depth_image_gives_what_its_points_give_without_making_all_of_them(rng
     metres[rng.random(metres.shape) < 0.01] = np.inf
     small, fewest = (slice(0, 480, 8), slice(0, 848, 8)), np.where(rng.random(metres.shape) < 0.01, metres, 0.0)
     thin = CameraModel(106, 60, camera.fx / 8, camera.fy / 8, camera.cx / 8, camera.cy / 8)
+    piled = np.random.default_rng(26)
+    touching = random_scene(piled, 848, 480, n_objects=int(piled.integers(2, 9))).render(piled, 0.001, True)
+    assert segment(touching.cloud()).counts["parts"] > 0  # between their windows, too, points are read
     cases = {
+        "touching": (touching.depth_mm, touching.cloud().camera),
         "whole": (rendered.depth_mm, camera),
         "distorted": (rendered.depth_mm, bent),
         "single": (metres, camera),

@@ -14,7 +14,7 @@ from foretouch.camera.device import realsense
 from foretouch.camera.stream import library_camera
 from foretouch.errors import CameraError, CloudError, MissingDependencyError
 from foretouch.types import Cloud
-from foretouch.types.camera import CameraModel
+from foretouch.types.camera import CameraModel, DepthImage
 
 K = np.array([[616.0, 0.0, 423.5], [0.0, 615.0, 239.5], [0.0, 0.0, 1.0]])
 D435_COLOUR = (0.1596, -0.4877, 0.0004, 0.0011, 0.4370)  # a usual plumb bob
@@ -233,3 +233,18 @@ def test_images_of_others_are_depth_images(real_data: Path) -> None:
         np.testing.assert_allclose(fx * seen[:, 0] / seen[:, 2] + cx, columns, atol=1e-3)
         np.testing.assert_allclose(fy * seen[:, 1] / seen[:, 2] + cy, rows, atol=1e-3)
         np.testing.assert_allclose(seen[:, 2], depth[depth > 0] / 1000.0, rtol=2e-7)
+
+
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.2)])
+@pytest.mark.parametrize("scale", [0.001, 0.00025, 1.0 / 3.0])
+def test_depths_at_the_ends_of_a_range_are_counted(scale: float, distortion: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(0)
+    depth = rng.integers(0, 90 if scale > 0.1 else 65536, (60, 80)).astype(np.uint16)
+    depth[rng.random(depth.shape) < 0.2] = 0
+    image = DepthImage(depth, CameraModel(80, 60, 70.0, 70.0, 40.0, 30.0, distortion), scale)
+    single = DepthImage(depth.astype(np.float32), image.camera, scale)
+    z = image.points()[..., 2]
+    ends = z[np.isfinite(z)]
+    for low, high in [(0.0, 10.0), *rng.choice(ends, (20, 2)).tolist()]:
+        expected = len(ends), np.count_nonzero((ends >= np.float32(low)) & (ends <= np.float32(high)))
+        assert image.count(low, high) == single.count(low, high) == expected

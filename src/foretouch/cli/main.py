@@ -123,8 +123,11 @@ def _parse(parser: CommandParser, arguments: list[str]) -> argparse.Namespace:
 
 def command_parser(chosen: str | None) -> CommandParser:
     """Make the parser of all commands; only the module of the chosen one is imported for its arguments."""
-    parser = CommandParser(prog="foretouch", description="Feel before you touch.")
-    parser.add_argument("--version", action="version", version=f"foretouch {__version__}")
+    parser = CommandParser(
+        prog="foretouch",
+        description="Plan two-finger grasps from a depth camera, and predict what tactile fingertips will read.",
+    )
+    parser.add_argument("--version", action="version", version=f"foretouch {__version__}", help="print the version")
     for name, summary in COMMANDS.items():
         command = parser.add_command(name, summary)
         if name == chosen:

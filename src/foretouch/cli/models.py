@@ -38,10 +38,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _record(name: str) -> dict[str, Any]:
     """Return the JSON object of one model; loading it compares every file with its hash in the card."""
+    status = "missing"
     try:
-        model, path = load_model(name), find_card(name)
+        path = find_card(name)
+        status = "damaged"
+        model = load_model(name)
     except ModelError as err:
-        return {"status": "damaged", "name": name, "reason": str(err)}
+        return {"status": status, "name": name, "reason": str(err)}
     card = model.card
     names = (card["weights"], (card["calibration"] or {}).get("weights"))
     files = [path.with_name(Path(name).name) for name in names if name]

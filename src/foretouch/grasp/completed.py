@@ -45,7 +45,10 @@ _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
-_ALMOST = 0.96  # of the opening, from where on a line costs the more the wider it is
+_ALMOST, _ALMOST_HAND = (
+    0.96,
+    0.85,
+)  # of the opening of tips, or of a hand with a palm, from where on a line costs the more the wider it is
 REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass
@@ -64,7 +67,7 @@ _OBSTACLE_POINTS = 400  # at most, of each object
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
-_OTHER_THUMB_DEG = 5.0  # of tilting, for which the thumb takes g1 instead of g2
+_OTHER_THUMB_DEG = 80.0  # of tilting, for which the thumb takes g1 instead of g2
 _OTHER_SIDE_DEG = 1.0  # of tilting, for which the palm comes from the other side
 _NEAR_DEG = 4.0  # of tilting, in which the weight of an angle beside the best falls by a factor of e
 APART_M = 0.01  # grasps of one plan differ by so much in one of their contacts
@@ -92,7 +95,7 @@ class Obstacles:
 
     @classmethod
     def of(cls, objects: Sequence[tuple[int, Float32]]) -> Self | None:
-        """The obstacles of a scene with the ids and the (N, 3) float32 points [m] of its objects; None for a single one."""
+        """Return the obstacles of a scene with the ids and the (N, 3) float32 points [m] of its objects; None for a single one."""
         if len(objects) < 2:
             return None
         sampled = [(k, xyz[:: -(-len(xyz) // _OBSTACLE_POINTS)]) for k, xyz in objects]
@@ -100,7 +103,7 @@ class Obstacles:
         return cls(np.concatenate([xyz for _, xyz in sampled]), np.concatenate(ids))
 
     def without(self, object_id: str) -> "Obstacles":
-        """The obstacles for grasps on one object: all others."""
+        """Return the obstacles for grasps on one object: all others."""
         others = self.object_ids != (int(object_id) if object_id.isdecimal() else -1)
         return Obstacles(self.xyz[others], self.object_ids[others])
 
@@ -142,7 +145,7 @@ class CompletedObject:
         obstacles: Obstacles | None,
         shift: Float64,
     ) -> None:
-        self._hand, self._obstacles = hand, obstacles
+        self._hand, self._obstacles, self.has_palm = hand, obstacles, hand.hand.limits_depth
         self._points, self._spacing = points, spacing
         total = float(points.inlier.sum())
         if not total > 0.0:
@@ -184,22 +187,22 @@ class CompletedObject:
         return grid, nearest, inside
 
     def _camera(self) -> tuple[Float64, Float32, Float32, int, int]:
-        """The outline and the pose of the table's frame in the camera's, as the kernels read them."""
+        """Return the outline and the pose of the table's frame in the camera's, as the kernels read them."""
         if not self._in_view:
             return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
         grid, nearest, inside = self._seen
         return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
-        """(A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
+        """Return (A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
         hand, obstacles = self._hand, self._obstacles
         others = np.empty((0, 3))
         if obstacles is not None:
             others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         floor_m, way_m = hand.tip_radius + hand.clearance_m, hand.approach_m + hand.tip_radius
         settings = np.array([_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
-        palm = hand.hand.palm if hand.hand.limits_depth else np.zeros(2)
-        n_tilts = len(TILTS) if hand.hand.limits_depth else 0
+        palm = hand.hand.palm if self.has_palm else np.zeros(2)
+        n_tilts = len(TILTS) if self.has_palm else 0
         measured = np.empty((len(turns), n_lines, 8))
         _closing_lines(
             *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
@@ -208,7 +211,7 @@ class CompletedObject:
         return measured
 
     def lines(self) -> ClosingLines:
-        """All closing lines with their costs."""
+        """Return all closing lines with their costs."""
         turns = np.zeros((_ANGLES, 3))
         turns[:, 0], turns[:, 2] = _ANGLE, np.nan
         measured = np.ascontiguousarray(np.moveaxis(self._close(turns, _LINES), 2, 0))
@@ -230,7 +233,7 @@ class CompletedObject:
         return ClosingLines(low, high, height, np.nan_to_num(blocker, nan=-1.0).astype(np.int64), cost, counts, lost)
 
     def _refused(self, measured: Float64) -> dict[str, Bool]:
-        """Which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
+        """Return which lines (8, ...) of `_close` the hand cannot execute, by the names of `REASONS`."""
         low, high, height, top, blocker = measured[:5]
         return {
             "n_too_flat": np.isnan(low) | (height > top + 0.5 * self._hand.tip_radius),
@@ -240,20 +243,20 @@ class CompletedObject:
         }
 
     def _cost(self, width: Float64, slope: Float64, solid: Float64, deeper: Float64, raised: Float64) -> Float64:
-        """What speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
+        """Return what speaks against each line, with the slopes of both ends (2, ...), how certainly the object is there, and the last two of `_close`."""
         cost = width / _WIDTH_M + ((np.degrees(np.arctan(slope)) / _SLOPE_DEG) ** 2).sum(axis=0)
         cost += _PLACE_COST + _HOLLOW * (1.0 - solid)
         cost += _DEEP * smoothstep(deeper, 0.0, _DEEPER_M) + (raised / _RAISED_M) ** 2
-        opening_m = self._hand.opening
-        return np.asarray(cost + _WIDE * smoothstep(width, _ALMOST * opening_m, opening_m), np.float64)
+        opening_m, almost = self._hand.opening, _ALMOST_HAND if self.has_palm else _ALMOST
+        return np.asarray(cost + _WIDE * smoothstep(width, almost * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
+        """Return both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
         values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
     def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """The contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
+        """Return the contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
         half, rows = np.divmod(angle + _TURNS, _ANGLES)
         columns = np.where(half % 2 == 0, line + _STEPS, _LINES - 1 - (line + _STEPS))
         inside = (columns >= 0) & (columns < _LINES)
@@ -286,11 +289,6 @@ class CompletedObject:
             others = np.asarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
         return own, others
 
-    @property
-    def has_thumb(self) -> bool:
-        """Whether the hand is described, so that a contact is the thumb's."""
-        return self._hand.hand.limits_depth
-
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
 
@@ -307,7 +305,7 @@ class CompletedObject:
         width = float(np.hypot(across[0], across[1]))
         frame = np.array([[across[0], across[1], 0.0], [-across[1], across[0], 0.0], [0.0, 0.0, width]]) / width
         clearances, behind = np.full((2, len(TILTS)), UNLIMITED_M), np.zeros(len(TILTS))
-        if hand.limits_depth:
+        if self.has_palm:
             own, others = ((points - middle) @ frame.T for points in self._around)
             clearances, behind = hand.clearance(width, own, others, float(middle[2]))
             clearances = clearances[::-1]
@@ -315,7 +313,7 @@ class CompletedObject:
         if self._hand.thumb_at != "either":
             allowed[int(self._hand.thumb_at == "g1")] = False
         if not allowed.any():
-            if not hand.limits_depth or not len(others):
+            if not self.has_palm or not len(others):
                 return None, False
             alone = hand.clearance(width, own, others[:0], float(middle[2]))[0]
             return None, bool((alone >= _LEAST_M).any())
@@ -357,7 +355,7 @@ def _smoothed(cost: Float64) -> Float64:
 
 
 def _table_basis(plane: Plane, centroid: Float64, in_view: bool) -> Float64:
-    """(3, 3) float64, rows: away from the camera along the table, to its left, and up; directions of the camera's frame.
+    """Return (3, 3) float64, rows: away from the camera along the table, to its left, and up; directions of the camera's frame.
 
     Away is between the direction of view and the image's upward direction, which is defined also from straight above.
     """
@@ -374,18 +372,18 @@ def _table_basis(plane: Plane, centroid: Float64, in_view: bool) -> Float64:
 
 
 def _base(lowest_m: float) -> float:
-    """Height on which an object stands [m]: the table, unless its lowest visible points are below or far above it."""
+    """Return the height on which an object stands [m]: the table, unless its lowest visible points are below or far above it."""
     return lowest_m if lowest_m < 0.0 or lowest_m > _FLOATING_M else 0.0
 
 
 def _quantile(values: Float64, share: float) -> float:
-    """A quantile that is one of the values, in a tenth of the time of np.quantile."""
+    """Return a quantile that is one of the values, in a tenth of the time of np.quantile."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])
 
 
 def _slopes(ends: Float64) -> Float64:
-    """Root mean square slope from (..., 17) ends of the lines to those of the second neighbours; 1 where one is unknown.
+    """Return the root mean square slope from (..., 17) ends of the lines to those of the second neighbours; 1 where one is unknown.
 
     A fitted line would hide a corner, whose two sides fall away from it.
     """
@@ -427,7 +425,7 @@ def best_grasps(
         if way is None:
             lines.counts["n_blocked" if blocked else "n_too_deep"] += 1
         else:
-            if way.thumb_at == "g2" and completed.has_thumb:
+            if way.thumb_at == "g2" and completed.has_palm:
                 ends, way = ends[::-1], way.with_contacts_swapped()
             chosen.append((ends, way, float(lines.cost[angle, line])))
     return chosen
@@ -439,7 +437,7 @@ def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
 
 
 def _in_image_order(ends: tuple[Float64, Float64], along: Float64) -> tuple[Float64, Float64]:
-    """The ends of a line of direction `along`, that on the left of the image first."""
+    """Return the ends of a line of direction `along`, that on the left of the image first."""
     return ends if along @ PREFERRED >= 0.0 else (ends[1], ends[0])
 
 
@@ -451,7 +449,7 @@ def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[
 
 
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:
-    """Why the hand can execute none of the lines."""
+    """Return why the hand can execute none of the lines."""
     counts = lines.counts
     if counts["n_lines"] == 0:
         return "no horizontal line across the object meets 8 points"

@@ -62,7 +62,7 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
 
 
 def object_frame(points: WeightedPoints, plane: Plane) -> tuple[Float64, Float64]:
-    """(3,) centroid of the visible surface [m], and (3,) main axis.
+    """Return (3,) centroid of the visible surface [m], and (3,) main axis.
 
     The sign of the axis follows the object's asymmetry along it and across it.
 

@@ -133,7 +133,7 @@ def plan_grasps(
 
 
 def _random_slide(xyz: Float32, centroid: Float64, axis: Float64, fraction: float, rng: np.random.Generator) -> float:
-    """A shift of the grasp plane [m], uniform over a fraction of the object's extent on either side of the centroid (P2)."""
+    """Return a shift of the grasp plane [m], uniform over a fraction of the object's extent on either side of the centroid (P2)."""
     along = (xyz.astype(np.float64) - centroid) @ axis
     return float(rng.uniform(fraction * along.min(), fraction * along.max()))
 
@@ -169,7 +169,7 @@ def _plan_original(
 def _best_grasps(
     plan: GraspPlan, sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64, count: int
 ) -> None:
-    """The best ranked pairs, or the initial points if no pair passes the filters."""
+    """Return the best ranked pairs, or the initial points if no pair passes the filters."""
     with timed(plan.ms, "ranking"):
         first, second, scores, counts = rank_pairs(sides, grasp_plane, centroid)
         plan.counts.update(counts)
@@ -202,7 +202,7 @@ def _plan_completed(
     hand: HandConfig,
     obstacles: Obstacles | None,
 ) -> None:
-    """The method `completed` (see `foretouch.grasp.completed`), with the held grasp and the margin that keeps it."""
+    """Plan by the method `completed` (see `foretouch.grasp.completed`), with the held grasp and the margin that keeps it."""
     counts = plan.counts
     with timed(plan.ms, "outliers"):
         downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))

@@ -17,6 +17,7 @@ import numpy as np
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, nearest, shown
 from foretouch.grasp.pose import cross
+from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Floating, Int32
 
 FINGER, THUMB, PALM = "finger", "thumb", "palm"
@@ -28,15 +29,14 @@ TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.
 SPARE_M: Final = 0.003
 """Distance that the palm keeps from the object where it can, since sizes and places are estimated."""
 
-_TURNED = np.stack([[-np.sin(TILTS), -np.cos(TILTS)], [-np.cos(TILTS), np.sin(TILTS)]]).astype(np.float32)
-# (2, 2, A): along z and y of the frame of the grasp, from what is beside and up of a line, at each of `TILTS`
+_hand_clearance = Kernel("hand_clearance")
 
 _FREE_STEP_M: Final = 0.005
 _WIDER_M: Final = 0.002  # on either side of a line, where the object is not seen to end
 _CELL_M: Final = 0.0025
 _WIDTH_STEP_M: Final = 0.0025
 _PALM_CELLS, _FINGER_CELLS = 3, 2  # around a part of the hand that it takes, too, since widths are estimated
-_CELLS: Final = 200  # of the grid over a hand, in either direction
+_CELLS: Final = 202  # of the grid over a hand, in either direction
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _SIDES: Final = {FINGER: -0.5, PALM: 0.0, THUMB: 0.5}  # of the width, where the origin of such a box is
 
@@ -193,7 +193,7 @@ class Hand:
 
     @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
     def lowest(self, width_m: float) -> Float64:
-        """(2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `TILTS`, with the thumb at its end and at its beginning."""
+        """Return (2, A) float64 [m], the lowest corner of the hand from a horizontal line, for each of `TILTS`, with the thumb at its end and at its beginning."""
         corners = self.at(width_m).corners.reshape(-1, 3)
         below = np.outer(np.cos(TILTS), np.minimum(corners[:, 2], self.config.tip_radius_m))
         beside = np.outer(np.sin(TILTS), corners[:, 1])
@@ -227,7 +227,7 @@ class Hand:
         return np.column_stack([x, cross(z, x), z])
 
     def opened(self, width_m: float, share: float = 1.0) -> Float64:
-        """(B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
+        """Return (B, 8, 3) float64 [m], corners of the boxes with fingers that are opened from a grasp by a share of `open_m` each; tool and frame stay."""
         wide = min(
             width_m + 2.0 * share * self.config.open_m,
             max(float(self.widths[-1]), self.config.opening_m + 2.0 * _WIDER_M),
@@ -246,7 +246,7 @@ class Hand:
         Returns:
             (2, 202, 202) float32 [m]; each place stands for those around it, too, by `_PALM_CELLS` or `_FINGER_CELLS`.
         """
-        palm, fingers = np.full((2, 2, _CELLS + 2, _CELLS + 2), -np.inf)
+        palm, fingers = np.full((2, 2, _CELLS, _CELLS), -np.inf)
         for share in (1.0, 0.5, 0.0):
             for corners, part in zip(self.opened(number * _WIDTH_STEP_M, share), self.parts, strict=True):
                 _raise_to((palm if part == PALM else fingers)[1], corners)
@@ -257,7 +257,7 @@ class Hand:
         return fronts
 
     def clearance(self, width_m: float, own: Float64, others: Float64, height_m: float) -> tuple[Float64, Float64]:
-        """How much further the hand could go along each of `TILTS` before it meets something [m], negative where it is blocked.
+        """Measure how much further the hand could go along each of `TILTS` before it meets something [m], negative where it is blocked.
 
         Its fingers are open; everything between the hand and where it comes from counts.
 
@@ -270,30 +270,19 @@ class Hand:
         Returns:
             (2, A) float64 with the thumb at the line's end, and at its beginning; and (A,) float64, how far the object reaches towards the palm [m].
         """
-        points, split = np.concatenate([own, others]).astype(np.float32), len(own)
-        number = round(width_m / _WIDTH_STEP_M)
-        depth, middle = (float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, free)) for free in self.depths)
-        x = points[:, 0]
-        z, y = np.einsum("dka,kn->dan", _TURNED, points[:, 1:].T)  # (A, N) each, as the palm turns about the line
-        across = np.abs(x[:split]) <= width_m / 2.0 + _WIDER_M
-        between = across & (np.abs(y[:, :split]) <= self.config.across_m / 2.0)
-        behind = -np.where(between, z[:, :split], 0.0).min(axis=1, initial=0.0)
-        free_m = np.where(np.abs(x[:split]) <= width_m / 4.0, middle, depth)
-        between_m = np.where(between, z[:, :split] + free_m, UNLIMITED_M).min(axis=1, initial=UNLIMITED_M)
-        cells = (_CELLS + 2) * _cell(x) + _cell(y)
-        clear_m, lowest = np.empty((2, len(TILTS))), self.lowest(number * _WIDTH_STEP_M)
-        opened, closing = self._fronts(number)
-        met = np.empty_like(z)
-        for row in (0, 1):
-            met[:, :split], met[:, split:] = opened.take(cells[:, :split]), closing.take(cells[:, split:])
-            free = (z - met).min(axis=1, initial=UNLIMITED_M)
-            cells = opened.size - 1 - cells  # half a turn about z: the thumb is at the line's beginning
-            above = height_m + lowest[row]  # the table is where it was seen: there is no tolerance
-            clear_m[row] = np.where(above < 0.0, -UNLIMITED_M, np.minimum(np.minimum(free, between_m), above))
-        return clear_m, behind
+        points, number = np.concatenate([own, others]), round(width_m / _WIDTH_STEP_M)
+        free = [float(np.interp(width_m + 2.0 * _WIDER_M, self.widths, depths)) for depths in self.depths]
+        half_m, across_m = width_m / 2.0 + _WIDER_M, self.config.across_m / 2.0
+        sizes = np.array([1.0 / _CELL_M, half_m, width_m / 4.0, across_m, *free])
+        clear_m, behind = np.empty((2, len(TILTS))), np.empty(len(TILTS))
+        _hand_clearance(
+            *(points, len(points), len(own), TILTS, len(TILTS), self._fronts(number), _CELLS, sizes, clear_m, behind)
+        )
+        above = height_m + self.lowest(number * _WIDTH_STEP_M)  # the table is where it was seen: there is no tolerance
+        return np.where(above < 0.0, -UNLIMITED_M, np.minimum(clear_m, above)), behind
 
     def at(self, width_m: float) -> HandAt:
-        """The hand at a width of a grasp [m], by linear interpolation."""
+        """Return the hand at a width of a grasp [m], by linear interpolation."""
         place = float(np.interp(width_m, self.widths, np.arange(len(self.widths))))
         k = min(int(place), max(len(self.widths) - 2, 0))
         row = self._rows[k] + (place - k) * (self._rows[min(k + 1, len(self.widths) - 1)] - self._rows[k])
@@ -307,7 +296,7 @@ class Hand:
 
 
 def _ahead(corners: Float64) -> float:
-    """How far from the origin towards the palm a box with corners (8, 3) begins [m]; `UNLIMITED_M` where it is beside."""
+    """Return how far from the origin towards the palm a box with corners (8, 3) begins [m]; `UNLIMITED_M` where it is beside."""
     edges = corners[[4, 2, 1]] - corners[0]  # along x, y and z of the box
     squares = (edges * edges).sum(axis=1)
     start, step = edges @ -corners[0] / squares, -edges[:, 2] / squares  # in parts of the edges, 0 to 1 inside
@@ -319,11 +308,11 @@ def _ahead(corners: Float64) -> float:
 
 def _cell(values: Floating) -> Int32:
     """Index of a place in `Hand._fronts`, whose border is empty."""
-    return np.asarray(np.clip(values * (1.0 / _CELL_M) + (_CELLS / 2 + 1), 0.5, _CELLS + 1.5), np.int32)
+    return np.asarray(np.clip(values * (1.0 / _CELL_M) + _CELLS / 2, 0.5, _CELLS - 0.5), np.int32)
 
 
 def _spread(fronts: Float64, cells: int) -> Float64:
-    """The largest of each cell of maps (2, H, W) and those around it."""
+    """Return the largest of each cell of maps (2, H, W) and those around it."""
     for axis in (1, 2):
         fronts = np.max([np.roll(fronts, shift, axis) for shift in range(-cells, cells + 1)], axis=0)
     return fronts
@@ -332,7 +321,7 @@ def _spread(fronts: Float64, cells: int) -> Float64:
 def _raise_to(front: Float64, corners: Float64) -> None:
     """Raise a map of `Hand._fronts` to a box with corners (8, 3)."""
     low, high = (_cell(end) for end in (corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)))
-    x, y = (_CELL_M * (np.arange(a, b + 1) - (_CELLS / 2 + 0.5)) for a, b in zip(low, high, strict=True))
+    x, y = (_CELL_M * (np.arange(a, b + 1) - (_CELLS - 1) / 2) for a, b in zip(low, high, strict=True))
     edges = corners[[4, 2, 1]] - corners[0]
     squares = (edges * edges).sum(axis=1)[:, None, None]
     place = np.stack(np.broadcast_arrays(x[:, None], y[None, :], 0.0), axis=-1) - corners[0]
@@ -345,7 +334,7 @@ def _raise_to(front: Float64, corners: Float64) -> None:
 
 
 def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
-    """All numbers of a posture in a row: depth, tool, corners of the boxes, angles."""
+    """Return all numbers of a posture in a row: depth, tool, corners of the boxes, angles."""
     turned = rotation_of(posture.rpy)
     palm = [posture.xyz + box.corners @ turned.T for box in config.boxes]
     corners = [*palm, *(box.corners for box in posture.boxes)]
@@ -354,7 +343,7 @@ def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
 
 
 def rotation_of(rpy: Sequence[float]) -> Float64:
-    """(3, 3) float64 rotation of angles about the fixed axes x, y and z [rad], as in URDF."""
+    """Return (3, 3) float64 rotation of angles about the fixed axes x, y and z [rad], as in URDF."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(rpy), np.sin(rpy)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
@@ -363,7 +352,7 @@ def rotation_of(rpy: Sequence[float]) -> Float64:
 
 
 def hand_files() -> dict[str, Path]:
-    """The descriptions that come with the package, by name."""
+    """Return the descriptions that come with the package, by name."""
     folder = Path(str(resources.files("foretouch.grasp"))) / "hands"
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
@@ -392,5 +381,5 @@ def load_hand(hand: str | Path) -> Hand:
 
 
 def tool_of(hand: str | Path) -> str:
-    """Name of the tool frame of a description; "" without a hand, or of one whose description names none."""
+    """Return the name of the tool frame of a description; "" without a hand, or of one whose description names none."""
     return load_hand(hand).config.tool if hand else ""

@@ -35,7 +35,7 @@ class GraspHold:
         self._measured: tuple[Cloud, _Place] | None = None  # by the last call
 
     def find(self, cloud: Cloud) -> HeldGrasp | None:
-        """The grasp that was planned on this object, if the object is still the same."""
+        """Return the grasp that was planned on this object, if the object is still the same."""
         held = self._find(self._measure(cloud))
         return None if held is None else held[1]
 
@@ -64,7 +64,7 @@ class GraspHold:
 
 
 def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -> tuple[Grasp, int]:
-    """The held grasp with its score on the present cloud, unless another is better by more than the margin.
+    """Return the held grasp with its score on the present cloud, unless another is better by more than the margin.
 
     It must be better on several clouds in a row: in a single image, noise may join a part of the table to the object.
 

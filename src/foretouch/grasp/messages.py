@@ -52,7 +52,7 @@ _ENDS: Final = {
 
 
 def grasp_fields(grasp: Grasp) -> SimpleNamespace:
-    """The fields of a `foretouch_msgs/Grasp`."""
+    """Return the fields of a `foretouch_msgs/Grasp`."""
     x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
     return SimpleNamespace(
         id=grasp.id,
@@ -73,12 +73,12 @@ def _point(position: Any) -> SimpleNamespace:
 
 
 def has_orientation(message: Any) -> bool:
-    """Whether a `foretouch_msgs/Grasp` holds a rotation, as a matrix or as a quaternion."""
+    """Return whether a `foretouch_msgs/Grasp` holds a rotation, as a matrix or as a quaternion."""
     return bool(np.any(_quaternion(message)) or np.any(message.rotation))
 
 
 def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
-    """A `foretouch_msgs/Grasp`. The position of its pose is not used: it is the midpoint of the contacts.
+    """Decode a `foretouch_msgs/Grasp`. The position of its pose is not used: it is the midpoint of the contacts.
 
     Args:
         message: With a matrix, a quaternion, or both; nine zeros as matrix mean that only the quaternion counts.
@@ -170,7 +170,7 @@ def decode_predictions(message: Any, channels: Channels | None = None) -> Predic
 
 
 def _values(message: Any, fields: tuple[str, str], shape: tuple[int, ...], channels: Channels) -> Float64:
-    """(K, D) values or bounds in the order of the channels, from the fields of the taxels and of the scalars."""
+    """Return (K, D) values or bounds in the order of the channels, from the fields of the taxels and of the scalars."""
     parts: dict[str, Float64] = {}
     rows = shape[0] if len(shape) == 3 else 1
     for field, names, size in zip(
@@ -186,7 +186,7 @@ def _values(message: Any, fields: tuple[str, str], shape: tuple[int, ...], chann
 
 
 def _row_of(message: Any) -> Grasps:
-    """The grasp of a message as a row; NaN where it is none."""
+    """Return the grasp of a message as a row; NaN where it is none."""
     try:
         return Grasps.of([decode_grasp(message)])
     except GraspError:
@@ -202,7 +202,7 @@ def _evidence(message: Any) -> Evidence:
 
 
 def rotation_from_quaternion(xyzw: Float64) -> Float64:
-    """(3, 3) float64 rotation of a quaternion (4,), whose length must be 1 within 1e-3, else a `GraspError`."""
+    """Return (3, 3) float64 rotation of a quaternion (4,), whose length must be 1 within 1e-3, else a `GraspError`."""
     length = float(np.linalg.norm(xyzw)) if (np.abs(xyzw) <= _MAX_UNIT).all() else float(np.abs(xyzw).max())
     if not abs(length - 1.0) <= _UNIT_TOLERANCE:
         raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")
@@ -210,7 +210,7 @@ def rotation_from_quaternion(xyzw: Float64) -> Float64:
 
 
 def _rotations(xyzw: Float64) -> Float64:
-    """(..., 3, 3) rotations of unit quaternions (..., 4)."""
+    """Return (..., 3, 3) rotations of unit quaternions (..., 4)."""
     x, y, z, w = (xyzw[..., k] for k in range(4))
     matrices = np.empty((*xyzw.shape[:-1], 3, 3))
     matrices[..., 0, 0], matrices[..., 0, 1] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w)

@@ -33,7 +33,7 @@ class OriginalScore:
         ]
 
     def __call__(self, pair: Float64) -> tuple[float, bool]:
-        """The score of (2, 3) contacts [m], NaN if undefined, and whether both rankings reach their minimum of 1."""
+        """Return the score of (2, 3) contacts [m], NaN if undefined, and whether both rankings reach their minimum of 1."""
         across = self._xyz[self._plane.second] - self._xyz[self._plane.first]
         first, second = (pair if (pair[1] - pair[0]) @ across >= 0.0 else pair[::-1])[:, None]
         a, b = self._surface(first), self._surface(second)

@@ -18,18 +18,18 @@ _TILTED_DEG = 30.0  # fingers of a hand that is tilted further against the line 
 
 
 def cross(a: Float64, b: Float64) -> Float64:
-    """The cross product of two vectors (3,), with the bits of np.cross in a tenth of its time."""
+    """Return the cross product of two vectors (3,), with the bits of np.cross in a tenth of its time."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
     return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
-    """Whether the line through the contacts is parallel to the object's axis, which leaves the hand's X undefined."""
+    """Return whether the line through the contacts is parallel to the object's axis, which leaves the hand's X undefined."""
     return bool(np.linalg.norm(cross(_unit(g1 - g2, "g1 - g2"), _unit(axis, "axis"))) < _PARALLEL_SINE)
 
 
 def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
-    """Rotation of the hand: Z = g1 - g2, X = Z x axis, Y = Z x X, each of unit length.
+    """Return the rotation of the hand: Z = g1 - g2, X = Z x axis, Y = Z x X, each of unit length.
 
     If Z is parallel to the axis, X would be zero. By convention the coordinate axis that is least
     aligned with Z (the first of equal ones) then replaces the object's axis.
@@ -55,7 +55,7 @@ def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
 
 
 def quaternion_xyzw(rotation: Float64) -> Float64:
-    """Unit quaternion of a rotation, in the order of ROS messages.
+    """Return the unit quaternion of a rotation, in the order of ROS messages.
 
     Args:
         rotation: (3, 3) floating, proper rotation.
@@ -126,7 +126,7 @@ def closing_faults(grasps: Grasps) -> list[str]:
 
 
 def joined_faults(*parts: list[str]) -> list[str]:
-    """The first fault of each of K grasps in several lists of K; "" if there is none."""
+    """Return the first fault of each of K grasps in several lists of K; "" if there is none."""
     faulty = [part for part in parts if any(part)]
     return [next(filter(None, row), "") for row in zip(*faulty, strict=True)] if faulty else parts[0]
 
@@ -138,14 +138,14 @@ def require_none(faults: list[str]) -> None:
 
 
 def _texts(fine: Bool, text: Callable[[int], str]) -> list[str]:
-    """The text of each row that is not fine, "" for the others."""
+    """Return the text of each row that is not fine, "" for the others."""
     if fine.all():
         return [""] * len(fine)
     return ["" if is_fine else text(k) for k, is_fine in enumerate(fine.tolist())]
 
 
 def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
-    """(3, 3) orientation in which a fingertip is drawn at a contact of a grasp, its g1 or g2 (3,) [m].
+    """Return (3, 3) orientation in which a fingertip is drawn at a contact of a grasp, its g1 or g2 (3,) [m].
 
     Its pad faces the other contact (-z), its tip points away from the camera (x). The true orientation depends on the
     hand; P2's data hold contacts only.
@@ -163,7 +163,7 @@ def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
 
 
 def taxels_at(layout: Layout, grasp: Grasp, contact: Float64, lift_m: float = 0.0) -> Float64:
-    """(N, 3) positions of the taxels of a fingertip at a contact of a grasp, its g1 or g2 (3,) [m].
+    """Return (N, 3) positions of the taxels of a fingertip at a contact of a grasp, its g1 or g2 (3,) [m].
 
     Oriented as `fingertip_rotation`; the outermost taxels, on the surface of the pad, are at the contact. `lift_m` moves
     each along its normal.
@@ -184,5 +184,5 @@ def _unit(vector: Float64, name: str) -> Float64:
 
 
 def _norm(vector: Float64) -> float:
-    """The length of a vector (3,), with the bits of np.linalg.norm in a quarter of its time."""
+    """Return the length of a vector (3,), with the bits of np.linalg.norm in a quarter of its time."""
     return math.sqrt(vector.dot(vector))

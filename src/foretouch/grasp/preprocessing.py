@@ -32,13 +32,13 @@ class FinitePoints:
     image_shape: tuple[int, int] | None = None  # (H, W) of that image, or None
 
     def in_canonical_order(self) -> "FinitePoints":
-        """The same points by x, then y, then z, so that sums and ties do not depend on the order of the input."""
+        """Return the same points by x, then y, then z, so that sums and ties do not depend on the order of the input."""
         order = _canonical_order(self.xyz)
         pixels = None if self.pixels is None else self.pixels[order]
         return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
     def downsampled(self, config: GeoGraspConfig) -> "FinitePoints":
-        """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.
+        """Return at most about `config.max_points`: every k-th row and column, or every k-th point without an image.
 
         The computing time grows with the square of the density, and a near object is sampled far more densely than
         the fingertip needs. The pattern starts at the object's own corner, so it does not depend on
@@ -70,7 +70,7 @@ class FinitePoints:
             raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_MAX_COORDINATE_M:g} m; is it in metres?")
 
     def every_kth_pixel(self, most: int) -> "FinitePoints":
-        """At most about `most` points: those of a lattice of pixels, so that small changes of the cloud keep the choice.
+        """Return at most about `most` points: those of a lattice of pixels, so that small changes of the cloud keep the choice.
 
         Up to four times as many, evenly distributed over their order, if that image cannot be recovered. In canonical order; raises as
         `downsampled`.
@@ -98,7 +98,7 @@ class FinitePoints:
         return FinitePoints(self.xyz[~flying], self.n_dropped)
 
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
-        """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
+        """Return (M, 3) float32 [m], the points that the statistical outlier filter keeps."""
         return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations)]
 
 

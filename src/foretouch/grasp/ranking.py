@@ -86,13 +86,13 @@ def contact_sides(xyz: Float32, plane: GraspPlane, config: GeoGraspConfig) -> tu
 
 
 def _contact_radius(width_m: float, config: GeoGraspConfig) -> float:
-    """Radius around each initial point in which contacts are searched [m]; the two spheres do not overlap."""
+    """Return the radius around each initial point in which contacts are searched [m]; the two spheres do not overlap."""
     full = SEARCH_VOXELS * config.voxel_m
     return OVERLAP_FRACTION * width_m if 2.0 * full >= width_m else full
 
 
 def _contact_side(xyz: Float32, initial: int, radius_m: float, config: GeoGraspConfig) -> ContactSide:
-    """The candidates strictly within a radius of the point with the index `initial`."""
+    """Return the candidates strictly within a radius of the point with the index `initial`."""
     x, y, z = np.ascontiguousarray(xyz.T) - xyz[initial, :, None]
     near = np.flatnonzero(x * x + y * y + z * z < np.float32(radius_m) * np.float32(radius_m))
     normal, curvature = normals_and_curvature(xyz, near, config.normal_radius_m)
@@ -154,7 +154,7 @@ def _scaled(values: Float64, low: float, high: float) -> Float64:
 def rank_pairs(
     sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64
 ) -> tuple[Int64, Int64, Float64, dict[str, int]]:
-    """All pairs of candidates that pass GeoGrasp's filters, best first; ties keep their order (a outer, b inner).
+    """Return all pairs of candidates that pass GeoGrasp's filters, best first; ties keep their order (a outer, b inner).
 
     Args:
         sides: The first and the second side.
@@ -235,5 +235,5 @@ def _two_rankings(
 
 
 def lengths(vectors: Float64) -> Float64:
-    """(...,) float64 lengths of vectors (..., 3)."""
+    """Return (...,) float64 lengths of vectors (..., 3)."""
     return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)), np.float64)

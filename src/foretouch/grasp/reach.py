@@ -63,7 +63,7 @@ def reach_faults(grasps: Grasps, cloud_xyz: Floating, max_width_m: float, max_di
 
 
 def _off(points: Floating, contacts: Float64, distance_m: float) -> Index:
-    """Which of (K, 3) contacts have no point within a distance.
+    """Return which of (K, 3) contacts have no point within a distance.
 
     A sample of the points is tried first, its middle one before the others: it is within reach of most contacts.
     """
@@ -79,13 +79,13 @@ def _off(points: Floating, contacts: Float64, distance_m: float) -> Index:
 
 
 def _near(points: Floating, contacts: Float64, distance_m: float) -> Bool:
-    """(K,) whether any of (N, 3) points is within a distance of each contact; points that are not finite are not."""
+    """Return (K,) whether any of (N, 3) points is within a distance of each contact; points that are not finite are not."""
     with np.errstate(over="ignore", invalid="ignore"):
         squares = ((contacts[:, None] - points) ** 2).sum(axis=2)
         return np.asarray((squares <= distance_m * distance_m).any(axis=1), np.bool_)
 
 
 def _nearest_m(points: Floating, contact: Float64) -> float:
-    """Distance of the nearest finite point [m]; infinite without one."""
+    """Return the distance of the nearest finite point [m]; infinite without one."""
     finite = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     return min((math.dist(point, contact.tolist()) for point in finite.tolist()), default=math.inf)

@@ -21,6 +21,8 @@
 #define EDGE_M 0.012    /* below the top of a line, at least, where a raised line closes */
 #define FIT_M 0.004     /* around a limit of the palm, over which it fades */
 #define UNDER_M 0.004   /* wider than planned, for the free depth of the hand */
+#define LOWER_M 0.006   /* by which a line is lower than the middle: most sides face downwards there, and carry */
+#define ROOM_M 0.006    /* of free depth that is left, from where on a line is lowered, wholly with LOWER_M more */
 #define TOP_SHARE 0.12    /* of the height, and at least TOP_M: what counts as the top of an object */
 #define TOP_M 0.004
 #define TOP_CELL_M 0.003  /* of the grid for the middle of the top */
@@ -407,11 +409,13 @@ INLINE double too_deep(const Palm *palm, double tilt, double offset, double widt
     return over[0] > over[1] ? over[0] : over[1];
 }
 
-/* As `too_deep`, at the angle that fits best. Raises the line as no palm fits and one from above would, by parts where it is not certain. */
-INLINE double fit_palm(const Palm *palm, double offset, double width, double top, double step, double *z, double *raised) {
-    const double up = too_deep(palm, 0.0, offset, width, *z, step);
+/* As `too_deep`, at the angle that fits best. Raises the line as no palm fits and one from above would, by parts where it is not certain; lowers it, not
+ * below a height, where there is room for that. */
+INLINE double fit_palm(const Palm *palm, double offset, double width, double top, double lowest, double step, double *z, double *raised) {
+    const double up = too_deep(palm, 0.0, offset, width, *z, step), lower = LOWER_M * smooth(-up, ROOM_M, ROOM_M + LOWER_M);
     double least = up;
     *raised = 0.0;
+    *z -= lower < *z - lowest ? lower : *z - lowest;
     for (int64_t i = 1; i < palm->n_tilts && least > -FIT_M; i++) {
         const double over = *z < palm->lifts[i] ? INFINITY : too_deep(palm, palm->tilts[i], offset, width, *z, step);
         least = over < least ? over : least;
@@ -529,7 +533,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             z = z < floor_m ? floor_m : z;
             one[6] = one[7] = 0.0;
             if (n_free && isnan(turns[3 * angle + 2])) {
-                one[6] = fit_palm(&hand, offset, width, top, step, &z, one + 7);
+                one[6] = fit_palm(&hand, offset, width, top, floor_m, step, &z, one + 7);
             }
             one[2] = z, one[3] = top;
             add_points(&all, line, from, to, (float)((z - tip) / (double)HEIGHT_M), &alongs);

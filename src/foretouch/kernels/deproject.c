@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "kernels.h"
+#include <float.h>
 
 /* A depth has a point where it is above 0 and finite, and its pixel has a ray. */
 #define IS_DEPTH(z) ((z) > 0.0f && (z) < INFINITY)
@@ -33,30 +34,50 @@
         }                                                                                                           \
     }
 
-/* Number of points of n pixels, and of those between low and high; rays are given where `each`. counts: (2). */
-#define COUNT_DEPTHS(name, type)                                                                                    \
-    VECTORISED void name(const type *depth, int64_t n, double scale, double low, double high, const float *x,       \
-                         const float *y, int64_t each, int64_t *counts) {                                           \
-        const float metres = (float)scale, near = (float)low, far = (float)high;                                    \
-        counts[0] = counts[1] = 0;                                                                                  \
-        for (int64_t start = 0; start < n; start += 65536) {                                                        \
-            const int64_t stop = start + 65536 < n ? start + 65536 : n;                                             \
-            int32_t some = 0, within = 0; /* of a block, so that both are as wide as a depth */                     \
-            for (int64_t i = start; i < stop && each; i++) {                                                        \
-                const float z = (float)depth[i] * metres;                                                           \
-                const int32_t is = (z > 0.0f) & (z < INFINITY) & (x[i] == x[i]) & (y[i] == y[i]);                   \
-                some += is, within += is & (z >= near) & (z <= far);                                                \
-            }                                                                                                       \
-            for (int64_t i = start; i < stop && !each; i++) {                                                       \
-                const float z = (float)depth[i] * metres;                                                           \
-                const int32_t is = (z > 0.0f) & (z < INFINITY);                                                     \
-                some += is, within += is & (z >= near) & (z <= far);                                                \
-            }                                                                                                       \
-            counts[0] += some, counts[1] += within;                                                                 \
-        }                                                                                                           \
+/* The least number whose depth is not below `low`, where depths grow with the numbers. */
+static int32_t first_above(float metres, float low) {
+    int32_t first = 1, end = 65536; /* 0 is no depth */
+    while (first < end) {
+        const int32_t middle = (first + end) / 2;
+        if ((float)middle * metres >= low) {
+            end = middle;
+        } else {
+            first = middle + 1;
+        }
     }
+    return first;
+}
+
+/* Number of points of n pixels, and of those between low and high; rays are given where `each`. counts: (2). */
+void count_single(const float *depth, int64_t n, double scale, double low, double high, const float *x, const float *y, int64_t each,
+                  int64_t *counts) {
+    const float metres = (float)scale, near = (float)low, far = (float)high;
+    counts[0] = counts[1] = 0;
+    for (int64_t i = 0; i < n; i++) {
+        const float z = depth[i] * metres;
+        const int is = IS_DEPTH(z) && (!each || (x[i] == x[i] && y[i] == y[i]));
+        counts[0] += is, counts[1] += is && z >= near && z <= far;
+    }
+}
+
+/* As count_single, of whole numbers: by what they are compared with, in place of their depths. */
+VECTORISED void count_whole(const uint16_t *depth, int64_t n, double scale, double low, double high, const float *x, const float *y,
+                            int64_t each, int64_t *counts) {
+    const float metres = (float)scale;
+    const uint16_t least = (uint16_t)(first_above(metres, FLT_TRUE_MIN) - 1), most = (uint16_t)(first_above(metres, INFINITY) - 1);
+    const uint16_t near = (uint16_t)(first_above(metres, (float)low) - 1), far = (uint16_t)(first_above(metres, nextafterf((float)high, INFINITY)) - 1);
+    counts[0] = counts[1] = 0;
+    for (int64_t start = 0; start < n; start += 32768) {
+        const int64_t stop = start + 32768 < n ? start + 32768 : n;
+        uint16_t some = 0, within = 0; /* of a block, so that both are as wide as a number */
+        for (int64_t i = start; i < stop; i++) {
+            const uint16_t ray = each ? (x[i] == x[i]) & (y[i] == y[i]) : 1;
+            const uint16_t is = ray & (depth[i] > least) & (depth[i] <= most);
+            some += is, within += is & (depth[i] > near) & (depth[i] <= far);
+        }
+        counts[0] += some, counts[1] += within;
+    }
+}
 
 DEPROJECT(deproject_whole, uint16_t)
 DEPROJECT(deproject_single, float)
-COUNT_DEPTHS(count_whole, uint16_t)
-COUNT_DEPTHS(count_single, float)

@@ -93,6 +93,10 @@ typedef struct { /* several forests, one after the other */
 void forest_means(const float *rows, int64_t count, int64_t columns, const Forests *forests, int32_t *scratch,
     double *single, double *result);
 
+/* hand.c */
+void hand_clearance(const double *points, int64_t n, int64_t own, const double *tilts, int64_t n_tilts,
+    const float *fronts, int64_t cells, const double *sizes, double *clear, double *behind);
+
 /* lattice.c */
 void ray_cells(const float *xyz, int64_t n, double low, double high, double tangent, double tolerance,
     const double *fit, int32_t *cells, int64_t *result);

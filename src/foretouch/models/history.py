@@ -28,7 +28,7 @@ from foretouch.models.touch_model import Estimate, HasCloud, Snapshot, TouchMode
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch.tactile.description import require_same
-from foretouch.types import AnyArray, Cloud, Float64, Grasp, Plane, Predictions, Touch, UInt8
+from foretouch.types import AnyArray, Cloud, Float64, Grasp, Predictions, Touch, UInt8
 from foretouch.types.channels import Channels
 
 VERSION: Final = 2
@@ -108,7 +108,6 @@ class History:
         new_object: bool = False,
         estimate: Estimate | None = None,
         tdc: Float64 | None = None,
-        table: Plane | None = None,
     ) -> tuple[str, ...]:
         """Add the reading of an executed grasp (`touched` is the simpler form).
 
@@ -118,9 +117,9 @@ class History:
             grasp: As executed, in the frame of the cloud.
             reading: Both fingers in contact, in the unit of the sensor.
             new_object: Whether it is another object than before.
-            estimate: The model's estimate of this grasp (see `TouchModel.estimate_executed`). By default it is made here, for objects of usual range and size.
+            estimate: The model's estimate of this grasp by `TouchModel.estimate_executed`; by default it is made here, and
+                the camera is taken to look straight down on the table.
             tdc: (F,) temperature of the fingers [counts], where it is known.
-            table: In the cloud's frame; without one the camera is taken to look straight down on it.
 
         Returns:
             The fingers that were restarted, since their readings jumped.
@@ -131,7 +130,7 @@ class History:
             GraspError: If no hand can execute the grasp.
         """
         values = self.model.usable_values(reading, "touched")
-        estimate = estimate or self.model.estimate_executed(cloud, [grasp], table=table)
+        estimate = estimate or self.model.estimate_executed(cloud, [grasp])
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
         where = None if estimate.where is None else estimate.where[0]
@@ -180,8 +179,8 @@ class History:
         """
         cloud = target if isinstance(target, Cloud) else target.cloud
         same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
-        table = getattr(target, "plane", None)
-        self.add_touch(self._stamp(stamp_ns), cloud, grasp, reading, new_object=not same, tdc=tdc, table=table)
+        estimate = self.model.estimate_executed(cloud, [grasp], table=getattr(target, "plane", None))
+        self.add_touch(self._stamp(stamp_ns), cloud, grasp, reading, new_object=not same, estimate=estimate, tdc=tdc)
         self._tared = False
 
     def predict(

@@ -63,6 +63,7 @@ class Graph:
         self._monitor_options = monitor
         self._closing, self._closed = threading.Event(), ExitStack()
         self._thread: threading.Thread | None = None
+        self._last_played = 0  # of a topic of others, when it was left
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
@@ -144,13 +145,13 @@ class Graph:
         return cast("ReplayNode | None", self.nodes.get("replay"))
 
     def conflicts(self) -> list[str]:
-        """Signs of a second graph in the namespace, a line each, now or before."""
+        """List the signs of a second graph in the namespace, a line each, now or before."""
         for node in self.nodes.values():
             node.look_for_second_graph()
         return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
 
     def played(self) -> int:
-        """Clouds published by the replay or the camera; received from a topic of others."""
+        """Return clouds published by the replay or the camera; received from a topic of others."""
         counts = [self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes]
         if counts:
             return sum(counts)
@@ -217,20 +218,8 @@ def node_class(name: str) -> "type[ForetouchNode[Any]]":
         return NODE_CLASSES[name]
 
 
-NODES: Final = {
-    name: partial(node_class, name)
-    for name in (
-        "camera",
-        "perception",
-        "segmentation",
-        "grasp",
-        "touch_predictor",
-        "replay",
-        "hand",
-        "recorder",
-        "bridge",
-    )
-}
+_NAMES: Final = "camera perception segmentation grasp touch_predictor replay hand recorder bridge"
+NODES: Final = {name: partial(node_class, name) for name in _NAMES.split()}
 """What gives the class of each node, by name."""
 
 
@@ -279,7 +268,11 @@ def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bo
 
 
 def call_service(kind: Any, name: str, request: Any, wait_s: float) -> Any:
-    """The answer of a service; a `ForetouchError` if there is no such service or no answer within the time. rclpy is started."""
+    """Call a service, and return its answer; rclpy is started.
+
+    Raises:
+        ForetouchError: If there is no such service, or no answer within the time.
+    """
     import rclpy
 
     node = rclpy.create_node("caller", namespace=name.rpartition("/")[0])
@@ -297,7 +290,7 @@ def call_service(kind: Any, name: str, request: Any, wait_s: float) -> Any:
 
 
 def _checked(namespace: str) -> str:
-    """A namespace that ROS accepts, or a `ConfigError`."""
+    """Check a namespace; a `ConfigError` if ROS does not accept it."""
     if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
         raise ConfigError(f"namespace: {namespace!r} is not words of letters, digits and _ with / between them")
     return namespace

@@ -27,7 +27,7 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rotation_to_msg, stamp_to_msg
-from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
 from foretouch.ros.runtime.subscription import InputTopic
@@ -111,7 +111,7 @@ class HandNode(ThreadNode[HandNodeConfig]):
             self._began = time.monotonic() - self.age_s(self.config.scene.origin_ns)
         self._resting = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._sensor = sensor = self._hand.sensor
-        kind = BiotacAll if sensor.is_biotac else tactile_class(sensor.config.source.type)
+        kind = BiotacAll if sensor.is_biotac else message_class(sensor.config.source.type)
         self._solver: Worker[tuple[GraspArray, float]] = Worker(
             "hand-contact", lambda job: self._solve(*job), lambda _, why: self._drop(why), depth=4
         )

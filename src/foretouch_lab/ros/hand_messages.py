@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.ros.messages.conversions import header_to_msg, stamp_to_msg
-from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.messages.tactile import message_class
 from foretouch.tactile import ELECTRODES
 from foretouch.tactile.description import STAMP_UNITS, Sensor
 from foretouch.tactile.field_path import FieldPath
@@ -49,7 +49,7 @@ def sensor_to_msg(kind: type, sensor: Sensor, readings: Sequence[Float64], nanos
     """Return a message that the decoder of a described sensor reads (`foretouch.tactile.messages.described`).
 
     Args:
-        kind: Class of the message (see `tactile_class`).
+        kind: Class of the message (see `message_class`).
         sensor: The description, by whose field paths the message is filled.
         readings: (V,) values of each grasping finger, in the order of the channels of a touch.
         nanoseconds: Stamp [ns].
@@ -92,7 +92,7 @@ def _write(owner: Any, steps: Sequence[Any], data: Sequence[Any], convert: Calla
         places = [next((k for k, item in enumerate(items) if str(getattr(item, step[0])) == step[1]), len(items))]
     element = re.split("[<>,[]", kind)[1 if "<" in kind else 0]
     while len(items) <= places[-1]:
-        items.append(tactile_class(element)() if "/" in element else 0)
+        items.append(message_class(element)() if "/" in element else 0)
     for place, part in zip(places, parts, strict=True):
         if isinstance(step, tuple):
             text = items[place].get_fields_and_field_types()[step[0]] == "string"

@@ -168,7 +168,7 @@ _COLOURS = np.array(
 
 
 @dataclass(frozen=True, eq=False)
-class DepthImage:
+class RenderedFrame:
     """One frame with its ground truth.
 
     Attributes:
@@ -203,7 +203,7 @@ class DepthScene:
 
     def render(
         self, rng: np.random.Generator | None = None, noise_m: float = 0.0, flying_pixels: bool = False
-    ) -> DepthImage:
+    ) -> RenderedFrame:
         """Render one frame; without effects it is exact to the millimetre that the depth is rounded to.
 
         Args:
@@ -216,7 +216,7 @@ class DepthScene:
         if rng is not None:
             depth = add_flying_pixels(depth, rng) if flying_pixels else depth
             depth = add_stereo_noise(depth, noise_m, rng) if noise_m > 0.0 else depth
-        return DepthImage(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
+        return RenderedFrame(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
 
     def cast(self) -> tuple[Float64, Int32]:
         """Return exact depth and labels.

@@ -13,7 +13,7 @@ import numpy as np
 from foretouch.camera.config import ScheduleConfig
 from foretouch.errors import SimulationError
 from foretouch.types import Float64, Int32, UInt8
-from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, to_millimetres
+from foretouch_lab.simulation.depth_scene import FIRST_OBJECT, TABLE, RenderedFrame, to_millimetres
 from foretouch_lab.simulation.effects import view
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, scheduled_scene
@@ -37,7 +37,7 @@ class FrameMaker:
         self.scene = scene
         self._engine = Engine(scene, (*view.PLACING, *view.FRAME_EFFECTS))
 
-    def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
+    def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> RenderedFrame:
         """Return one image.
 
         Args:
@@ -56,14 +56,14 @@ class FrameMaker:
         shade = np.where(state.labels > TABLE, view.light(view.normals_of(state)), 1.0)
         return self._image(state.depth, (colours * shade[..., None]).astype(np.uint8), state.labels)
 
-    def nothing(self) -> DepthImage:
+    def nothing(self) -> RenderedFrame:
         """Return an image without depth, and black."""
         shape = self._engine.world.rays.shape
         return self._image(np.zeros(shape[:2]), np.zeros(shape, np.uint8), np.zeros(shape[:2], np.int32))
 
-    def _image(self, depth: Float64, rgb: UInt8, labels: Int32) -> DepthImage:
+    def _image(self, depth: Float64, rgb: UInt8, labels: Int32) -> RenderedFrame:
         world = self._engine.world
-        return DepthImage(to_millimetres(depth), rgb, labels, world.view.matrix, world.plane.coefficients)
+        return RenderedFrame(to_millimetres(depth), rgb, labels, world.view.matrix, world.plane.coefficients)
 
 
 class _SceneImages:
@@ -87,10 +87,10 @@ class _SceneImages:
         noisy = (scene.camera.noise, scene.camera.flying_pixels, scene.camera.holes)
         self._views = _VIEWS if any(effect is not None for effect in noisy) else 1
         self._slot: int | None = None
-        self._images: list[DepthImage] = []
+        self._images: list[RenderedFrame] = []
         self.fault = ""  # why the last sample is not shown
 
-    def __call__(self, number: int) -> tuple[DepthImage, int]:
+    def __call__(self, number: int) -> tuple[RenderedFrame, int]:
         """Return the image with this number, and its stamp [ns]."""
         # Whole milliseconds come back from the library's double-precision stamps as they went in.
         taken_ns = self._clock_ns() // _MS_NS * _MS_NS
@@ -102,7 +102,7 @@ class _SceneImages:
             return self._images[-1], taken_ns
         return self._images[number % self._views], taken_ns
 
-    def _render(self, slot: int, repeat: int) -> DepthImage:
+    def _render(self, slot: int, repeat: int) -> RenderedFrame:
         self.fault = ""
         try:
             return self._maker.frame(slot, repeat=repeat)

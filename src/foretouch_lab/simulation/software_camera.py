@@ -14,12 +14,12 @@ import numpy.typing as npt
 
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
-from foretouch_lab.simulation.depth_scene import DepthImage
+from foretouch_lab.simulation.depth_scene import RenderedFrame
 
 _DEPTH_UNIT_M = 0.001
 _PIXEL_BYTES = 2
 
-Frames = Callable[[int], tuple[DepthImage, int]]
+Frames = Callable[[int], tuple[RenderedFrame, int]]
 """The n-th frame, and its stamp [ns since 1970]. The library stores milliseconds in double precision."""
 
 
@@ -32,7 +32,7 @@ class SyntheticCamera:
         serial: Its serial number.
     """
 
-    def __init__(self, frames: Frames | Sequence[DepthImage], fps: int = 30, serial: str = "synthetic") -> None:
+    def __init__(self, frames: Frames | Sequence[RenderedFrame], fps: int = 30, serial: str = "synthetic") -> None:
         if not callable(frames) and not frames:
             raise CameraError("synthetic camera: no frames to feed")
         self.frame: Frames = (
@@ -110,7 +110,7 @@ class SyntheticCamera:
             self._stopping.wait(due - time.monotonic())
 
 
-def _software_device(frame: DepthImage, fps: int, serial: str) -> tuple[Any, Any, Any]:
+def _software_device(frame: RenderedFrame, fps: int, serial: str) -> tuple[Any, Any, Any]:
     """Make a device with a depth sensor; it, the sensor and the profile of its stream."""
     rs = realsense()
     device = rs.software_device()
@@ -129,7 +129,7 @@ def _software_device(frame: DepthImage, fps: int, serial: str) -> tuple[Any, Any
     return device, sensor, profile
 
 
-def _intrinsics(frame: DepthImage) -> Any:
+def _intrinsics(frame: RenderedFrame) -> Any:
     rs = realsense()
     height, width = frame.depth_mm.shape
     intrinsics = rs.intrinsics()

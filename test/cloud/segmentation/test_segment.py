@@ -12,7 +12,7 @@ from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.types import Cloud
-from foretouch_lab.simulation.depth_scene import DepthImage, random_scene
+from foretouch_lab.simulation.depth_scene import RenderedFrame, random_scene
 
 
 def _overlaps(segmentation: Segmentation, truth: npt.NDArray[np.int_], first: int = 2) -> list[float]:
@@ -26,7 +26,7 @@ def _overlaps(segmentation: Segmentation, truth: npt.NDArray[np.int_], first: in
     return result
 
 
-def _image(seed: int, *, noise_m: float = 0.001, flying_pixels: bool = False, **changes) -> DepthImage:
+def _image(seed: int, *, noise_m: float = 0.001, flying_pixels: bool = False, **changes) -> RenderedFrame:
     rng = np.random.default_rng(seed)
     return random_scene(rng, **changes).render(rng, noise_m, flying_pixels)
 

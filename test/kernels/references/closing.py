@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernels of `closing.c` compute, in NumPy and in double."""
+"""What the kernels of `closing.c` and `hand.c` compute, in NumPy and in double."""
 
 from typing import Any
 
@@ -196,3 +196,19 @@ def _round_underside(one: _Strip, top: float, lowest: float, low: float, high: f
         * (1.0 - _smooth(horizontal, 0.3, 0.5))
     )
     return max(top - width, 0.0) * evidence
+
+
+def hand_clearance(points, n, own, tilts, n_tilts, fronts, cells, sizes, clear, behind) -> None:
+    """See the kernel, whose arguments these are."""
+    per_cell, half, quarter, across = sizes[:4]
+    x, beside, up = points[:n].astype(np.float32).T
+    for k, tilt in enumerate(tilts[:n_tilts]):
+        c, s = np.float32(np.cos(tilt)), np.float32(np.sin(tilt))
+        z, y = -s * beside - c * up, s * up - c * beside
+        rows, columns = (np.clip(v * np.float32(per_cell) + cells / 2, 0.5, cells - 0.5).astype(int) for v in (x, y))
+        which = (np.arange(n) >= own).astype(int)
+        between = (which == 0) & (np.abs(x) <= half) & (np.abs(y) <= across)
+        left = np.where(between, z + np.where(np.abs(x) <= quarter, sizes[5], sizes[4]), 10.0)
+        for row, front in enumerate((fronts[which, rows, columns], fronts[which, -1 - rows, -1 - columns])):
+            clear[row, k] = np.minimum(z - front, left).min(initial=10.0)
+        behind[k] = -np.where(between, z, 0.0).min(initial=0.0)

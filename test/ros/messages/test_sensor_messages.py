@@ -11,7 +11,7 @@ from every_case import every_case
 from sensor_builders import XELA_TYPES
 
 from foretouch.errors import MissingDependencyError
-from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.messages.tactile import message_class
 from foretouch.tactile.description import packaged_sensor, sensor_files
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileConfig
@@ -45,7 +45,7 @@ def use_types(monkeypatch: pytest.MonkeyPatch) -> None:
 def _class(name: str, types: dict[str, str]) -> type:
     def begin(self: Any) -> None:
         for key, kind in types.items():
-            setattr(self, key, [] if "<" in kind else tactile_class(kind)() if "/" in kind else 0)
+            setattr(self, key, [] if "<" in kind else message_class(kind)() if "/" in kind else 0)
 
     return type(name, (), {"__init__": begin, "get_fields_and_field_types": lambda _: types})
 
@@ -59,7 +59,7 @@ def test_every_described_sensor_is_read_back_with_its_stamp(monkeypatch: pytest.
         touch = rng.uniform(channels.low, np.minimum(channels.high, 4000.0))
         touch = np.where(channels.resolution == 1.0, np.round(touch), touch.astype(np.float32))
         readings = [touch[columns] for columns in channels.finger_columns.values()]
-        message = sensor_to_msg(tactile_class(sensor.config.source.type), sensor, readings, STAMP)
+        message = sensor_to_msg(message_class(sensor.config.source.type), sensor, readings, STAMP)
         found = make_reader(TactileConfig(sensor=name)).read(message)
         np.testing.assert_array_equal(found.counts, touch)
         assert found.stamp_ns == STAMP
@@ -71,4 +71,4 @@ def test_every_described_sensor_is_read_back_with_its_stamp(monkeypatch: pytest.
 
 def test_a_sensor_whose_messages_are_not_installed_is_named() -> None:
     with pytest.raises(MissingDependencyError, match="xela_server_ros2 is not installed"):
-        tactile_class(packaged_sensor("xela_uskin_4x4").config.source.type)
+        message_class(packaged_sensor("xela_uskin_4x4").config.source.type)

@@ -19,8 +19,7 @@ from std_srvs.srv import Trigger
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.internal_errors import InternalErrors
 from foretouch.ros.runtime.subscription import InputTopic
-from foretouch_msgs.msg import Status
-from foretouch_msgs.srv import PredictTouch, StartRecording
+from foretouch_msgs.srv import StartRecording
 
 pytestmark = pytest.mark.ros
 
@@ -43,10 +42,8 @@ def test_a_service_that_fails_answers_with_the_reason_and_the_node_goes_on(graph
         answer = graph.call(Trigger, "broken")
         assert (answer.success, answer.message) == (False, REASON)
         assert node.internal_errors.counts()["broken"] == count
-    node.serve(PredictTouch, "broken_touch", fail, GROUP)
     node.serve(StartRecording, "broken_start", fail, GROUP)
-    touch, started = graph.call(PredictTouch, "broken_touch").touch, graph.call(StartRecording, "broken_start")
-    assert (touch.status, touch.reason) == (Status.FAILED, REASON)
+    started = graph.call(StartRecording, "broken_start")
     assert (started.success, started.message) == (False, REASON)
     assert is_active(graph)
 
@@ -54,7 +51,7 @@ def test_a_service_that_fails_answers_with_the_reason_and_the_node_goes_on(graph
 def test_timers_and_topics_that_fail_are_counted_and_reported_in_diagnostics(graph):
     (node,) = graph.add("segmentation", diagnostics_period_s=0.1)
     reports = graph.reports("segmentation")
-    node.create_timer(0.02, fail)
+    node.every(0.02, fail)
     node.subscribe(InputTopic("words", String), fail)
     talk = graph.talk_matched(String, "words")
     talk.publish(String(data="a"))

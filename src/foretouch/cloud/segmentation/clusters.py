@@ -138,13 +138,13 @@ def label_organised(
     spans = boxes[: sizes[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
     spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
     low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
-    if write is not None and len(spans):
-        write(int(low[0]), int(high[1]), int(low[2]), int(high[3]))
     marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
     marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
     windows: list[Clusters] = []
     beside = 0
     for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
+        if write is not None:
+            write(top, bottom, left, right)
         labels = np.empty((bottom - top, right - left), np.int32)
         solid = np.empty(labels.shape, np.uint8)
         rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, sizes)

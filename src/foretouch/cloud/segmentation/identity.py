@@ -44,7 +44,7 @@ class ObjectIdentity:
         self._clouds = 0
 
     def keep(self, segmentation: Segmentation) -> Segmentation:
-        """The segmentation of the next cloud with the ids of the stream, in its objects and in its labels, which are changed in place.
+        """Return the segmentation of the next cloud with the ids of the stream, in its objects and in its labels, which are changed in place.
 
         Its counts get `new_ids`: objects that were not seen before.
         """
@@ -64,7 +64,7 @@ class ObjectIdentity:
         )
 
     def _known(self, segmentation: Segmentation) -> dict[int, int]:
-        """The id of the stream by that in this cloud: most pixels first, objects of the cloud before first."""
+        """Return the id of the stream by that in this cloud: most pixels first, objects of the cloud before first."""
         known: dict[int, int] = {}
         by_age = sorted(self._seen.items(), key=lambda item: -item[1].at)
         for _, group in groupby(by_age, key=lambda item: item[1].at):
@@ -91,7 +91,7 @@ def _rename(labels: Int32, names: Int32) -> None:
 
 
 def _shared(seen: _Seen, labels: Int32, objects: Sequence[Segment]) -> list[float]:
-    """How much each object of a cloud has in common with one seen before; 0 if it is another."""
+    """Return how much each object of a cloud has in common with one seen before; 0 if it is another."""
     if labels.ndim == 1 or labels.shape != seen.shape:
         apart = [float(np.linalg.norm(object_.centroid - seen.centroid)) for object_ in objects]
         return [max(0.0, _SAME_PLACE_M - distance) for distance in apart]

@@ -86,7 +86,7 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
 
 
 def _checked(mask: npt.ArrayLike, cloud: Cloud) -> Int32:
-    """(H, W) int32 labels of a mask that fits the image."""
+    """Return (H, W) int32 labels of a mask that fits the image."""
     labels = np.asarray(mask)
     if not cloud.organised:
         raise CloudError(
@@ -107,7 +107,7 @@ def _checked(mask: npt.ArrayLike, cloud: Cloud) -> Int32:
 
 
 def _above(xyz: Float32, of_table: Bool, plane: Plane, least_m: float) -> Bool:
-    """(H, W) which points are above the table by more than a height and its noise, which grows with the square of the depth.
+    """Return (H, W) which points are above the table by more than a height and its noise, which grows with the square of the depth.
 
     The noise is the median distance from the plane of the unmasked points near it, as a standard deviation.
     """
@@ -121,7 +121,7 @@ def _above(xyz: Float32, of_table: Bool, plane: Plane, least_m: float) -> Bool:
 
 
 def _together(points: Float32) -> Bool:
-    """(N,) which of (N, 3) points belong to the object: groups in depth with a gap around them are another thing if they are few."""
+    """Return (N,) which of (N, 3) points belong to the object: groups in depth with a gap around them are another thing if they are few."""
     order = np.argsort(points[:, 2], kind="stable")
     group = np.zeros(len(points), np.intp)
     group[order] = np.cumsum(np.diff(points[order, 2], prepend=points[order[:1], 2]) > _GAP_M)

@@ -103,7 +103,7 @@ def extract_objects(
 
 
 def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, Segment, float]]:
-    """The clusters of a window with solid points: the label, a segment without an id, and its height [m]."""
+    """Iterate over the clusters of a window with solid points: the label, a segment without an id, and its height [m]."""
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
     columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
@@ -249,7 +249,7 @@ def select_free(
 def _one_of(
     tied: Sequence[Segment], previous: Float64 | None, how: str, values: Sequence[str], unit: str
 ) -> tuple[list[Segment], str]:
-    """The object that is selected of those that tie, and the reason where there are several."""
+    """Return the object that is selected of those that tie, and the reason where there are several."""
     if len(tied) == 1:
         return [tied[0]], ""
     chosen, why = _break_tie(tied, previous)

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load_file
 
-from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold
+from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold, WritePoints
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Int64
@@ -78,7 +78,12 @@ def _trees() -> Float32:
 
 
 def split_clusters(
-    xyz: Float32, windows: Sequence[Clusters], threshold: HeightThreshold, pitch: float, config: SplitConfig
+    xyz: Float32,
+    windows: Sequence[Clusters],
+    threshold: HeightThreshold,
+    pitch: float,
+    config: SplitConfig,
+    write: WritePoints | None = None,
 ) -> tuple[list[Clusters], dict[str, int]]:
     """Split clusters of an image into parts.
 
@@ -88,6 +93,7 @@ def split_clusters(
         threshold: Height threshold above the table, with the noise of the depth.
         pitch: Lateral distance of neighbouring pixels per depth.
         config: Settings.
+        write: Writes points between the windows into `xyz`; None if all are there.
 
     Returns:
         The windows as they are, or one window with all parts; and the counts (`SPLIT_COUNTS`), all 0 if nothing calls for splitting.
@@ -109,6 +115,8 @@ def split_clusters(
     _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, window.labels, numbers)
     if numbers[:2].max() < _FEW:
         return list(windows), counts
+    if write is not None and len(windows) > 1:
+        write(window.rows, window.rows + h, window.columns, window.columns + w)
     least = _UNKNOWN_CELL_PER_M if threshold.noise_per_m < _NO_NOISE else _CELL_PER_M
     cell_m = max(config.cell_m, max(least, _CELL_NOISE * threshold.noise_per_m) * depth**2)
     cell = min(max(round(cell_m / side), 1), _MAX_CELL)

@@ -135,7 +135,7 @@ def find_table(xyz: Float32, config: PlaneConfig) -> PlaneFit:
 
 
 def _wide_above(xyz: Float32, first: PlaneFit, config: PlaneConfig) -> PlaneFit:
-    """A plane above the first one, parallel to it and wider than an object, as a table above the floor; else the first."""
+    """Return a plane above the first one, parallel to it and wider than an object, as a table above the floor; else the first."""
     low = first[0]
     if low is None:
         return first
@@ -154,7 +154,7 @@ def _near_points(xyz: Float32, plane: Plane, config: PlaneConfig) -> Float32:
 
 
 def _draw(n: int, rng: np.random.Generator) -> tuple[_Rows, _Rows, Index]:
-    """Which of n points are fitted, which of those are scored, and the first batch of triples of those."""
+    """Return which of n points are fitted, which of those are scored, and the first batch of triples of those."""
     fitted = _some(n, _REFIT, rng)
     return fitted, _some(min(n, _REFIT), _SCORED, rng), rng.integers(min(n, _SCORED), size=(3, _BATCH))
 
@@ -166,7 +166,7 @@ def _first_draws(n: int) -> tuple[_Rows, _Rows, Index]:
 
 
 def _batches(n: int) -> Iterator[Index]:
-    """Batches (3, _BATCH) of triples of the scored points, without end."""
+    """Iterate over batches (3, _BATCH) of triples of the scored points, without end."""
     yield _first_draws(n)[2]
     rng = np.random.default_rng(_SEED)
     _draw(n, rng)
@@ -175,14 +175,14 @@ def _batches(n: int) -> Iterator[Index]:
 
 
 def _some(n: int, count: int, rng: np.random.Generator) -> _Rows:
-    """At most `count` of n rows, evenly spread over the order, with random offsets: cheap, and independent of scan lines."""
+    """Return at most `count` of n rows, evenly spread over the order, with random offsets: cheap, and independent of scan lines."""
     if n <= count:
         return slice(None)
     return np.asarray((np.arange(count) + rng.random(count)) * (n / count), np.intp)
 
 
 def _ransac(points: Float32, reach_m: float, batches: Iterator[Index]) -> Float32 | None:
-    """(4,) float32 a, b, c, d of the hypothesis with most points, None if all are degenerate."""
+    """Return (4,) float32 a, b, c, d of the hypothesis with most points, None if all are degenerate."""
     best, most, trials = None, 0, 0
     needed: float = _MAX_TRIALS
     while trials < min(needed, _MAX_TRIALS):
@@ -205,7 +205,7 @@ def _ransac(points: Float32, reach_m: float, batches: Iterator[Index]) -> Float3
 
 
 def _counts(distance: Float32, offsets: Float32, reach_m: float) -> Index:
-    """(m,) number of points near each plane, from distances (m, n) but for the offsets."""
+    """Return (m,) number of points near each plane, from distances (m, n) but for the offsets."""
     counts = np.empty(len(offsets), np.int64)
     _count_near(distance, offsets, *distance.shape, reach_m, counts)
     return counts
@@ -218,7 +218,7 @@ def _cross(a: Float32, b: Float32) -> Float32:
 
 
 def _trials_needed(fraction: float) -> float:
-    """Number of samples after which all have missed the plane with probability `_MISS`."""
+    """Return the number of samples after which all have missed the plane with probability `_MISS`."""
     hit = fraction**3
     return 0.0 if hit >= 1.0 else math.log(_MISS) / math.log1p(-hit)
 
@@ -238,7 +238,7 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, reach_m: float, min_
 
 
 def _near(points: Float64, along: Float64, offset: float, reach: float) -> Float64:
-    """The points (n, 3) within reach of a plane, from their distances (n,) but for its offset."""
+    """Return the points (n, 3) within reach of a plane, from their distances (n,) but for its offset."""
     near, count = np.empty((len(points) + 1, 3)), np.empty(1, np.int64)
     _points_near(points, along, len(points), offset, reach, near, count)
     return near[: count[0]]

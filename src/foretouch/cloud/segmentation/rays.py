@@ -52,7 +52,7 @@ class RayFilter:
             self.reason = f"rays: {angle:.0f} degrees is more than a field of view of {FIELD_OF_VIEW_DEG:g}"
 
     def beside(self, xyz: Float32, rows: Index, columns: Index) -> Bool:
-        """(...) bool: whether points (..., 3) with a positive depth are beside their ray; false where one number is NaN."""
+        """Return (...) bool: whether points (..., 3) with a positive depth are beside their ray; false where one number is NaN."""
         deviation, *slopes = self.numbers
         z, apart = xyz[..., 2], []
         with np.errstate(invalid="ignore", over="ignore"):
@@ -62,7 +62,7 @@ class RayFilter:
             return np.asarray((np.maximum(*apart) > z * np.float32(deviation)) & (z > 0.0), np.bool_)
 
     def count_dropped(self, xyz: Float32) -> int:
-        """Number of dropped points of the image (H, W, 3) with three finite coordinates."""
+        """Return the number of dropped points of the image (H, W, 3) with three finite coordinates."""
         if not self.dropped:
             return 0
         pixels = np.unique(np.concatenate(self.dropped))
@@ -70,7 +70,7 @@ class RayFilter:
 
 
 def out_of_view(xyz: Float32) -> Bool:
-    """(N,) bool: points (N, 3) float32 [m] with a positive depth that are out of the field of view, or not finite."""
+    """Return (N,) bool: points (N, 3) float32 [m] with a positive depth that are out of the field of view, or not finite."""
     z = xyz[:, 2]
     with np.errstate(invalid="ignore", over="ignore"):
         reach = z * np.float32(TANGENT)
@@ -79,20 +79,20 @@ def out_of_view(xyz: Float32) -> Bool:
 
 
 def view_fault(off: int, usable: int) -> str:
-    """Why a list of points is not usable, by those of the usable ones that are out of view; "" if it is."""
+    """Return why a list of points is not usable, by those of the usable ones that are out of view; "" if it is."""
     if off <= _MAX_OFF * usable:
         return ""
     return f"{off} of {usable} points are out of a field of view of {FIELD_OF_VIEW_DEG:g} degrees"
 
 
 def finite_rows(points: Float32) -> Bool:
-    """(n,) bool: points (n, 3) with three finite coordinates; reductions along rows of three are slow."""
+    """Return (n,) bool: points (n, 3) with three finite coordinates; reductions along rows of three are slow."""
     x, y, z = np.isfinite(points).T
     return np.asarray(x & y & z, np.bool_)
 
 
 def _fit_rays(sample: Float32, pixels: Float64) -> Float64:
-    """(3, 2) float64: x/z and y/z for 1, column and row. Robust: up to about half of the points may be damaged."""
+    """Return (3, 2) float64: x/z and y/z for 1, column and row. Robust: up to about half of the points may be damaged."""
     usable = np.flatnonzero(finite_rows(sample))
     if len(usable) > _FITTED:
         usable = usable[np.linspace(0.0, len(usable) - 1.0, _FITTED).astype(np.intp)]

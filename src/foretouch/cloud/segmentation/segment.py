@@ -198,7 +198,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays, write)
             pitch = pixel_pitch(coarse)
-            windows, parts = split_clusters(xyz, windows, threshold, pitch / stride, config.split)
+            windows, parts = split_clusters(xyz, windows, threshold, pitch / stride, config.split, write)
             reasons, outline = find_background(coarse, stride, windows, threshold, pitch)
         else:
             reasons, outline = [], np.empty((0, 3))

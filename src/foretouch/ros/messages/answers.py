@@ -119,7 +119,7 @@ class TouchAnswer:
 
 @cache
 def _sensor_fields(sensor: Sensor) -> dict[str, Any]:
-    """The fields that describe the arrays."""
+    """Make the fields that describe the arrays."""
     return {
         "sensor": sensor.config.name,
         "sensor_sha256": sensor.sha256,
@@ -132,10 +132,10 @@ def _sensor_fields(sensor: Sensor) -> dict[str, Any]:
 
 @cache
 def _columns(sensor: Sensor) -> tuple[Index, Index]:
-    """Columns of a touch in the order of a message: (F N C,) of the taxels, (F S,) of the scalars."""
+    """Return columns of a touch in the order of a message: (F N C,) of the taxels, (F S,) of the scalars."""
     return sensor.taxel_columns.ravel(), sensor.scalar_columns.ravel()
 
 
 def _adapted(predictions: Predictions, k: int) -> dict[str, Any]:
-    """The fields that hold what a prediction was adapted to."""
+    """Make the fields that hold what a prediction was adapted to."""
     return {"reference": REFERENCE_CODES[predictions.reference[k]], **evidence_fields(predictions.evidence[k])}

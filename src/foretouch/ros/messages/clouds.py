@@ -107,7 +107,11 @@ def object_to_msg(segment: Segment, *, target: bool) -> ObjectMsg:
 
 
 def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[Object, ...]:
-    """The reverse of `objects_to_msg`; also reads any cloud of one object, and raises as `decode_cloud`."""
+    """Convert an `object_cloud`, or any cloud of one object.
+
+    Raises:
+        CloudError: If its sizes do not add up, or x, y or z is missing or of another type.
+    """
     return tuple(
         Object(object_.id, object_.cloud, plane, object_.pixels, object_.image_shape)
         for object_ in decode_objects(message)

@@ -28,7 +28,7 @@ _MAX_COEFFICIENT = 1e100  # of a plane
 
 
 def stamp_to_msg(nanoseconds: int) -> Time:
-    """The reverse of `stamp_ns`."""
+    """Convert a stamp [ns]."""
     sec, nanosec = divmod(nanoseconds, SECOND_NS)
     return Time(sec=sec, nanosec=nanosec)
 
@@ -56,7 +56,7 @@ def plane_to_msg(plane: Plane | None) -> PlaneMsg:
 
 
 def obstacles_to_msg(obstacles: Obstacles | None) -> dict[str, Any]:
-    """The fields of `TablePlane` that hold the points of all objects of a scene."""
+    """Make the fields of `TablePlane` that hold the points of all objects of a scene."""
     if obstacles is None:
         return {}
     ids = obstacles.object_ids.astype(np.uint32)
@@ -65,7 +65,7 @@ def obstacles_to_msg(obstacles: Obstacles | None) -> dict[str, Any]:
 
 
 def obstacles_from_msg(message: TablePlane) -> Obstacles | None:
-    """The reverse of `obstacles_to_msg`; points that are not finite are ignored.
+    """Convert the points of all objects of a scene; those that are not finite are ignored.
 
     Raises:
         CloudError: If the two fields do not have three numbers and one id for each point.
@@ -125,7 +125,7 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
 
 
 def _way_fields(way: WayIn | None) -> dict[str, Any]:
-    """The fields of a grasp that hold how the hand comes to it; none without a way in."""
+    """Make the fields of a grasp that hold how the hand comes to it; none without a way in."""
     if way is None:
         return {}
     x, y, z = map(float, way.approach)
@@ -157,7 +157,7 @@ def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP)
 
 
 def evidence_fields(evidence: Evidence) -> dict[str, Any]:
-    """The fields of a prediction that hold its evidence."""
+    """Make the fields of a prediction that hold its evidence."""
     ages = {"touch_age": evidence.touch_age_s, "reading_age": evidence.reading_age_s}
     return {
         "touches": evidence.touches,
@@ -167,13 +167,13 @@ def evidence_fields(evidence: Evidence) -> dict[str, Any]:
 
 
 def reference_text(message: TouchPredictionMsg) -> str:
-    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
+    """Describe what a prediction is based on: `cloud only`, `tare`, `3 touches`, `history of 40 readings`."""
     name = dict(enumerate(REFERENCES)).get(message.reference, f"reference {message.reference}")
     return evidence_text(name, message.touches, message.readings)
 
 
 def evidence_text(reference: str, touches: int, readings: int) -> str:
-    """The same of a reference by its name, and the numbers of readings."""
+    """Describe a reference by its name with its numbers of touches and readings."""
     texts = {
         "none": "cloud only",
         "touches": f"{touches} touch{'' if touches == 1 else 'es'}",

@@ -103,7 +103,7 @@ def touch_markers(
 
 
 def _scalars(view: TaxelView, value: Touch, around: Prediction | None = None) -> str:
-    """The scalars of both fingers, `PDC 2779 ± 60 | 1800 ± 50 `; "" if there are none."""
+    """Write the scalars of both fingers, `PDC 2779 ± 60 | 1800 ± 50 `; "" if there are none."""
     texts = [view.scalars(k, value, around) for k in range(len(view.fingers))]
     name = texts[0].partition(" ")[0]
     if len(view.sensor.scalar_channels) == 1:  # the name once

@@ -18,9 +18,9 @@ class TactileInput(Settings):
     tactile: TactileConfig = field(default_factory=TactileConfig)
 
 
-def tactile_class(type_name: str) -> type:
-    """The message class of a type such as `std_msgs/String`; a `MissingDependencyError` without its package."""
-    package, _, name = type_name.partition("/")
+def message_class(type_name: str) -> type:
+    """Import the class of a message such as `std_msgs/String` or `std_msgs/msg/String`; a `MissingDependencyError` without its package."""
+    package, name = type_name.replace("/msg/", "/").split("/")
     try:
         message: type = getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as err:

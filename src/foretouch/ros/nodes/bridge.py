@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -71,8 +70,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)
             self._served[name] = topic, channel
             self.closing.callback(channel.close)
-        timer = self.create_timer(0.2, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
-        self.closing.callback(self.destroy_timer, timer)
+        self.closing.callback(self.destroy_timer, self.every(0.2, self._follow_clients))
 
     def _start(self) -> None:
         foxglove, config = foxglove_sdk(), self.config
@@ -159,7 +157,7 @@ def thinned(content: bytes, most: int) -> bytes:
 
 
 def foxglove_sdk() -> Any:
-    """The package `foxglove`; a `MissingDependencyError` if it is not installed."""
+    """Import the package `foxglove`; a `MissingDependencyError` if it is not installed."""
     try:
         import foxglove
     except ImportError as err:

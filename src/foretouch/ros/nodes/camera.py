@@ -83,7 +83,7 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
         self.synthetic = None
 
     def has_ended(self) -> bool:
-        """Whether a recording was played to its end."""
+        """Return whether a recording was played to its end."""
         return (camera := self._camera) is not None and camera.status.state == "ended"
 
     def diagnose(self, report: Report) -> None:

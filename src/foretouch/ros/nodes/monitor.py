@@ -26,8 +26,8 @@ from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import read_serialized, status_name
-from foretouch.ros.messages.tactile import tactile_class
-from foretouch.ros.runtime.internal_errors import GuardedCallbacks
+from foretouch.ros.messages.tactile import message_class
+from foretouch.ros.runtime.internal_errors import InternalErrors
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
@@ -76,7 +76,7 @@ def _is_unfamiliar(prediction: TouchPrediction) -> bool:
     return "unfamiliar" in prediction.flags
 
 
-class MonitorNode(GuardedCallbacks, Node):
+class MonitorNode(Node):
     """Subscribes to `touch` and /diagnostics; also to the clouds, to draw an answer, and to the hand, to show its readings.
 
     The predictions are for `sensor`; with `hand`, the messages of the hand are read. `on_touch` is called with each message of `touch`,
@@ -95,6 +95,7 @@ class MonitorNode(GuardedCallbacks, Node):
         **options: Any,
     ) -> None:
         super().__init__("monitor", namespace=namespace, **options)
+        self.internal_errors = InternalErrors(self.get_logger().error)
         self._lock = threading.Lock()
         self._view = View(sensor)
         self._on_touch, self._count = on_touch, count
@@ -111,7 +112,7 @@ class MonitorNode(GuardedCallbacks, Node):
         self.create_subscription(TouchPredictionArray, "touch", self._receive_touch, reliable)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 50)
         if hand is not None:
-            kind = tactile_class(hand.message_type)
+            kind = message_class(hand.message_type)
             self.create_subscription(kind, TACTILE_TOPIC, partial(self._assemble, "tactile"), reliable)
             self.create_subscription(ExecutedGrasp, EXECUTED_TOPIC, partial(self._assemble, "executed"), reliable)
             self.create_subscription(PointCloud2, CLOUD_TOPIC, self._receive_cloud, qos_profile_sensor_data, raw=True)
@@ -120,7 +121,7 @@ class MonitorNode(GuardedCallbacks, Node):
                 self.create_subscription(PointCloud2, topic, partial(self._keep, clouds), qos_profile_sensor_data)
 
     def view(self) -> View:
-        """A copy of the state."""
+        """Copy the state."""
         with self._lock:
             view = self._view
             return replace(
@@ -132,13 +133,13 @@ class MonitorNode(GuardedCallbacks, Node):
             )
 
     def close_view(self) -> View:
-        """The state at the end: later answers are neither counted nor passed on."""
+        """End the view, and copy its state: later answers are neither counted nor passed on."""
         with self._lock:
             self._closed = True
         return self.view()
 
     def last_drawables(self) -> list[Drawable]:
-        """The last predictions on an object that the model knows, and on one that it does not, as far as there are such.
+        """Find the last predictions on an object that the model knows, and on one that it does not, as far as there are such.
 
         Of executed grasps they are the last before the first touch of an object and the last after it. If none was executed,
         they are the newest whose clouds are still kept.
@@ -157,7 +158,7 @@ class MonitorNode(GuardedCallbacks, Node):
         return [newest[key] for key in sorted(newest)]
 
     def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
-        """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
+        """Find the clouds of a prediction; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
             scene_message, object_message = (

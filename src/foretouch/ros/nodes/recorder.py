@@ -94,7 +94,7 @@ def _dataset_identity(config: RecorderConfig) -> Identity:
 
 
 def _decode_label(request: Any) -> Label:
-    """The label in a request; a `ConfigError` or `DatasetError` if its outcome or the object's label is none."""
+    """Read the label in a request; a `ConfigError` or `DatasetError` if its outcome or the object's label is none."""
     if request.outcome >= len(_OUTCOMES):
         raise ConfigError(f"outcome: {request.outcome} is not one of UNKNOWN, SUCCESS, FAILURE")
     if request.object:
@@ -134,7 +134,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
         self.inputs = RecorderInputs(self, [*topics, *others])
         group = MutuallyExclusiveCallbackGroup()
-        self.closing.callback(self.destroy_timer, self.create_timer(0.5, self._tick, callback_group=group))
+        self.closing.callback(self.destroy_timer, self.every(0.5, self._tick))
         services: tuple[tuple[Any, str, Callable[[Any, Any], str]], ...] = (
             (StartRecording, "start_recording", self._start_recording),
             (StopRecording, "stop_recording", self._stop_recording),
@@ -198,7 +198,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         return str(self.session_status().message.reason)
 
     def session_status(self) -> SessionStatus:
-        """State of the current session, or of the last one."""
+        """Return the state of the current session, or of the last one."""
         return SessionStatus() if self._session is None else self._session.status
 
     def _running(self) -> RecordingSession:
@@ -249,7 +249,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         return self.session_status()
 
     def status(self) -> RecorderStatus:
-        """The current `recorder_status`."""
+        """Make the current `recorder_status`."""
         return status_to_msg(self._session, self.inputs, self.get_clock().now().nanoseconds)
 
     # Services and the timer.

@@ -9,7 +9,6 @@ unless `restamp` is set. Its other topics are played too, where this machine has
 counts. Depth images keep the name of their topic, and their camera infos are beside them. In the same process, `ReplayNode.ended` is set at the end.
 """
 
-import importlib
 import math
 import re
 import threading
@@ -31,8 +30,9 @@ from foretouch.config import setting
 from foretouch.dataset.bag import Topic
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries
 from foretouch.dataset.source import Source, open_source
-from foretouch.errors import ConfigError
+from foretouch.errors import ConfigError, MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
+from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.discovery import ends_of_topics, is_heard_outside
 from foretouch.ros.runtime.lifecycle_node import NodeConfig, ThreadNode
@@ -47,7 +47,7 @@ _FRAME = "camera_depth_optical_frame"  # of clouds from files that name none
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
-    """The message class of each topic of a recording that can be played, and the reason for each other with messages.
+    """Find the message class of each topic of a recording that can be played, and the reason for each other with messages.
 
     What the nodes in `namespace` published then must not be mixed with what they publish now.
     """
@@ -69,22 +69,21 @@ def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type]
 
 
 def _message_class(topic: Topic) -> type | str:
-    """The class of a topic's messages if this machine has it with the same fields; else the reason."""
-    if (match := re.fullmatch(r"([a-z]\w*)/msg/([A-Z]\w*)", topic.type)) is None:
+    """Import the class of a topic's messages if this machine has it with the same fields; else give the reason."""
+    if re.fullmatch(r"[a-z]\w*/msg/[A-Z]\w*", topic.type) is None:
         return f"type {topic.type or 'mixed'} is not a message type"
-    package, name = match.groups()
     # A recording may name any module: only what is installed as ROS interfaces is imported.
     absent = f"type {topic.type} is not installed"
-    if not has_resource("rosidl_interfaces", package):
+    if not has_resource("rosidl_interfaces", topic.type.partition("/")[0]):
         return absent
     try:
-        message_class: Any = getattr(importlib.import_module(f"{package}.msg"), name)
-        fields = tuple(message_class.get_fields_and_field_types())
-    except (ImportError, AttributeError):
+        kind = message_class(topic.type)
+    except MissingDependencyError:
         return absent
+    fields = tuple(cast("Any", kind).get_fields_and_field_types())
     if tuple(field.lower() for field in topic.fields) != fields:  # some names of ROS 1 had capitals
         return f"type {topic.type} had other fields when it was recorded"
-    return cast("type", message_class)
+    return kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +177,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         return self.statistics.summary().dropped.get("unreadable", 0)
 
     def autostart(self) -> bool:
-        """A source that cannot be opened is the end of it: its parameters are read-only."""
+        """Configure and activate; a source that cannot be opened is the end of it: its parameters are read-only."""
         started = super().autostart()
         if not started:
             self.ended.set()
@@ -223,7 +222,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         self._source = None
 
     def has_ended(self) -> bool:
-        """Whether there is nothing more to play."""
+        """Return whether there is nothing more to play."""
         return self.ended.is_set() and self.outcome != "stopped"  # a stopped node may be activated again
 
     def diagnose(self, report: Report) -> None:

@@ -203,7 +203,7 @@ class RecordingSession:
         self._update_status()
 
     def _without_pause(self, messages: list[SerializedMessage]) -> list[SerializedMessage]:
-        """The messages to record: none in a pause, which begins once the grasp that is being executed is complete."""
+        """Select the messages to record: none in a pause, which begins once the grasp that is being executed is complete."""
         with self._assembler_lock:
             expects = self._assembler.expects_grasp(time.monotonic())
             self._dropping = bool(self._operator.paused) and (self._dropping or not expects)
@@ -216,7 +216,7 @@ class RecordingSession:
         return []
 
     def _prediction(self, sample: Sample) -> TouchPrediction | None:
-        """What was predicted for the grasp of a sample, if that was received."""
+        """Find what was predicted for the grasp of a sample, if that was received."""
         data = self._predictions.get(sample.cloud.stamp_ns)
         predictions: Sequence[Any] = () if data is None else read_serialized(data, TouchPredictionArray).predictions
         sha256 = self.writer.sensor.sha256  # a model of another sensor may predict

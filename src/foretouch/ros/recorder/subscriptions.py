@@ -7,7 +7,6 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from typing import Any, Final
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
@@ -15,7 +14,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from foretouch.bounded_queue import BoundedQueue
 from foretouch.cloud.io.depth_messages import info_topic
 from foretouch.dataset.recording.records import TopicCounts
-from foretouch.ros.messages.tactile import TactileInput, tactile_class
+from foretouch.errors import MissingDependencyError
+from foretouch.ros.messages.tactile import TactileInput, message_class
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.subscription import InputTopic, SerializedMessage
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
@@ -45,7 +45,7 @@ class RecordedTopic(InputTopic):
 def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[RecordedTopic]:
     """List the topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
     topics = [
-        RecordedTopic(config.tactile_topic, tactile_class(config.tactile.message_type), depth, role="tactile"),
+        RecordedTopic(config.tactile_topic, message_class(config.tactile.message_type), depth, role="tactile"),
         RecordedTopic(CLOUD_TOPIC, PointCloud2, cloud_depth, role="cloud"),
         RecordedTopic("table", TablePlane, depth, role="table"),
         RecordedTopic(GRASPS_TOPIC, GraspArray, depth, role="grasps"),
@@ -68,13 +68,12 @@ def robot_topics(depth: int) -> tuple[list[RecordedTopic], list[str]]:
     """List the topics of the robot, which are recorded as far as they are published, and the packages that are missing for some."""
     topics, missing = [], set()
     for name, type_name in _ROBOT_TOPICS.items():
-        package, _, kind = type_name.split("/")
         try:
-            message = getattr(import_module(f"{package}.msg"), kind)
-        except ImportError:
-            missing.add(package)
-            continue
-        topics.append(RecordedTopic(name, message, depth, optional=True, latched=name in _LATCHED))
+            message = message_class(type_name)
+        except MissingDependencyError:
+            missing.add(type_name.partition("/")[0])
+        else:
+            topics.append(RecordedTopic(name, message, depth, optional=True, latched=name in _LATCHED))
     return topics, sorted(missing)
 
 
@@ -90,14 +89,14 @@ class MessageQueue(BoundedQueue[SerializedMessage]):
         self._refused: Counter[str] = Counter()
 
     def take(self, timeout_s: float) -> tuple[list[SerializedMessage], Counter[str]]:
-        """All messages that wait (see `get_all`), and how many were rejected since the last call, by topic."""
+        """Take all messages, after waiting for the first, and how many were rejected since the last call, by topic."""
         with self._changed:
             messages, refused = self.get_all(timeout_s), self._refused
             self._refused = Counter()
             return messages, refused
 
     def waiting(self) -> Counter[str]:
-        """Messages that wait, and those rejected since the last `take`, by topic."""
+        """Count the messages that wait, and those rejected since the last `take`, by topic."""
         with self._changed:
             return Counter(item.topic for item in self._items) + self._refused
 

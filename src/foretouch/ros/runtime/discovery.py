@@ -16,7 +16,7 @@ _GRAPH = ("perception", "segmentation", "grasp", "touch_predictor", "replay", "m
 
 
 def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
-    """Signs of a second graph in the namespace, which answers every cloud once more without any error, a line each.
+    """Look for signs of a second graph in the namespace, which answers every cloud once more without any error; a line each.
 
     Each of the topics should have one publisher at most. To look takes less than 0.1 ms a topic.
     """
@@ -31,19 +31,19 @@ def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:
-    """Full names of the nodes that publish a topic, as far as they are discovered."""
+    """List the full names of the nodes that publish a topic, as far as they are discovered."""
     ends = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     return sorted(_name_of(end) for end in ends if end.node_name != "_NODE_NAME_UNKNOWN_")
 
 
 def is_heard_outside(node: Node, topic: str) -> bool:
-    """Whether a topic, by its full name, has a subscriber that is neither a node which answers clouds nor the display."""
+    """Return whether a topic, by its full name, has a subscriber that is neither a node which answers clouds nor the display."""
     graph = {_full_name(name, node.get_namespace()) for name in _GRAPH}
     return not graph.issuperset(map(_name_of, node.get_subscriptions_info_by_topic(topic)))
 
 
 def ends_of_topics(node: Node) -> list[tuple[str, int, int]]:
-    """Number of publishers and of subscribers of every topic that is seen."""
+    """Count the publishers and the subscribers of every topic that is seen."""
     topics = sorted(name for name, _ in node.get_topic_names_and_types())
     return [(name, node.count_publishers(name), node.count_subscribers(name)) for name in topics]
 

@@ -46,7 +46,7 @@ def prepare_environment() -> None:
 
 
 def profile_variable() -> str:
-    """The environment variable that names the profile: Fast DDS 2 (Jazzy) ignores that of 3, and 3 warns of that of 2."""
+    """Choose the environment variable that names the profile: Fast DDS 2 (Jazzy) ignores that of 3, and 3 warns of that of 2."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix).split(os.pathsep)
     return _PROFILE_VARIABLES[
         "fastrtps" if any(Path(prefix, "share", "fastrtps").is_dir() for prefix in prefixes) else "fastdds"
@@ -87,7 +87,7 @@ def _name_log_folder() -> None:
 
 
 def large_clouds(rmw: str, folder: Path = _FOLDER) -> tuple[str, bool]:
-    """How large clouds pass between processes by a middleware (RMW), in words, and whether that is known to lose none."""
+    """Describe how large clouds pass between processes by a middleware (RMW), and whether that is known to lose none."""
     if rmw != FAST_DDS:
         return f"{rmw}: not tested; the shared-memory profile of foretouch is for {FAST_DDS} (docs/install.md)", False
     try:
@@ -104,7 +104,7 @@ def large_clouds(rmw: str, folder: Path = _FOLDER) -> tuple[str, bool]:
 
 
 def stale_bytes(folder: Path = _FOLDER, *, free: bool = False) -> int:
-    """Size of the segments of this user whose processes have ended [bytes]; they are removed if asked for."""
+    """Sum the sizes of the segments of this user whose processes have ended [bytes]; they are removed if asked for."""
     total = 0
     for lock in [*folder.glob(f"fastdds_*{_LOCK}"), *folder.glob(f"fastrtps_*{_LOCK}")]:
         segment = lock.with_name(lock.name.removesuffix(_LOCK))

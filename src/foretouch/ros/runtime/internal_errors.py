@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps an internal error in a callback from ending the process: it is counted, logged and answered.
 
-rclpy passes an error in a callback on to the executor, which ends, and with it all nodes of the process. Nodes derived from
-`GuardedCallbacks` pass those of timers, services and inputs through `InternalErrors.guarded`; `spin_on` goes on after all others.
+rclpy passes an error in a callback on to the executor, which ends, and with it all nodes of the process. `ForetouchNode` passes those of
+timers, services and inputs through `InternalErrors.guarded`; `spin_on` goes on after all others.
 """
 
 import functools
@@ -15,13 +15,10 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.executors import Executor, ExternalShutdownException
 
 from foretouch.errors import described, shown
 from foretouch.ros.runtime.diagnostics import Report
-from foretouch_msgs.msg import Status
 
 
 class InternalErrors:
@@ -38,7 +35,7 @@ class InternalErrors:
         self._reported: Counter[str] = Counter()  # those in the reports so far
 
     def counts(self) -> Counter[str]:
-        """Number of errors by callback."""
+        """Copy the number of errors by callback."""
         with self._lock:
             return Counter(self._counts)
 
@@ -82,39 +79,6 @@ class InternalErrors:
         return _run
 
 
-class GuardedCallbacks:
-    """A mixin for rclpy's `Node`, before it in the list of bases, whose timers and services do not raise.
-
-    A service that fails answers with `success` false and a `message`, or with the status FAILED and a `reason`, as far
-    as its response has such fields; a change of parameters is refused.
-
-    Attributes:
-        internal_errors: Counts of the errors.
-    """
-
-    internal_errors: InternalErrors
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        self.internal_errors = InternalErrors(lambda text: self.get_logger().error(text))  # type: ignore[attr-defined]
-        super().__init__(*arguments, **options)
-        for service in self.services:  # type: ignore[attr-defined]  # those of parameters and of the lifecycle
-            callback = service.callback
-            if service.srv_type in (SetParameters, SetParametersAtomically):
-                callback = functools.partial(_with_known_types, callback)
-            service.callback = self.guarded_service(service.srv_name, callback)
-
-    def guarded_service(self, name: str, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Make a callback of a service that answers after an internal error, too."""
-        return self.internal_errors.guarded(name, callback, _failed_service)
-
-    def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """Make a timer, which goes on while the clock of a simulator stands."""
-        name = getattr(callback, "__name__", "timer").strip("_")
-        options.setdefault("clock", Clock(clock_type=ClockType.STEADY_TIME))
-        guarded = self.internal_errors.guarded(name, callback)
-        return super().create_timer(timer_period_sec, guarded, *arguments, **options)  # type: ignore[misc]
-
-
 def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool], poll_s: float) -> None:
     """Spin until a condition holds, which is checked every `poll_s`, through errors in the executor itself.
 
@@ -135,33 +99,26 @@ def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool
             time.sleep(0.01)
 
 
-def _with_known_types(callback: Callable[..., Any], request: Any, response: Any) -> Any:
+def with_known_types(callback: Callable[..., Any], request: Any, response: Any) -> Any:
     """Call rclpy's parameter service, or refuse a type that rclpy does not know, and would raise for."""
     for parameter in request.parameters:
         if parameter.value.type > ParameterType.PARAMETER_STRING_ARRAY:
-            return _failed_service(
-                (request, response),
-                f"{shown(parameter.name)}: type {parameter.value.type} is not one of rcl_interfaces/ParameterType",
-            )
+            rule = f"type {parameter.value.type} is not one of rcl_interfaces/ParameterType"
+            return failed_response((request, response), f"{shown(parameter.name)}: {rule}")
     return callback(request, response)
 
 
-def _failed_service(arguments: tuple[Any, ...], reason: str) -> Any:
-    """Make a response that names the reason wherever it has a field for it."""
+def failed_response(arguments: tuple[Any, ...], reason: str) -> Any:
+    """Make the response of a service after an internal error, with the reason where it has a field for it."""
     request, response = arguments
     refused = SetParametersResult(successful=False, reason=reason)
     if isinstance(request, SetParameters.Request):  # some may have been set before the error
         missing = len(request.parameters) - len(response.results)
         response.results = [*response.results, *[refused] * missing]
         return response
-    if isinstance(request, SetParametersAtomically.Request):
-        response.result = refused
-        return response
     answer = type(response)()
-    for name in answer.get_fields_and_field_types():
-        value = getattr(answer, name)
-        if hasattr(value, "status") and hasattr(value, "reason"):
-            value.status, value.reason = Status.FAILED, reason
-    if hasattr(answer, "success") and hasattr(answer, "message"):
+    if isinstance(request, SetParametersAtomically.Request):
+        answer.result = refused
+    elif hasattr(answer, "success") and hasattr(answer, "message"):
         answer.success, answer.message = False, reason
     return answer

@@ -21,7 +21,10 @@ from typing import Any, ClassVar, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
@@ -31,7 +34,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError, shown
 from foretouch.ros.runtime.diagnostics import InputStatistics, Report
 from foretouch.ros.runtime.discovery import find_conflicts
-from foretouch.ros.runtime.internal_errors import GuardedCallbacks
+from foretouch.ros.runtime.internal_errors import InternalErrors, failed_response, with_known_types
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.ros.runtime.subscription import FollowingSubscription, InputTopic
 from foretouch.topics import NAMESPACE
@@ -49,7 +52,7 @@ class NodeConfig(Settings, read_only=True):
     diagnostics_period_s: float = setting(1.0, "Time between reports in /diagnostics", bounds=(0.1, 60.0))
 
 
-class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
+class ForetouchNode(LifecycleNode, Generic[_C]):
     """A lifecycle node with typed settings and diagnostics, whose process no error in a callback ends.
 
     Every field of `config_class` becomes a parameter; a `ConfigError` if one that is given at the start breaks a rule.
@@ -63,15 +66,20 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(self.default_name, **{"namespace": NAMESPACE, **options})
+        self.internal_errors = InternalErrors(self.get_logger().error)
         self.closing = ExitStack()  # of what `_setup` made, closed when the node is cleaned up
         try:
             self._settings = NodeSettings(self, cast("type[_C]", self.config_class), self._config_changed)
         except ForetouchError:
             self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
-        for service in self.services:
+        for service in self.services:  # those of parameters and of the lifecycle
+            callback = service.callback
             if service.srv_type is ChangeState:
-                service.callback = partial(self._change_state, service.callback)
+                callback = partial(self._change_state, callback)
+            elif service.srv_type in (SetParameters, SetParametersAtomically):
+                callback = partial(with_known_types, callback)
+            service.callback = self.internal_errors.guarded(service.srv_name, callback, failed_response)
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
         self.failure = ""  # why the node could not be configured or activated, or its thread has ended
@@ -81,10 +89,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._input_group = MutuallyExclusiveCallbackGroup()
-        own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(self.config.diagnostics_period_s, self._publish_report, callback_group=own_group)
-        self.create_timer(0.5, self._look, callback_group=own_group)
+        self.every(self.config.diagnostics_period_s, self._publish_report)
+        self.every(0.5, self._look)
 
     @property
     def config(self) -> _C:
@@ -109,7 +116,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """React to a parameter that was changed at run time."""
 
     def has_ended(self) -> bool:
-        """Whether the node has nothing more to do; its process may then end."""
+        """Return whether the node has nothing more to do; its process may then end."""
         return False
 
     def diagnose(self, report: Report) -> None:
@@ -159,9 +166,17 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
         """Offer a service until the node is cleaned up; a coroutine function must not raise."""
-        guarded = callback if inspect.iscoroutinefunction(callback) else self.guarded_service(name, callback)
+        guarded = callback
+        if not inspect.iscoroutinefunction(callback):
+            guarded = self.internal_errors.guarded(name, callback, failed_response)
         service = self.create_service(kind, name, guarded, callback_group=group, qos_profile=REQUESTS)
         self.closing.callback(self.destroy_service, service)
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> Any:
+        """Make a timer, which goes on while the clock of a simulator stands."""
+        guarded = self.internal_errors.guarded(callback.__name__.strip("_"), callback)
+        clock, group = Clock(clock_type=ClockType.STEADY_TIME), MutuallyExclusiveCallbackGroup()
+        return self.create_timer(period_s, guarded, callback_group=group, clock=clock)
 
     def _look(self) -> None:
         """Do what is due now and then: follow the publishers, and look for a second graph."""
@@ -196,7 +211,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             self.get_logger().warning(f"a second graph or source runs in {where}: {'; '.join(fresh)}; {cure}")
 
     def age_s(self, stamp_ns: int) -> float:
-        """Age of a stamp on the node's clock [s]."""
+        """Compute the age of a stamp on the node's clock [s]."""
         return float(self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
 
     # Transitions.

@@ -6,6 +6,7 @@ too long for its partner is answered with FAILED and counted as dropped, `no_gra
 is an error in /diagnostics.
 """
 
+import math
 import threading
 import time
 from collections import Counter
@@ -75,7 +76,7 @@ class MatchingNode(ProcessingNode[_P]):
 
     def _match(self, topic: str, message: Any) -> None:
         """Complete the pair of a stamp, or let the message wait for its partner."""
-        stamp, overfull = stamp_ns(message.header.stamp), None
+        stamp = stamp_ns(message.header.stamp)
         with self._lock:
             item = self._incomplete.pop(stamp, None)
             if item is None and self._given_up.get(stamp) == topic:
@@ -90,42 +91,41 @@ class MatchingNode(ProcessingNode[_P]):
             complete = len(item.content) == len(self.inputs)
             if not complete:
                 self._incomplete[stamp] = item
-                overfull = self._give_up() if len(self._incomplete) > _INCOMPLETE else None
         if complete:
             self._lacking.clear()
             self._put(item._replace(header=item.content[self._first].header))
-        if overfull is not None:
-            self._answer_incomplete(overfull)
+        elif len(self._incomplete) > _INCOMPLETE:
+            self._give_up(-math.inf)
 
     def _look(self) -> None:
         super()._look()
-        before_s = time.monotonic() - self.config.partner_timeout_s
+        self._give_up(time.monotonic() - self.config.partner_timeout_s)
+
+    def _give_up(self, before_s: float) -> None:
+        """Refuse the clouds without a partner that arrived before a time, by `time.monotonic` [s], and the oldest of too many.
+
+        The worker does not do it: it is for clouds that can be answered.
+        """
         with self._lock:
-            overdue = [
-                self._give_up()
-                for _ in range(sum(incomplete.arrived < before_s for incomplete in self._incomplete.values()))
-            ]
-        for item in overdue:
-            self._answer_incomplete(item)
-
-    def _give_up(self) -> Input:
-        """Take out the oldest incomplete pair."""
-        stamp, item = next(iter(self._incomplete.items()))
-        del self._incomplete[stamp]
-        self._given_up[stamp] = self._second if self._first in item.content else self._first
-        while len(self._given_up) > _INCOMPLETE:
-            del self._given_up[next(iter(self._given_up))]
-        return item
-
-    def _answer_incomplete(self, item: Input) -> None:
-        """Refuse a cloud whose partner has not come; not by the worker, which is for clouds that it can answer."""
-        if self.state_name != "active":
-            self.statistics.drop("inactive")
-            return
-        missing, now = self._second if self._first in item.content else self._first, time.monotonic()
-        self._lacking_s = (self._lacking_s[0] if self._lacking else now, now)
-        self._lacking[missing] += 1
-        self.statistics.drop(f"no_{missing}")
-        reason = f"no_{missing}: none came for this cloud; /diagnostics shows which node publishes them"
-        self._refuse(item.header, Status.FAILED, reason)
-        self._note(Status.FAILED, reason)
+            excess = len(self._incomplete) - _INCOMPLETE
+            overdue = {
+                stamp: item
+                for number, (stamp, item) in enumerate(self._incomplete.items())
+                if number < excess or item.arrived < before_s
+            }
+            for stamp, item in overdue.items():
+                del self._incomplete[stamp]
+                self._given_up[stamp] = self._second if self._first in item.content else self._first
+            while len(self._given_up) > _INCOMPLETE:
+                del self._given_up[next(iter(self._given_up))]
+        for item in overdue.values():
+            if self.state_name != "active":
+                self.statistics.drop("inactive")
+                continue
+            missing, now = self._second if self._first in item.content else self._first, time.monotonic()
+            self._lacking_s = (self._lacking_s[0] if self._lacking else now, now)
+            self._lacking[missing] += 1
+            self.statistics.drop(f"no_{missing}")
+            reason = f"no_{missing}: none came for this cloud; /diagnostics shows which node publishes them"
+            self._refuse(item.header, Status.FAILED, reason)
+            self._note(Status.FAILED, reason)

@@ -49,7 +49,7 @@ def check_parameters(arguments: Sequence[str], nodes: Nodes, own: Sequence[str],
 
 
 def nodes_of_file(path: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Full names of the nodes in a file, with their parameters by dotted name."""
+    """Read the full names of the nodes in a file, with their parameters by dotted name."""
 
     def walk(name: str, value: Any) -> Iterator[tuple[str, dict[str, Any]]]:
         groups = value if isinstance(value, Mapping) else {}

@@ -45,8 +45,13 @@ _TABLES = 64  # of the latest clouds, which come before the clouds themselves ar
 class OnlineAdapter:
     """Adapts the predictions of one model, which has a calibration.
 
-    The `reader` is of the model's sensor. `config` gives the current settings, `now_ns` the time of the node's clock [ns]; `warn` is called with a line for each
-    touch that is refused.
+    Args:
+        model: The model.
+        reader: Of the model's sensor.
+        keeper: Of the history of the hand.
+        config: Gives the current settings.
+        now_ns: Gives the time of the node's clock [ns].
+        warn: Called with a line for each touch that is refused.
     """
 
     def __init__(
@@ -162,7 +167,7 @@ class OnlineAdapter:
                 del self._tables[oldest]
 
     def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> Snapshot | None:
-        """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
+        """Copy the readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
         now_ns, others = self._now_ns(), self._others
         tdc = (
             None
@@ -220,7 +225,7 @@ class OnlineAdapter:
         return count
 
     def notes(self) -> dict[str, str]:
-        """Entries for /diagnostics."""
+        """Make the entries for /diagnostics."""
         with self._input_lock:
             age_s, self._texts["tare.fault"] = self._tare.age_s(time.monotonic()), self._tare.fault
             counts = {"waiting": len(self._assembler.matcher.pending), **self._touch_counts}
@@ -247,7 +252,7 @@ class OnlineAdapter:
             return None if tare is None else self._usable(tare)
 
     def _usable(self, reading: Touch) -> Touch:
-        """The reading without taxels that the hand's description declares dead, which have the mean of others."""
+        """Give taxels that the hand's description declares dead the mean of others."""
         return Touch(usable(reading.values, reading.channels, self._valid), reading.channels)
 
     def _add_touch(self, assembled: AssembledSample, config: TouchSettings) -> None:
@@ -259,17 +264,12 @@ class OnlineAdapter:
             extra = sample.extra
             if tare is not None:
                 self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, tare.channels, "tare_"))
-            table = self._tables.get(sample.cloud.stamp_ns)
-            estimate = self._model.estimate_executed(sample.cloud, [sample.grasp], config.limits, table)
             new = not self._history.is_current(sample.cloud, config.same_object_m)
+            table = self._tables.get(sample.cloud.stamp_ns)
+            estimate = self._history.model.estimate_executed(sample.cloud, [sample.grasp], config.limits, table)
+            tdc = tdc_of(extra, touch.channels)
             self._history.add_touch(
-                now_ns,
-                sample.cloud,
-                sample.grasp,
-                touch,
-                new_object=new,
-                estimate=estimate,
-                tdc=tdc_of(extra, touch.channels),
+                now_ns, sample.cloud, sample.grasp, touch, new_object=new, estimate=estimate, tdc=tdc
             )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}

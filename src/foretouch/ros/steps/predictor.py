@@ -142,7 +142,7 @@ def _posed(
 
 
 def _axis(target: Object, config: TouchSettings, posing: GeoGraspConfig | None) -> Float64:
-    """(3,) the axis of an object, as `Pipeline.grasp_between` finds it."""
+    """Return (3,) the axis of an object, as `Pipeline.grasp_between` finds it."""
     if posing is None:
         raise GraspError("pose: no orientation, and no table to compute it with")
     check_object(target.cloud.xyz, config.limits)

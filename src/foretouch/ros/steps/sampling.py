@@ -18,9 +18,10 @@ from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
 from foretouch.errors import described
+from foretouch.grasp import GraspPlan
 from foretouch.grasp.hand import tool_of
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, predicted_pressures
-from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import RefusalError, Targets, no_latest_cloud, requested_targets
 from foretouch.ros.steps.grasping import plan_targets
 from foretouch.ros.steps.touch import TouchStep
@@ -89,13 +90,7 @@ def sample_grasps(
                 break
             part = slice(first, first + _BATCH)
             batch = GraspArray(header=targets.header, grasps=message.grasps[part])
-            answer = step.answer_plans([target], [replace(plan, grasps=plan.grasps[part])], batch)
-            model = step.predictor.model
-            shape = (3, len(batch.grasps), 1)
-            pressed = np.full(shape, np.nan) if model is None else predicted_pressures(answer.predictions, model)
-            fresh = [
-                _candidate(rule, prediction, pressed[:, k]) for k, prediction in enumerate(answer.message.predictions)
-            ]
+            fresh = _predicted(step, rule, target, replace(plan, grasps=plan.grasps[part]), batch)
             feedback(SampleGrasps.Feedback(**_fields(fresh, targets.header)))
             candidates += fresh
     if not candidates:
@@ -104,12 +99,10 @@ def sample_grasps(
         raise RefusalError(message.status, message.reason)
     if rule != SCORE and all(math.isinf(candidate.cost) for candidate in candidates):
         raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
-    candidates = _levelled(candidates)
-    grasps = [candidate.grasp for candidate in candidates]
-    step.add_requested(targets, grasps)
-    predictions = [candidate.prediction for candidate in candidates]
-    fields = _fields(candidates, targets.header)
-    return SampleGrasps.Result(grasp_state="success", status=Status.OK, predictions=predictions, **fields)
+    candidates, fields = _levelled(candidates), {"grasp_state": "success", "status": Status.OK}
+    fields |= _fields(candidates, targets.header)
+    step.add_requested(targets, fields["grasps"])
+    return SampleGrasps.Result(predictions=[candidate.prediction for candidate in candidates], **fields)
 
 
 def _targets(goal: Any, latest: Targets | None, config: TouchSettings) -> Targets:
@@ -123,10 +116,17 @@ def _targets(goal: Any, latest: Targets | None, config: TouchSettings) -> Target
     return targets
 
 
-def _candidate(rule: str, prediction: TouchPrediction, pressed: Float64) -> _Candidate:
-    """Rate a prediction by (3, F) how hard each finger presses: value and bounds."""
-    cost, lower, upper = (cost_of(rule, prediction.grasp, bound) for bound in pressed)
-    return _Candidate(cost, abs(upper - lower) / 2.0, prediction.grasp, prediction)
+def _predicted(step: TouchStep, rule: str, target: Object, plan: GraspPlan, message: GraspArray) -> list[_Candidate]:
+    """Predict for planned grasps, whose message is given, and rate each by how hard the fingers press: value and bounds."""
+    answer, model = step.answer_plans([target], [plan], message), step.predictor.model
+    pressed = np.full((3, len(plan.grasps), 1), np.nan)
+    if model is not None:
+        pressed = predicted_pressures(answer.predictions, model)
+    candidates = []
+    for k, prediction in enumerate(answer.message.predictions):
+        cost, lower, upper = (cost_of(rule, prediction.grasp, bound) for bound in pressed[:, k])
+        candidates.append(_Candidate(cost, abs(upper - lower) / 2.0, prediction.grasp, prediction))
+    return candidates
 
 
 def cost_of(rule: str, grasp: Grasp, pressed: Float64) -> float:

@@ -77,7 +77,7 @@ class Selection:
         self._id, self._missing = "", 0
 
     def mask(self, cloud: Cloud) -> AnyArray | None:
-        """The labels for a cloud; None where objects are found without.
+        """Find the labels for a cloud; None where objects are found without.
 
         Raises:
             RefusalError: If there is no mask for it, or it cannot be read.
@@ -106,7 +106,7 @@ class Selection:
             raise RefusalError(Status.BAD_REQUEST, str(err)) from err
 
     def choose(self, scene: Scene) -> Scene:
-        """The scene with the selected object as its only target, as long as there is one."""
+        """Make the selected object the only target of a scene, as long as there is one."""
         with self._changed:
             click, self._click = self._click, None
         if click is not None:

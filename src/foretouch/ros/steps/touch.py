@@ -25,7 +25,7 @@ from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RequestedGrasps, Targets
-from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
@@ -167,7 +167,7 @@ class TouchStep(Step):
         node, model = self._node, self.predictor.model
         config: TouchSettings = node.config
         reader = make_reader(config.tactile)  # wrong settings are reported in any case
-        message = tactile_class(config.tactile.message_type)
+        message = message_class(config.tactile.message_type)
         if model is None or model.calibration is None:
             return
         try:

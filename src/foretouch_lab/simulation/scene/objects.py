@@ -52,7 +52,7 @@ class ObjectConfig(Settings):
     )
     first_variant: int = setting(0, "First member of the family that is used, for the shape random", bounds=(0, 10_000))
     size_m: tuple[float, ...] = setting(
-        (0.07, 0.07, 0.1), "Edges of the object's bounding box along its own x, y and z (up); empty: those of the file"
+        (0.07, 0.07, 0.1), "Edges of the object's bounding box along its own x, y and z (up); empty: as in the file"
     )
     size_spread: float = setting(0.0, "Largest relative change of the size from sample to sample", bounds=(0.0, 0.5))
     pose: PoseConfig = PoseConfig()

@@ -68,7 +68,7 @@ class CameraConfig(Settings):
         stereo: What only one of the two imagers, side by side, sees has no depth.
         flying_pixels: Half of the pixels at a depth edge lie between both sides.
         holes: Pixels have no depth at random spots, and where the surface turns away from the camera.
-        segmented: The object's points are those that segmentation finds in the image, as in the graph: steep flanks lack some.
+        segmented: The object's points are what segmentation finds in the image, as in the graph: steep flanks lack some.
     """
 
     width: int = setting(640, "Columns of the image", unit="px", bounds=(16, 1920))
