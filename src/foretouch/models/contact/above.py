@@ -65,7 +65,7 @@ def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Floa
 
 
 def upper_side(points: Float64, turn: Float64, tilt: float) -> Float64:
-    """What an object shows of itself in all views: its upper side without walls, a point over each cell of the table.
+    """Return what an object shows of itself in all views: its upper side without walls, a point over each cell of the table.
 
     Args:
         points: (N, 3) float64 [m], finite, camera frame, N > 0.
@@ -98,7 +98,7 @@ def upper_side(points: Float64, turn: Float64, tilt: float) -> Float64:
 
 
 def _along_object(points: Float64) -> Float64:
-    """(3, 3) turn about the vertical after which an object is longest along x, so that its cells turn with it."""
+    """Return (3, 3) turn about the vertical after which an object is longest along x, so that its cells turn with it."""
     x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
     angle = 0.5 * np.arctan2(2.0 * (x @ y), x @ x - y @ y)
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -108,7 +108,7 @@ def _along_object(points: Float64) -> Float64:
 
 
 def _completed(seen: Float64, edge: float, turn: Float64, points: Float64) -> Float64:
-    """(M, 3) seen points of an upper side, one over each cell, with what (N, 3) points hide from the camera."""
+    """Return (M, 3) seen points of an upper side, one over each cell, with what (N, 3) points hide from the camera."""
     hidden = _mirrored(seen)
     hidden = hidden[_is_hidden(hidden @ turn, points)]
     cells, count = _cells(np.concatenate([seen, hidden]), edge)
@@ -119,7 +119,7 @@ def _completed(seen: Float64, edge: float, turn: Float64, points: Float64) -> Fl
 
 
 def _cells(points: Float64, edge: float) -> tuple[Int64, int]:
-    """(N,) number of the cell of the table over which each point is, and the number of cells."""
+    """Return (N,) number of the cell of the table over which each point is, and the number of cells."""
     x, y = points[:, 0], points[:, 1]
     column = np.floor((x - x.min()) / edge).astype(np.int64)
     row = np.floor((y - y.min()) / edge).astype(np.int64)
@@ -133,7 +133,7 @@ def _cells(points: Float64, edge: float) -> tuple[Int64, int]:
 
 
 def _highest(points: Float64, edge: float) -> Float64:
-    """The highest point over each cell, by cells; of equal ones, the first."""
+    """Return the highest point over each cell, by cells; of equal ones, the first."""
     cells, count = _cells(points, edge)
     highest = np.full(count, np.inf)
     np.minimum.at(highest, cells, points[:, 2])
@@ -157,7 +157,7 @@ def _mirrored(points: Float64) -> Float64:
 
 
 def _is_hidden(places: Float64, points: Float64) -> Bool:
-    """(M,) whether points hide places from the camera, both in its frame."""
+    """Return (M,) whether points hide places from the camera, both in its frame."""
     hidden, found = np.empty(len(places), np.uint8), np.empty(1, np.int64)
     places, points = np.ascontiguousarray(places), np.ascontiguousarray(points)
     _hide_places(points, len(points), places, len(places), _PITCH, _BEHIND_M, _MOST_CELLS, hidden, found)

@@ -114,7 +114,7 @@ class KnownSizes(TensorRecord):
         return centre, turn, (sizes - centre) @ turn
 
     def scores(self, sizes: Float64) -> Float64:
-        """(K,) of (K, 11): 1 for sizes like those of training, 0 for others."""
+        """Return (K,) of (K, 11): 1 for sizes like those of training, 0 for others."""
         moved = ((sizes - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
         start, end = self.span
         return np.asarray(np.clip((end - cdist(moved, self.known).min(axis=1)) / (end - start), 0.0, 1.0), np.float64)
@@ -154,13 +154,13 @@ class Limits(TensorRecord):
         return cls(low, high)
 
     def exceeded(self, rows: Float64) -> tuple[dict[str, Bool], dict[str, Bool]]:
-        """(K,) bool by name, whether (K, F) rows are below and above a limit."""
+        """Return (K,) bool by name, whether (K, F) rows are below and above a limit."""
         values = rows[:, _LIMITED_COLUMNS]
         below, above = (values < self.low).T, (values > self.high).T
         return dict(zip(_LIMITED, below, strict=True)), dict(zip(_LIMITED, above, strict=True))
 
     def has_view(self, view: Float64) -> Bool:
-        """(…,) whether the training has such a view as (…, 2) of `VIEW`."""
+        """Return (…,) whether the training has such a view as (…, 2) of `VIEW`."""
         size = len(VIEW)
         return np.asarray(((view >= self.low[:size]) & (view <= self.high[:size])).all(axis=-1), np.bool_)
 
@@ -180,7 +180,7 @@ class NoveltyDetector:
 
     @classmethod
     def fit(cls, rows: Float64, objects: Sequence[str]) -> Self:
-        """From (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects.
+        """Fit to (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects.
 
         S of at least 5.
         """
@@ -188,7 +188,7 @@ class NoveltyDetector:
         return cls(whole, KnownSizes.of_upper(rows[:, _UPPER], objects), Limits.fit(rows))
 
     def scores(self, rows: Float64) -> Float64:
-        """(K,) of (K, F) rows: 1 where they are like those of training, 0 where unlike.
+        """Return (K,) shares for (K, F) rows: 1 where they are like those of training, 0 where unlike.
 
         Compare with `IN_DISTRIBUTION`.
         """
@@ -201,7 +201,7 @@ class NoveltyDetector:
         return scores
 
     def reasons(self, rows: Float64) -> dict[str, Bool]:
-        """(K,) bool each, what of (K, F) rows is unlike the training, by the names of `UNFAMILIAR`."""
+        """Return (K,) bool each, what of (K, F) rows is unlike the training, by the names of `UNFAMILIAR`."""
         below, above = self.limits.exceeded(rows)
         whole = self.limits.has_view(rows[:, : len(VIEW)])
         longest = np.where(whole, rows[:, _WHOLE[_LONGEST]], rows[:, _UPPER[_LONGEST]])
@@ -246,7 +246,7 @@ class ContactEstimator:
     surroundings: bool = True
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
-        """See `Estimator.estimate`."""
+        """Predict (K, D) counts of grasps on a cloud, and whether they are in the distribution of training."""
         features = HandFrameFeatures(cloud.xyz, table)
         upper = not self.novelty.limits.has_view(features.view)
         rows = features.describe(grasps, surroundings=self.surroundings, upper=upper)
@@ -297,7 +297,7 @@ class ContactEstimator:
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], ranges: Ranges) -> Self:
-        """From `to_tensors`.
+        """Make the object of the arrays of `to_tensors`.
 
         Raises:
             ModelError: Names the array that is missing or damaged.
@@ -340,7 +340,7 @@ def save_contact(
 
 
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
-    """The contact model of a card, with its calibration.
+    """Return the contact model of a card, with its calibration.
 
     Raises:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.

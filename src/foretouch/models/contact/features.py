@@ -146,7 +146,7 @@ class HandFrameFeatures:
         return columns, grid, cells, starts
 
     def describe(self, grasps: Sequence[Grasp], *, surroundings: bool = True, upper: bool = True) -> Float64:
-        """(K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp.
+        """Return (K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp.
 
         Without `surroundings`, the columns that describe the points around each contact are 0; without `upper`, those of the upper side.
         """
@@ -166,7 +166,7 @@ class HandFrameFeatures:
         return np.hstack([objects, self._grasps(g1, g2, hand), contacts[: len(grasps)], contacts[len(grasps) :]])
 
     def _grasps(self, g1: Float64, g2: Float64, hand: Float64) -> Float64:
-        """(K, len(_GRASP_FEATURES))."""
+        """Return (K, len(_GRASP_FEATURES)) features of the grasps alone."""
         middle = (g1 + g2) / 2.0
         offset = middle - self._centre
         turned = (self._covariance[None, :, :, None] * hand[:, None, :, :]).sum(axis=2)
@@ -191,7 +191,7 @@ class HandFrameFeatures:
         )
 
     def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
-        """(K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
+        """Return (K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
 
         The compiled function leaves out contacts at points that are in one plane to 1e-7 m, such as on a face at one
         step of the depth: there the features depend on rounding, and are computed by NumPy in a fixed order.
@@ -229,7 +229,7 @@ class HandFrameFeatures:
         return np.column_stack(columns)
 
     def _sums(self, contact: Float64, index: list[int]) -> Float64:
-        """(4, 11) of pad and patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz; number of points."""
+        """Return (4, 11) of pad and patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz; number of points."""
         powers = self._powers[index]
         offset = powers[:, 1:4] - contact
         weight = np.maximum(1.0 - (offset * offset).sum(axis=1) / _SQUARES[:, None], 0.0)
@@ -244,7 +244,7 @@ def _sizes(points: Float64, columns: Float64, spreads: Float64, axes: Float64) -
 
 
 def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float64, Float64]:
-    """Of (U, 11) sums around (U, 3) contacts, both from the object's centre.
+    """Compute moments of (U, 11) sums around (U, 3) contacts, both from the object's centre.
 
     Returns:
         (U,) weights, (U, 3) means from the contact, (U, 3) standard deviations along the principal axes, ascending, and
@@ -258,5 +258,5 @@ def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float6
 
 
 def _into(frames: Float64, vectors: Float64) -> Float64:
-    """(K, 3) vectors in the (K, 3, 3) frames, whose axes are columns; the same to the last bit for any K."""
+    """Return (K, 3) vectors in the (K, 3, 3) frames, whose axes are columns; the same to the last bit for any K."""
     return np.asarray((frames * vectors[:, :, None]).sum(axis=1), np.float64)
