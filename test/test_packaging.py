@@ -25,6 +25,10 @@ import foretouch
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {name: ROOT / "src" / name for name in ("foretouch", "foretouch_lab")}
+ROS_PACKAGES = (
+    *(f"{name}_msgs" for name in ("diagnostic", "foretouch", "geometry", "lifecycle", "sensor", "shape", "std")),
+    *("visualization_msgs", "std_srvs", "rcl_interfaces", "builtin_interfaces"),
+)
 OUTER = {"ros", "camera", "__main__", "kernels"}
 ROBOT = (  # what a robot runs: the nodes, and the modules of the commands `run`, `predict`, `record`, `replay` and `view`
     *(
@@ -115,9 +119,11 @@ def test_a_command_without_the_laboratory_names_the_extra_to_install(blocked, wo
     ],
 )
 def test_a_command_without_ros_says_so_in_one_line(words, tmp_path) -> None:
-    done = _run_without(("rclpy", "sensor_msgs", "foretouch_msgs"), words, tmp_path)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    done = _run_without(("rclpy", *ROS_PACKAGES), words, tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
     assert done.stderr.startswith(f"foretouch: {words[0]}: ROS 2 is not installed: pip install 'foretouch[ros]'")
+    if words[0] in {"run", "record"}:
+        assert "foretouch_msgs is not installed" in _run_without(("foretouch_msgs",), words, tmp_path).stderr
 
 
 def _run_without(blocked: tuple[str, ...], words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:

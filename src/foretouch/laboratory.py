@@ -3,23 +3,20 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Final
 
 from foretouch.errors import MissingDependencyError
 
-_LABORATORY: Final = "pip install 'foretouch[lab]'"
-_ROS: Final = "pip install 'foretouch[ros]', or source your installation (foretouch doctor)"
-_NEEDED: Final = {
-    "foretouch_lab": ("foretouch_lab", _LABORATORY),
-    "embreex": ("embreex", _LABORATORY),
-    "sklearn": ("scikit-learn", _LABORATORY),
-    "threadpoolctl": ("threadpoolctl", _LABORATORY),
-    "trimesh": ("trimesh", _LABORATORY),
-    "rclpy": ("ROS 2", _ROS),
-    "sensor_msgs": ("ROS 2", _ROS),
-    "foretouch_msgs": ("foretouch_msgs", "pip install ./foretouch_msgs in a clone of foretouch"),
+_LABORATORY: Final = {
+    "foretouch_lab": "foretouch_lab",
+    "embreex": "embreex",
+    "sklearn": "scikit-learn",
+    "threadpoolctl": "threadpoolctl",
+    "trimesh": "trimesh",
 }
-"""For each such module: what is not installed, and the cure."""
+"""Distributions that only the laboratory needs, by the name under which they are imported."""
+_OF_ROS: Final = ("rclpy", "_msgs", "_srvs", "_interfaces")  # ends of names of modules
 
 
 @contextmanager
@@ -28,8 +25,18 @@ def needs_laboratory(user: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as err:
-        top = (err.name or "").partition(".")[0]
-        if top not in _NEEDED:
+        cure = _cure((err.name or "").partition(".")[0])
+        if not cure:
             raise
-        missing, cure = _NEEDED[top]
-        raise MissingDependencyError(f"{user}: {missing} is not installed: {cure}") from err
+        raise MissingDependencyError(f"{user}: {cure}") from err
+
+
+def _cure(module: str) -> str:
+    """Say what is not installed, and how to install it; "" for a module that no optional part needs."""
+    if module in _LABORATORY:
+        return f"{_LABORATORY[module]} is not installed: pip install 'foretouch[lab]'"
+    if module.endswith(_OF_ROS) and find_spec("rclpy") is None:
+        return "ROS 2 is not installed: pip install 'foretouch[ros]', or source your installation (foretouch doctor)"
+    if module == "foretouch_msgs":
+        return "foretouch_msgs is not installed: pip install ./foretouch_msgs in a clone of foretouch"
+    return ""

@@ -30,7 +30,7 @@ class ObjectAxis:
 
 
 def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Float64, Float64]:
-    """Main axis and centroid of an object: outlier filter, voxel grid, major eigenvector.
+    """Find the main axis and the centroid of an object: outlier filter, voxel grid, major eigenvector.
 
     Args:
         cloud: The object's points; those that are not finite are ignored.
@@ -54,7 +54,7 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
 
 
 def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:
-    """Main axis of filtered points.
+    """Find the main axis of filtered points.
 
     The eigensolver leaves the sign open, and GeoGrasp's rule does not determine it in every side view. The axis is
     therefore first turned so that its largest component is negative, and the rule is applied to that.

@@ -251,12 +251,24 @@ class CompletedObject:
         return np.asarray(cost + _WIDE * smoothstep(width, almost * opening_m, opening_m), np.float64)
 
     def contacts(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Return both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves."""
+        """Return both contacts (3,) [m] of a line in the camera's frame; the first is on the side that `PREFERRED` leaves.
+
+        Args:
+            lines: The lines of the object.
+            angle: Number of its direction.
+            line: Number of its place.
+        """
         values = (measure[angle, line] for measure in (lines.low, lines.high, lines.height))
         return self._ends(float(_ANGLE[angle]), float(_OFFSET[line]), *values)
 
     def refined(self, lines: ClosingLines, angle: int, line: int) -> tuple[Float64, Float64]:
-        """Return the contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused."""
+        """Return the contacts of the mean of a line and its neighbours, weighted by their costs; of the line itself if that is refused.
+
+        Args:
+            lines: The lines of the object.
+            angle: Number of its direction.
+            line: Number of its place.
+        """
         half, rows = np.divmod(angle + _TURNS, _ANGLES)
         columns = np.where(half % 2 == 0, line + _STEPS, _LINES - 1 - (line + _STEPS))
         inside = (columns >= 0) & (columns < _LINES)
@@ -335,7 +347,11 @@ class CompletedObject:
         return WayIn(z, name, float(depth_m), clearances, pose @ at.tool, at.posture, joints, self._hand.name), False
 
     def nearest_line(self, grasp: Grasp) -> tuple[int, int]:
-        """Direction and place of the line that is closest to a grasp."""
+        """Find the direction and the place of the line that is closest to a grasp.
+
+        Args:
+            grasp: A grasp, camera frame.
+        """
         across = self._basis @ (grasp.g2 - grasp.g1)
         angle = round(float(np.arctan2(across[1], across[0])) / np.pi * _ANGLES) % _ANGLES
         middle, turn = self._basis @ (grasp.midpoint - self._foot), np.pi * angle / _ANGLES
@@ -432,7 +448,11 @@ def best_grasps(
 
 
 def as_in_image(grasp: Grasp) -> tuple[Float64, Float64]:
-    """Order the contacts of a grasp as `HandConfig.thumb_at` names them: g1 is left in the image."""
+    """Order the contacts of a grasp as `HandConfig.thumb_at` names them: g1 is left in the image.
+
+    Args:
+        grasp: A grasp, camera frame.
+    """
     return _in_image_order((grasp.g1, grasp.g2), grasp.g2 - grasp.g1)
 
 
@@ -442,14 +462,25 @@ def _in_image_order(ends: tuple[Float64, Float64], along: Float64) -> tuple[Floa
 
 
 def blocking_objects(lines: ClosingLines, obstacles: Obstacles | None) -> tuple[int, ...]:
-    """Ids of the objects that block lines, ascending."""
+    """Return the ids of the objects that block lines, ascending.
+
+    Args:
+        lines: The lines of an object.
+        obstacles: What stood around it.
+    """
     if obstacles is None:
         return ()
     return tuple(np.unique(obstacles.object_ids[lines.blocker[lines.blocker >= 0]]).tolist())
 
 
 def why_no_line(lines: ClosingLines, hand: HandConfig, obstacles: Obstacles | None) -> str:
-    """Return why the hand can execute none of the lines."""
+    """Return why the hand can execute none of the lines.
+
+    Args:
+        lines: The lines of an object.
+        hand: The hand.
+        obstacles: What stood around the object.
+    """
     counts = lines.counts
     if counts["n_lines"] == 0:
         return "no horizontal line across the object meets 8 points"

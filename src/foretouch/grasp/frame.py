@@ -36,13 +36,19 @@ class WeightedPoints:
 
 
 def smoothstep(values: Floating, low: float, high: float) -> Float64:
-    """0 below `low`, 1 above `high`, with a continuous slope between."""
+    """Return 0 below `low`, 1 above `high`, and between them what has a continuous slope.
+
+    Args:
+        values: (...,) floating.
+        low: Where it begins to rise.
+        high: Where it ends.
+    """
     t = np.minimum(np.maximum((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0), 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t), np.float64)
 
 
 def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConfig) -> WeightedPoints:
-    """Weights of the points by their mean distance to their neighbours.
+    """Weigh the points by their mean distance to their neighbours.
 
     Isolated points do not count at all, since a single one far away would move the outlier limit for all others.
 

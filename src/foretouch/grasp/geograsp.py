@@ -87,8 +87,7 @@ def plan_grasps(
     The same cloud results in the same plan, whether its pixels are known or not.
 
     Args:
-        cloud: The object's points, organised or not, in a frame with the sensor at the origin.
-            Points that are not finite are ignored and counted.
+        cloud: The object's points, organised or not, with the sensor at the origin; those not finite are counted.
         plane: The table, in the cloud's frame.
         config: Settings; at most `config.count` grasps are returned.
         slide_m: Shift of the grasp plane along the object's axis [m] (variety as in P2).
@@ -103,8 +102,7 @@ def plan_grasps(
         obstacles: What stands around the object; method "completed" only.
 
     Returns:
-        The plan. If the cloud allows no grasp, its status is "no_grasp", or "unknown_frame" if it is not in the optical
-        frame of its camera, and it contains the reason.
+        The plan. Without a grasp it has the reason and the status "no_grasp", or "unknown_frame" off an optical frame.
 
     Raises:
         CloudError: If `pixels` do not belong to the cloud.
@@ -120,8 +118,7 @@ def plan_grasps(
         check_object(points.xyz, limits)
         check_table(plane, limits)
         if config.method == "completed":
-            keep = None if held is None else (held, hold)
-            _plan_completed(plan, points, plane, config, rng, keep, hand, obstacles)
+            _plan_completed(plan, points, plane, config, rng, held and (held, hold), hand, obstacles)
         else:
             _plan_original(plan, points, plane, config, rng)
     except CloudError as err:

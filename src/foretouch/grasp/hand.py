@@ -171,6 +171,7 @@ class Hand:
         self.names = [box.name for box in (*config.boxes, *first.boxes)]
         self._sides = np.array([_SIDES[part] for part in self.parts])
         self._rows = np.array([_flat(config, posture) for posture in config.postures])
+        self._turns = bool(np.ptp(self._rows[:, 4:13], axis=0).any())
         for number, width in enumerate(self.widths):
             free = min(map(_ahead, self.at(float(width)).corners[: len(config.boxes)]), default=UNLIMITED_M)
             for name, depth in zip(("depth_m", "middle_m"), self.depths[:, number].tolist(), strict=True):
@@ -282,13 +283,19 @@ class Hand:
         return np.where(above < 0.0, -UNLIMITED_M, np.minimum(clear_m, above)), behind
 
     def at(self, width_m: float) -> HandAt:
-        """Return the hand at a width of a grasp [m], by linear interpolation."""
+        """Interpolate the hand at a width of a grasp.
+
+        Args:
+            width_m: Distance of the contacts.
+        """
         place = float(np.interp(width_m, self.widths, np.arange(len(self.widths))))
         k = min(int(place), max(len(self.widths) - 2, 0))
         row = self._rows[k] + (place - k) * (self._rows[min(k + 1, len(self.widths) - 1)] - self._rows[k])
         tool = np.eye(4)
-        left, _, right = np.linalg.svd(row[4:13].reshape(3, 3))  # the nearest rotation
-        tool[:3, :3], tool[:3, 3] = left @ right, row[1:4]
+        tool[:3, :3], tool[:3, 3] = row[4:13].reshape(3, 3), row[1:4]
+        if self._turns:
+            left, _, right = np.linalg.svd(tool[:3, :3])  # the nearest rotation
+            tool[:3, :3] = left @ right
         boxes = 24 * len(self.parts)
         corners = row[13 : 13 + boxes].reshape(-1, 8, 3).copy()
         corners[..., 0] += (self._sides * width_m)[:, None]
@@ -343,7 +350,11 @@ def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
 
 
 def rotation_of(rpy: Sequence[float]) -> Float64:
-    """Return (3, 3) float64 rotation of angles about the fixed axes x, y and z [rad], as in URDF."""
+    """Return (3, 3) float64 rotation of angles about fixed axes, as in URDF.
+
+    Args:
+        rpy: Angles about x, y and z [rad].
+    """
     (cx, cy, cz), (sx, sy, sz) = np.cos(rpy), np.sin(rpy)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])

@@ -51,7 +51,12 @@ class OriginalScore:
 
 
 def original_score(cloud: Cloud, plane: Plane) -> OriginalScore | None:
-    """None if the original finds no grasp plane."""
+    """Prepare the original's score of an object; None if the original finds no grasp plane.
+
+    Args:
+        cloud: The object's points.
+        plane: The table.
+    """
     try:
         return OriginalScore(cloud, plane)
     except CloudError:

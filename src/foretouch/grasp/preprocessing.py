@@ -90,7 +90,12 @@ class FinitePoints:
         return FinitePoints(ordered.xyz[:: -(-len(self.xyz) // (_UNKNOWN * most))], self.n_dropped)
 
     def without_flying(self, config: GeoGraspConfig, counts: dict[str, int]) -> "FinitePoints":
-        """Without flying points (see `flying_mask`), whose number is added to `counts` if there are any."""
+        """Drop flying points (see `flying_mask`).
+
+        Args:
+            config: Settings.
+            counts: Gets their number as `n_flying`, if there are any.
+        """
         flying = flying_mask(self.xyz, config.flying_share)
         if not flying.any():
             return self

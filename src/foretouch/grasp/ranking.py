@@ -80,7 +80,13 @@ def find_grasp_plane(xyz: Float32, centre: Float64, axis: Float64, side: int, ha
 
 
 def contact_sides(xyz: Float32, plane: GraspPlane, config: GeoGraspConfig) -> tuple[ContactSide, ContactSide]:
-    """Contact candidates of (N, 3) filtered points [m]: the surface around each initial point, averaged in voxels."""
+    """Find the contact candidates: the surface around each initial point, averaged in voxels.
+
+    Args:
+        xyz: (N, 3) float32 [m], filtered points.
+        plane: The grasp plane with the initial points.
+        config: Settings.
+    """
     radius = _contact_radius(plane.width_m, config)
     return _contact_side(xyz, plane.first, radius, config), _contact_side(xyz, plane.second, radius, config)
 
@@ -198,7 +204,7 @@ def rank_pairs(
 def initial_score(
     sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64
 ) -> tuple[float, str]:
-    """Score of the initial points as a grasp, in the scales of the candidates and without thresholds.
+    """Compute the score of the initial points as a grasp, in the scales of the candidates and without thresholds.
 
     The score of the original may be NaN, infinite or of the order of 1e30 if a side has one candidate or all its
     candidates are alike. Such a score is meaningless and replaced by NaN.

@@ -18,6 +18,7 @@
 #define FADE_M 0.002    /* before and behind such a depth, over which it fades */
 #define FOUND 8         /* values of a line */
 #define COLUMNS 64      /* of two steps across a direction, for the depth of the object */
+#define TILTS 16        /* angles of a palm, at most */
 #define EDGE_M 0.012    /* below the top of a line, at least, where a raised line closes */
 #define FIT_M 0.004     /* around a limit of the palm, over which it fades */
 #define UNDER_M 0.004   /* wider than planned, for the free depth of the hand */
@@ -352,11 +353,12 @@ INLINE double hidden_ends(const Outline *seen, double c, double s, const double 
 
 /* What an object leaves free of the hand, as it comes at some angles over a line: beside the middle half of a line, and over it. */
 typedef struct {
-    const double *tilts, *lifts, *free; /* angles from straight above [rad], upright first; lowest height of a line there; free depths by width, of the middle after those beside it */
+    const double *lifts, *free; /* lowest height of a line at each angle, upright first; free depths by width, of the middle after those beside it */
     int64_t n_tilts, n_free;
     double free_step, across;   /* from one width to the next; half the extent across the fingers that counts */
     float tops[2][COLUMNS];     /* second highest point in each column across the direction, beside the middle and in it; the second half of the columns is beyond the centre */
     int64_t from, to;
+    double cosine[TILTS], sine[TILTS], inverse[TILTS]; /* of the angles from straight above; 1 / sine, 0 where it is upright */
 } Palm;
 
 /* The highest columns across a direction; `beside` in steps, shifted; `place` along the direction, the middle between two. */
@@ -377,34 +379,47 @@ INLINE void find_tops(Palm *palm, const float *beside, const float *place, const
     }
 }
 
-/* How far the object reaches from a line towards a palm that tilts by an angle [m]; columns count as solid from the table on. */
-INLINE double depth_at(const Palm *palm, const float *tops, double tilt, double offset, double z, double step) {
-    const double c = cos(tilt), s = sin(tilt), t = fabs(s) > 1e-9 ? 1.0 / s : 0.0;
-    double deepest = 0.0;
-    for (int64_t j = palm->from; j <= palm->to; j++) {
-        const double v = (2.0 * (double)(j - COLUMNS / 2) + 1.0) * step - offset;
-        double high = (double)tops[j] * (double)HEIGHT_M - z, low = -z;
-        if (t == 0.0) {
-            high = fabs(v) < palm->across ? high : low;
-        } else { /* what is across of it by no more than `across` */
-            const double a = (v * c - palm->across) * t, b = (v * c + palm->across) * t;
-            low = (a < b ? a : b) > low ? (a < b ? a : b) : low;
-            high = (a < b ? b : a) < high ? (a < b ? b : a) : high;
+INLINE double4 larger4(double4 a, double4 b) {
+    const int64x4 which = a > b;
+    return (double4)(((int64x4)a & which) | ((int64x4)b & ~which));
+}
+
+INLINE double4 smaller4(double4 a, double4 b) { return -larger4(-a, -b); }
+
+/* How far the object reaches from a line towards a palm that tilts by an angle, beside the middle of the line and in it [m]; columns count as solid from
+ * the table on, and those without a point as nothing. */
+INLINE void depths_at(const Palm *palm, int64_t tilt, double offset, double z, double step, double *deepest) {
+    const double c = palm->cosine[tilt], s = palm->sine[tilt], t = palm->inverse[tilt], sign = t < 0.0 ? -1.0 : 1.0;
+    double4 most[2] = {{0.0}, {0.0}};
+    for (int64_t j = palm->from & ~3; j <= palm->to; j += 4) {
+        const double first = (double)(2 * (j - COLUMNS / 2) + 1);
+        const double4 v = (double4){first, first + 2.0, first + 4.0, first + 6.0} * step - offset;
+        const double4 from = t == 0.0 ? v * 0.0 - z : larger4((v * c - sign * palm->across) * t, v * 0.0 - z);
+        const double4 to = (v * c + sign * palm->across) * t; /* what is across of it by no more than `across` */
+        for (int64_t part = 0; part < 2; part++) {
+            const float *top = palm->tops[part] + j;
+            const double4 high = (double4){top[0], top[1], top[2], top[3]} * (double)HEIGHT_M - z;
+            const int64x4 within = t == 0.0 ? (v < palm->across) & (v > -palm->across) : (int64x4){-1, -1, -1, -1};
+            const double4 end = t == 0.0 ? high : smaller4(high, to), depth = end * c + v * s;
+            most[part] = larger4((double4)((int64x4)depth & within & (end > from)), most[part]);
         }
-        const double depth = high * c + v * s;
-        deepest = high > low && depth > deepest ? depth : deepest;
     }
-    return deepest;
+    for (int64_t part = 0; part < 2; part++) {
+        const double4 one = most[part];
+        const double left = one[0] > one[1] ? one[0] : one[1], right = one[2] > one[3] ? one[2] : one[3];
+        deepest[part] = left > right ? left : right;
+    }
 }
 
 /* How much deeper the object is than a hand that tilts by an angle [m]. */
-INLINE double too_deep(const Palm *palm, double tilt, double offset, double width, double z, double step) {
+INLINE double too_deep(const Palm *palm, int64_t tilt, double offset, double width, double z, double step) {
     const double at = (width + UNDER_M) / palm->free_step, inside = at < (double)(palm->n_free - 1) ? at : (double)(palm->n_free - 1);
     const int64_t k = (int64_t)inside < palm->n_free - 2 ? (int64_t)inside : palm->n_free - 2;
     double over[2];
+    depths_at(palm, tilt, offset, z, step, over);
     for (int64_t part = 0; part < 2; part++) {
         const double *free_m = palm->free + part * palm->n_free + k;
-        over[part] = depth_at(palm, palm->tops[part], tilt, offset, z, step) - (free_m[0] + (inside - (double)k) * (free_m[1] - free_m[0]));
+        over[part] -= free_m[0] + (inside - (double)k) * (free_m[1] - free_m[0]);
     }
     return over[0] > over[1] ? over[0] : over[1];
 }
@@ -412,12 +427,12 @@ INLINE double too_deep(const Palm *palm, double tilt, double offset, double widt
 /* As `too_deep`, at the angle that fits best. Raises the line as no palm fits and one from above would, by parts where it is not certain; lowers it, not
  * below a height, where there is room for that. */
 INLINE double fit_palm(const Palm *palm, double offset, double width, double top, double lowest, double step, double *z, double *raised) {
-    const double up = too_deep(palm, 0.0, offset, width, *z, step), lower = LOWER_M * smooth(-up, ROOM_M, ROOM_M + LOWER_M);
+    const double up = too_deep(palm, 0, offset, width, *z, step), lower = LOWER_M * smooth(-up, ROOM_M, ROOM_M + LOWER_M);
     double least = up;
     *raised = 0.0;
     *z -= lower < *z - lowest ? lower : *z - lowest;
     for (int64_t i = 1; i < palm->n_tilts && least > -FIT_M; i++) {
-        const double over = *z < palm->lifts[i] ? INFINITY : too_deep(palm, palm->tilts[i], offset, width, *z, step);
+        const double over = *z < palm->lifts[i] ? INFINITY : too_deep(palm, i, offset, width, *z, step);
         least = over < least ? over : least;
     }
     if (least > -FIT_M && up > 0.0) {
@@ -444,7 +459,11 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
     const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
-    Palm hand = {palm + 2, palm + 2 + n_tilts, palm + 2 + 2 * n_tilts, n_tilts, n_free, palm[1], palm[0], {{0.0f}}, 0, 0};
+    Palm hand = {palm + 2 + n_tilts, palm + 2 + 2 * n_tilts, n_tilts < TILTS ? n_tilts : TILTS, n_free, palm[1], palm[0], {{0.0f}}, 0, 0, {0.0}, {0.0}, {0.0}};
+    for (int64_t i = 0; i < hand.n_tilts; i++) {
+        hand.cosine[i] = cos(palm[2 + i]), hand.sine[i] = sin(palm[2 + i]);
+        hand.inverse[i] = fabs(hand.sine[i]) > 1e-9 ? 1.0 / hand.sine[i] : 0.0;
+    }
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
     const size_t sums = (size_t)bins * (HEIGHTS + 8 + ALONGS) * 2;
     int64_t *start = malloc((size_t)(bins + 1) * 4 * sizeof(int64_t) + ((size_t)n * 12 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));

@@ -26,6 +26,7 @@ enum {
     RAY_Y = RAY_X + 3
 };
 
+#define BLOCK 32
 #define BASE_FRACTION (1.0f / 3.0f)
 #define MIN_SUPPORT 4
 #define MIN_STRAIGHT 3
@@ -557,11 +558,19 @@ void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t
                int32_t *image, int64_t *count) {
     int64_t written = 0;
     for (int64_t i = 0; i < h; i++) {
+        const int32_t *own = labels + i * w;
         int32_t *line = image + (row + i) * across + column;
-        for (int64_t j = 0; j < w; j++) {
-            if (labels[i * w + j] && ids[labels[i * w + j]]) {
-                line[j] = ids[labels[i * w + j]];
-                written++;
+        for (int64_t j = 0; j < w; j += BLOCK) {
+            const int64_t end = j + BLOCK < w ? j + BLOCK : w;
+            int32_t any = 0; /* most of an image has no label */
+            for (int64_t k = j; k < end; k++) {
+                any |= own[k];
+            }
+            for (int64_t k = j; k < end && any; k++) {
+                if (own[k] && ids[own[k]]) {
+                    line[k] = ids[own[k]];
+                    written++;
+                }
             }
         }
     }
@@ -570,10 +579,17 @@ void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t
 
 /* How many of n pixels of an image have each of its labels, up to `last`. counts: (last + 1). */
 void count_labels(const int32_t *labels, const int64_t *pixels, int64_t n, int64_t last, int64_t *counts) {
+    int32_t label = 0;
+    int64_t from = 0; /* the first pixel of a run with this label */
     memset(counts, 0, (size_t)(last + 1) * sizeof *counts);
     for (int64_t i = 0; i < n; i++) {
-        counts[labels[pixels[i]]]++;
+        const int32_t next = labels[pixels[i]];
+        if (next != label) {
+            counts[label] += i - from;
+            label = next, from = i;
+        }
     }
+    counts[label] += n - from;
 }
 
 /* Every `stride`-th point of every `stride`-th row of an image of h x w points, and which of them are in range.

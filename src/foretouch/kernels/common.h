@@ -15,11 +15,12 @@
 #define VECTORISED
 #endif
 
-/* Four or eight float32, eight int32 and four double at once, in any processor's registers; the u forms need no alignment. */
+/* Four or eight float32, eight int32, and four double or int64 at once, in any processor's registers; the u forms need no alignment. */
 typedef float float4 __attribute__((vector_size(16)));
 typedef float float8 __attribute__((vector_size(32)));
 typedef int32_t int8x32 __attribute__((vector_size(32)));
 typedef double double4 __attribute__((vector_size(32)));
+typedef int64_t int64x4 __attribute__((vector_size(32)));
 typedef float float4u __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float float8u __attribute__((vector_size(32), aligned(4), may_alias));
 typedef int32_t int8x32u __attribute__((vector_size(32), aligned(4), may_alias));

@@ -192,7 +192,16 @@ class Graph:
 
 
 def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameters of a command line for some nodes, a `ConfigError` if it is malformed, and start rclpy."""
+    """Check the parameters of a command line, and start rclpy.
+
+    Args:
+        arguments: The command line.
+        names: Of the nodes of this process.
+        namespace: Of these nodes.
+
+    Raises:
+        ConfigError: If the command line is malformed.
+    """
     prepare_environment()
     stale_bytes(free=True)
     check_parameters(arguments, NODES, names, namespace)

@@ -13,10 +13,10 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import ModelError
-from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
+from foretouch.models.contact.estimator import ContactEstimator, NoveltyDetector
+from foretouch.models.contact.features import CONDITIONS, FEATURES, OBJECT_FEATURES, HandFrameFeatures
 from foretouch.tactile import BIOTAC, MODALITIES, P2_RANGES
-from foretouch.types import Cloud
+from foretouch.types import Cloud, Grasp, Plane
 
 SAMPLES = make_samples(5, 10)
 
@@ -28,15 +28,17 @@ def estimator() -> ContactEstimator:
 
 def with_span(estimator: ContactEstimator, low: float, high: float) -> ContactEstimator:
     """The same with scores of 1 up to the distance `low`, and of 0 from `high`."""
-    return replace(estimator, novelty=replace(estimator.novelty, span=np.array([low, high])))
+    novelty = estimator.novelty
+    whole = replace(novelty.whole, span=np.array([low, high]))
+    return replace(estimator, novelty=replace(novelty, whole=whole))
 
 
 def test_forests_predict_known_objects_the_gain_of_the_kernel_new_ones_and_a_blend_between(estimator) -> None:
     cloud, grasp = scaled(SAMPLES[3].cloud, 1.1), SAMPLES[3].grasp
     rows = HandFrameFeatures(cloud.xyz).describe([grasp])
-    inputs, novelty = rows[:, len(CONDITIONS) :], estimator.novelty
-    sizes = rows[:, len(CONDITIONS) : len(CONDITIONS) + len(novelty.centre)]
-    distance = float(np.linalg.norm((sizes - novelty.centre) @ novelty.turn - novelty.known, axis=1).min())
+    inputs, whole = rows[:, len(CONDITIONS) :], estimator.novelty.whole
+    sizes = rows[:, [FEATURES.index(name) for name in OBJECT_FEATURES]]
+    distance = float(np.linalg.norm((sizes - whole.centre) @ whole.turn - whole.known, axis=1).min())
     gain = np.array([0.25, 0.5, 0.0, 1.0])
     kernel = estimator.kernel.predict(inputs) * np.repeat(gain, [1, 1, 24, 24])
     together, forests = estimator.forests["together"].predict(inputs), np.empty((1, 50))
@@ -71,8 +73,9 @@ def test_damage_is_refused_by_part_and_name(estimator) -> None:
         ("forest_together: does not fit 56 features and 50", "forest_together/value", lambda a: a[:, :49]),
         ("forest_PDC_MF: does not fit 56", "forest_PDC_MF/feature", lambda a: a + a.dtype.type(56) * (a >= 0)),
         ("kernel: does not fit 56 features and 50 values", "kernel/weight", lambda a: a[:, :49]),
-        (r"novelty/low: shape \(3,\) is not \(5,\)", "novelty/low", lambda a: a[:3]),
-        ("novelty/known, span: ", "novelty/span", np.array([1.0, 0.0])),
+        (r"novelty/limits/low: shape \(3,\) is not \(6,\)", "novelty/limits/low", lambda a: a[:3]),
+        ("novelty/whole/known, span: ", "novelty/whole/span", np.array([1.0, 0.0])),
+        (r"novelty/upper/turn: shape \(11, 11\) is not \(10, 10\)", "novelty/upper/centre", lambda a: a[:10]),
     ]
     every_case(cases, check)
 
@@ -104,3 +107,46 @@ def test_what_training_never_covered_is_unfamiliar(estimator) -> None:
         flagged.pop("half the range") + flagged.pop("far away") <= 4
     )  # where the camera stands is no part of the object
     assert set(flagged.values()) == {10}
+
+
+def box_seen(edges: tuple[float, float, float], tilt_deg: float, turn_deg: float) -> tuple[np.ndarray, Plane, Grasp]:
+    """A box that stands on a table, 0.8 m from a tilted camera: the points that it sees, the table, and a grasp across."""
+    size = np.array(edges)
+    faces = []
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        u, v = np.meshgrid(*(np.arange(-size[k] / 2.0, size[k] / 2.0, 0.0025) for k in others))
+        for side in (-1.0, 1.0):
+            points = np.full((u.size, 3), side * size[axis] / 2.0)
+            points[:, others] = np.stack([u.ravel(), v.ravel()], axis=1)
+            faces.append((points, side * np.eye(3)[axis]))
+    turn = Rotation.from_euler("xz", [180.0 - tilt_deg, turn_deg], degrees=True).as_matrix()  # z of the table is up
+    centre = np.array([0.0, 0.0, 0.8])
+    seen = [points @ turn.T + centre for points, normal in faces if (turn @ normal) @ centre < 0.0]
+    up, across = turn[:, 2], turn[:, 0]
+    ends = centre + 0.5 * size[0] * across, centre - 0.5 * size[0] * across
+    grasp = Grasp(*ends, np.stack([-up, np.cross(across, -up), across], axis=1))
+    return np.concatenate(seen), Plane(up, size[2] / 2.0 - float(up @ centre)), grasp
+
+
+def test_known_objects_are_known_in_views_that_training_has_not_and_others_are_not() -> None:
+    boxes = {
+        "low": (0.05, 0.12, 0.04),
+        "cube": (0.07, 0.07, 0.07),
+        "bar": (0.04, 0.18, 0.05),
+        "tall": (0.06, 0.10, 0.13),
+    }
+
+    def rows(edges: tuple[float, float, float], tilt_deg: float) -> np.ndarray:
+        views = (box_seen(edges, tilt_deg, turn_deg) for turn_deg in (5.0, 31.0, 62.0, 77.0))
+        return np.concatenate([HandFrameFeatures(points, table).describe([grasp]) for points, table, grasp in views])
+
+    objects = np.repeat(list(boxes), 4).tolist()
+    novelty = NoveltyDetector.fit(np.concatenate([rows(edges, 1.0) for edges in boxes.values()]), objects)
+    for tilt_deg in (1.0, 40.0, 55.0):
+        known = np.concatenate([novelty.scores(rows(edges, tilt_deg)) for edges in boxes.values()])
+        assert np.mean(known < 0.5) <= 0.1, tilt_deg
+        for other, reason in (((0.07, 0.30, 0.05), "larger_object"), ((0.055, 0.14, 0.09), "other_shape")):
+            strange = rows(other, tilt_deg)
+            assert (novelty.scores(strange) < 0.5).all(), (tilt_deg, other)
+            assert novelty.reasons(strange)[reason].all(), (tilt_deg, other)

@@ -52,7 +52,9 @@ def test_plain_columns_are_what_their_names_say(lump, grasp) -> None:
     centred = lump - lump.mean(axis=0)
     singular = np.linalg.svd(centred, compute_uv=False)[::-1] / np.sqrt(len(lump))
     assert_allclose(named(row, "spread_1", "spread_2", "spread_3"), singular)
-    assert_allclose(named(row, "width", "tilt"), [0.05, 1.0])
+    at = lump.mean(axis=0)
+    assert_allclose(named(row, "width", "distance"), [0.05, np.linalg.norm(at)])
+    assert_allclose(named(row, "tilt"), [np.arctan(np.hypot(*at[:2]) / at[2])])
     assert_allclose(named(row, "approach", "rise"), [1.0, 0.0], atol=1e-12)  # X is the camera's z, Z its x
     inside = (lump - grasp.midpoint) @ HAND
     assert_allclose(named(row, "centre_hand_x", "centre_hand_y", "centre_hand_z"), inside.mean(axis=0), atol=1e-12)

@@ -126,6 +126,7 @@ def test_a_pause_records_nothing_counts_what_it_leaves_out_and_ends(graph, tmp_p
     written = accounts(node.status())["/rh/tactile"].written
     robot.grasp("g-1", 1)
     graph.until(lambda: sum(topic.received for topic in node.status().topics) == sum(robot.sent.values()))
+    graph.until(lambda: not any(topic.waiting for topic in node.status().topics))  # what waits is not yet dropped
     assert (pause(False), pause(False)) == ("recording goes on", "is being recorded already")
     graph.until(lambda: not node.session_status().operator.paused)
     robot.record("g-2", 2)

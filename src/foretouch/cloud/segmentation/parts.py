@@ -72,7 +72,7 @@ class SplitConfig(Settings):
 
 @cache
 def _trees() -> Float32:
-    """(T, 3 * 2**depth - 2) float32: trees, each of nodes (feature, threshold) and leaves in the order of a heap."""
+    """Return (T, 3 * 2**depth - 2) float32: trees, each of nodes (feature, threshold) and leaves in the order of a heap."""
     trees: Float32 = load_file(TREES)["trees"]
     return trees
 
@@ -175,7 +175,7 @@ def split_list(
 
 
 def _filled_pixels(place: Float32) -> tuple[float, Int64]:
-    """A pitch of pixels that few leave empty, and the (N, 2) row and column of points, by their (N, 2) place at a depth of 1."""
+    """Return a pitch of pixels that few leave empty, and the (N, 2) row and column of points, by their (N, 2) place at a depth of 1."""
     low, size, pitch = place.min(axis=0), float(np.ptp(place, axis=0).max()), _LEAST_PITCH
     while True:
         at = ((place - low) / pitch).astype(np.int64)[:, ::-1]

@@ -132,7 +132,7 @@ _Result = tuple[SegmentationStatus, str, Plane | None, _Objects, _Objects, Float
 
 
 def _of_imagelist(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
-    """As `_segment`; a list of the points of an image, in any order, is processed as that image."""
+    """Segment a cloud; a list of the points of an image, in any order, is processed as that image."""
     if cloud.organised or cloud.size > _LARGEST_LIST:
         return _segment(cloud, config, counts, ms)
     image = listed_image(cloud.xyz, config.crop.min_range_m, config.crop.max_range_m, TANGENT)
@@ -152,7 +152,7 @@ def _of_imagelist(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
 
 
 def _listed(of_image: Segment, cloud: Cloud, place: Int32) -> Segment:
-    """An object of an image as one of the list of its points, by the row of each pixel in that list."""
+    """Return an object of an image as one of the list of its points, by the row of each pixel in that list."""
     pixels = np.sort(place[of_image.pixels]).astype(np.int64)
     rgb = None if cloud.rgb is None else cloud.rgb[pixels]
     return replace(of_image, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
@@ -216,12 +216,12 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
 
 
 def _image_of(cloud: Cloud) -> DepthImage | None:
-    """The depth image whose points are made where they are read; None for a cloud of points."""
+    """Return the depth image whose points are made where they are read; None for a cloud of points."""
     return cloud.image if isinstance(cloud, DepthCloud) else None
 
 
 def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -> RayFilter:
-    """The rays of an image, from points of a coarse one by their flat indices in it."""
+    """Return the rays of an image, from points of a coarse one by their flat indices in it."""
     rows, columns = (stride * position for position in np.divmod(index, across))
     rays = RayFilter(sample, rows, columns)
     rays.dropped.append((rows * width + columns)[rays.off_sample])
@@ -229,7 +229,7 @@ def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -
 
 
 def _count_depths(source: Float32 | DepthImage, config: CropConfig) -> tuple[int, int]:
-    """Points with a finite depth, and those in range, of a depth image, or of (N, 3) or (H, W, 3) float32 contiguous points [m].
+    """Count the points with a finite depth, and those in range, of a depth image, or of (N, 3) or (H, W, 3) float32 contiguous points [m].
 
     Only z is checked: a pixel without depth has no z.
     """
@@ -241,7 +241,7 @@ def _count_depths(source: Float32 | DepthImage, config: CropConfig) -> tuple[int
 
 
 def _coarse(source: Float32 | DepthImage, config: CropConfig, grid_rows: int) -> tuple[Float32, int, Index]:
-    """Every k-th pixel of an image, so that about `grid_rows` rows are left, unless few of them are in range.
+    """Return every k-th pixel of an image, so that about `grid_rows` rows are left, unless few of them are in range.
 
     Returns:
         The coarse image, its stride, and the flat indices of its points in range.
@@ -257,7 +257,7 @@ def _coarse(source: Float32 | DepthImage, config: CropConfig, grid_rows: int) ->
 
 
 def _every(source: Float32 | DepthImage, stride: int, config: CropConfig) -> tuple[Float32, Index]:
-    """Every n-th row and column of an image, and the flat indices of the points in range."""
+    """Return every n-th row and column of an image, and the flat indices of the points in range."""
     xyz, step = (source.points(stride), 1) if isinstance(source, DepthImage) else (source, stride)
     coarse = np.empty((-(-xyz.shape[0] // step), -(-xyz.shape[1] // step), 3), np.float32)
     index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)
@@ -266,7 +266,7 @@ def _every(source: Float32 | DepthImage, stride: int, config: CropConfig) -> tup
 
 
 def _writable(source: Float32 | DepthImage, coarse: Float32, stride: int) -> tuple[Float32, WritePoints | None]:
-    """All points, and what writes a part of them where it is read, for a depth image whose coarse points suffice elsewhere."""
+    """Return all points, and what writes a part of them where it is read, for a depth image whose coarse points suffice elsewhere."""
     if not isinstance(source, DepthImage):
         return source, None
     if stride == 1:
@@ -276,7 +276,7 @@ def _writable(source: Float32 | DepthImage, coarse: Float32, stride: int) -> tup
 
 
 def _in_view(xyz: Float32, config: SegmentationConfig) -> tuple[Float32, int]:
-    """The cloud with points out of view as points without depth, and their number among those in range."""
+    """Return the cloud with points out of view as points without depth, and their number among those in range."""
     flat = xyz.reshape(-1, 3)
     off = out_of_view(flat)
     if not off.any():

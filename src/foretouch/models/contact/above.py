@@ -5,29 +5,37 @@ A camera that looks down steeply sees what the recordings show: its points are o
 other view, the highest point over each cell of the table is kept, since the flanks below are not seen from above; and what
 the object itself hides is taken from the other side, as if it were symmetric about the vertical line through the middle of
 its top (as `grasp.completed` does). A place that the camera sees through stays empty.
+
+Which walls are in view depends on where the camera is, and so do sizes of all points. The upper side without its walls
+(`upper_side`) is what two views of an object share.
 """
 
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 
-from foretouch.cloud.geometry.columns import quantiles
+from foretouch.cloud.geometry.columns import centred_columns, quantiles
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float64, Int64, Plane
 
 _hide_places = Kernel("hide_places")
 
-STEEP: Final = float(np.cos(np.radians(25.0)))
-"""Cosine between line of sight and vertical from which on a view is taken as it is: objects in the recordings reach 20°."""
+STEEP: Final = float(np.radians(17.0))
+"""Angle between line of sight and vertical up to which a view is taken as it is: objects in the recordings reach 17° [rad]."""
 
 _CELL_M: Final = 0.003
+_UPPER_M: Final = 0.005  # edge of the cells of an upper side: two pixels of 640 x 480 at 1.3 m
+_MOST_ALONG: Final = 256  # of these cells along one side
+_WALL: Final = 2.3  # slope, as a tangent, from which on a cell is at a wall
+_FEWEST: Final = 8  # cells that show a shape
 _PITCH: Final = 0.004  # of the outline, as a tangent: two pixels of 640 x 480
 _BEHIND_M: Final = 0.006  # what is so far behind a visible point is hidden by it
 _MOST_CELLS: Final = 1 << 22  # of an array with a number for each
-_TOP_SHARE, _TOP_M = 0.15, 0.01  # of the visible height, or so much: the top
+_TOP_SHARE, _TOP_M = 0.05, 0.006  # of the visible height, or so much: the top
 
 
-def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Float64, float]:
+def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Float64, Float64]:
     """Turn points into the table's frame, and complete what a tilted camera does not see of their upper side.
 
     Args:
@@ -35,34 +43,86 @@ def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Floa
         table: The table in that frame; None if the camera looks straight down on it.
 
     Returns:
-        (M, 3) points [m] in a frame with z downwards; the frame's axes as rows of (3, 3), by which directions and places of the camera's frame are turned; the cosine between
-        line of sight and vertical, 1 without a table.
+        (M, 3) points [m] in a frame with z downwards; the frame's axes as rows of (3, 3), by which directions and places of the camera's frame are turned; (2,) the angle between
+        line of sight and vertical [rad], and the distance of the object [m].
     """
+    centre, _, _ = centred_columns(points)
+    distance = max(float(np.linalg.norm(centre)), 1e-12)
+    down = np.array([0.0, 0.0, 1.0]) if table is None else np.asarray(table.normal, np.float64)
+    down = down / np.linalg.norm(down)
+    down = down if down @ centre > 0.0 else -down
+    view = np.array([np.arccos(min(float(down @ centre) / distance, 1.0)), distance])
     if table is None:
-        return points, np.eye(3), 1.0
-    sight = points.mean(axis=0)
-    sight = sight / max(float(np.linalg.norm(sight)), 1e-12)
-    down = np.asarray(table.normal, np.float64) / np.linalg.norm(table.normal)
-    down = down if down @ sight > 0.0 else -down
-    steepness = float(down @ sight)
+        return points, np.eye(3), view
     across = np.eye(3)[int(abs(down[0]) > 0.8)]
     across = across - (across @ down) * down
     across /= np.linalg.norm(across)
     turn = np.stack([across, np.cross(down, across), down])
     turned = points @ turn.T
-    if steepness >= STEEP:
-        return turned, turn, steepness
-    seen = _highest(turned, len(turned))
+    if view[0] <= STEEP:
+        return turned, turn, view
+    return _completed(_highest(turned, _CELL_M), _CELL_M, turn, points), turn, view
+
+
+def upper_side(points: Float64, turn: Float64, tilt: float) -> Float64:
+    """Return what an object shows of itself in all views: its upper side without walls, a point over each cell of the table.
+
+    Args:
+        points: (N, 3) float64 [m], finite, camera frame, N > 0.
+        turn: (3, 3) axes of the table's frame as rows, as from `seen_from_above`.
+        tilt: Angle between line of sight and vertical [rad]. What a tilted camera does not see is completed.
+
+    Returns:
+        (U, 3) [m] in a frame with z downwards and x along the object. All points if it has hardly any upper side.
+    """
+    along = _along_object(points @ turn.T) @ turn
+    turned = points @ along.T
+    extent = turned[:, :2].max(axis=0) - turned[:, :2].min(axis=0)
+    edge = max(_UPPER_M, float(extent.max()) / _MOST_ALONG)
+    place = np.floor((turned[:, :2] - turned[:, :2].min(axis=0)) / edge).astype(np.int64)
+    columns, rows = place.max(axis=0) + 1
+    cells = place @ [rows, 1]
+    height = np.full(columns * rows, np.inf)
+    np.minimum.at(height, cells, turned[:, 2])
+    highest = turned[:, 2] <= height[cells] + edge / 2.0
+    cells, turned = cells[highest], turned[highest]
+    counts = np.bincount(cells, minlength=height.size)
+    filled = np.flatnonzero(counts)
+    means = np.stack([np.bincount(cells, values)[filled] for values in turned.T], axis=1) / counts[filled, None]
+    height[filled] = means[:, 2]
+    around = minimum_filter(height.reshape(columns, rows), 3, mode="constant", cval=np.inf).ravel()[filled]
+    upper: Float64 = means[means[:, 2] - around <= _WALL * edge]
+    if len(upper) < _FEWEST:
+        return points @ along.T
+    return upper if tilt <= STEEP else _completed(upper, edge, along, points)
+
+
+def _along_object(points: Float64) -> Float64:
+    """Return (3, 3) turn about the vertical after which an object is longest along x, so that its cells turn with it."""
+    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
+    angle = 0.5 * np.arctan2(2.0 * (x @ y), x @ x - y @ y)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    if ((cosine * x + sine * y) ** 3).sum() < 0.0:
+        cosine, sine = -cosine, -sine
+    return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _completed(seen: Float64, edge: float, turn: Float64, points: Float64) -> Float64:
+    """Return (M, 3) seen points of an upper side, one over each cell, with what (N, 3) points hide from the camera."""
     hidden = _mirrored(seen)
     hidden = hidden[_is_hidden(hidden @ turn, points)]
-    return _highest(np.concatenate([seen, hidden]), len(seen)), turn, steepness
+    cells, count = _cells(np.concatenate([seen, hidden]), edge)
+    taken = np.zeros(count, np.bool_)
+    taken[cells[: len(seen)]] = True
+    free, first = np.unique(cells[len(seen) :], return_index=True)
+    return np.concatenate([seen, hidden[first[~taken[free]]]])
 
 
-def _cells(points: Float64) -> tuple[Int64, int]:
-    """(N,) number of the cell of the table over which each point is, and the number of cells."""
+def _cells(points: Float64, edge: float) -> tuple[Int64, int]:
+    """Return (N,) number of the cell of the table over which each point is, and the number of cells."""
     x, y = points[:, 0], points[:, 1]
-    column = np.floor((x - x.min()) / _CELL_M).astype(np.int64)
-    row = np.floor((y - y.min()) / _CELL_M).astype(np.int64)
+    column = np.floor((x - x.min()) / edge).astype(np.int64)
+    row = np.floor((y - y.min()) / edge).astype(np.int64)
     rows = int(row.max()) + 1
     cells = column * rows + row
     count = (int(column.max()) + 1) * rows
@@ -72,17 +132,14 @@ def _cells(points: Float64) -> tuple[Int64, int]:
     return cells, int(cells.max()) + 1
 
 
-def _highest(points: Float64, first: int) -> Float64:
-    """The highest point over each cell, by cells; one of the `first` points goes before all others."""
-    cells, count = _cells(points)
-    height = points[:, 2]
+def _highest(points: Float64, edge: float) -> Float64:
+    """Return the highest point over each cell, by cells; of equal ones, the first."""
+    cells, count = _cells(points, edge)
+    highest = np.full(count, np.inf)
+    np.minimum.at(highest, cells, points[:, 2])
+    best = np.flatnonzero(points[:, 2] == highest[cells])
     chosen = np.full(count, -1)  # index of the point of each cell
-    for part in (np.arange(first), np.arange(first, len(points))):
-        free = part[chosen[cells[part]] < 0]
-        highest = np.full(count, np.inf)
-        np.minimum.at(highest, cells[free], height[free])
-        best = free[height[free] == highest[cells[free]]]
-        chosen[cells[best[::-1]]] = best[::-1]  # of equal ones, the first is written last
+    chosen[cells[best[::-1]]] = best[::-1]  # the first is written last
     result: Float64 = points[chosen[chosen >= 0]]
     return result
 
@@ -100,7 +157,7 @@ def _mirrored(points: Float64) -> Float64:
 
 
 def _is_hidden(places: Float64, points: Float64) -> Bool:
-    """(M,) whether points hide places from the camera, both in its frame."""
+    """Return (M,) whether points hide places from the camera, both in its frame."""
     hidden, found = np.empty(len(places), np.uint8), np.empty(1, np.int64)
     places, points = np.ascontiguousarray(places), np.ascontiguousarray(points)
     _hide_places(points, len(points), places, len(places), _PITCH, _BEHIND_M, _MOST_CELLS, hidden, found)

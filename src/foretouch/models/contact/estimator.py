@@ -23,7 +23,15 @@ from scipy.spatial.distance import cdist
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import CardCalibration, card_sensor, load_calibration, save_model
-from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, OBJECT_FEATURES, HandFrameFeatures
+from foretouch.models.contact.features import (
+    CHECKED,
+    CONDITIONS,
+    FEATURES,
+    OBJECT_FEATURES,
+    UPPER_FEATURES,
+    VIEW,
+    HandFrameFeatures,
+)
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.files import TensorRecord, file_beside, read_part, read_tensors
 from foretouch.models.novelty import IN_DISTRIBUTION, standardisation
@@ -41,77 +49,164 @@ _AROUND: Final = [name.startswith(("g1_", "g2_")) and "_depth" not in name for n
 
 _USUAL: Final = (0.93, 0.98)  # quantiles of the distances within training between which the score falls from 1 to 0
 _LEAST: Final = 0.05  # variance within objects that a size has at least, over that between all clouds
-_BEYOND: Final = {"spacing": 2.5, "width": 1.5}  # factors beyond them
-_SIZE: Final = CHECKED.index("spread_3")
-_TURN: Final = 0.05  # what is added to the directions of the hand, which are cosines
-_SIZES: Final = [CHECKED.index(name) for name in OBJECT_FEATURES]
-_LIMITED: Final = tuple(name for name in CHECKED if name not in OBJECT_FEATURES)
-_LIMITED_COLUMNS: Final = [CHECKED.index(name) for name in _LIMITED]
+_OTHER_VIEW_M: Final = np.array([0.012 if "extent" in name or "height" in name else 0.006 for name in OBJECT_FEATURES])
+"""Deviation of a size of the upper side between views of one object [m]."""
+_ONE_IN_TEN: Final = 0.1
+_AROUND_LIMIT: Final = (0.8, 1.2)  # shares of a limit between which the score falls from 1 to 0
+_BEYOND: Final = {"spacing": 2.5, "width": 1.5, "distance": 1.25}  # factors beyond them
+_TURN: Final = {"approach": 0.05, "rise": 0.05, "tilt": float(np.radians(5.0))}  # what is added: cosines, an angle
+_LIMITED: Final = (*VIEW, "spacing", "width", "approach", "rise")
+_LIMITED_COLUMNS, _WHOLE, _UPPER = (
+    [CHECKED.index(name) for name in names] for names in (_LIMITED, OBJECT_FEATURES, UPPER_FEATURES)
+)
+_LONGEST: Final = OBJECT_FEATURES.index("spread_3")
 
 
 @dataclass(frozen=True, eq=False)
-class NoveltyDetector(TensorRecord):
-    """Whether a cloud and a grasp, in the frame of the hand, resemble those that a model was trained on.
+class KnownSizes(TensorRecord):
+    """Sizes of S training clouds, and from which distance to the nearest of them on others are unlike.
 
-    The sizes of a cloud are compared with those of the nearest of S training clouds, by a distance that counts less what varies
-    between clouds of one object: its pose, and what is seen of it. Conditions under which the training data say nothing, `CHECKED`, are
-    unfamiliar too: too few points, another width or direction of the hand.
+    The distance counts less what varies between clouds of one object: its pose, and what is seen of it.
     """
 
-    centre: Float64  # (11,) float64, mean of the sizes
+    centre: Float64  # (11,) float64, mean of the sizes [m]
     turn: Float64  # (11, 11) float64: differences of sizes times it have unit variance within objects
     known: Float64  # (S, 11) float64, sizes minus `centre`, times `turn`
     span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
-    low: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`; the first, once of the camera's distance, is not used
-    high: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
 
-    RULES = {"centre": "C", "turn": "CC", "known": "SC", "span": "2", "low": "5", "high": "5"}  # noqa: RUF012
+    RULES = {"centre": "C", "turn": "CC", "known": "SC", "span": "2"}  # noqa: RUF012
 
     @classmethod
-    def fit(cls, rows: Float64, objects: Sequence[str]) -> Self:
-        """From (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects.
+    def of_whole(cls, sizes: Float64, objects: Sequence[str]) -> Self:
+        """From (S, 11) sizes of all points, S of at least 5, and their objects."""
+        _, scale = standardisation(sizes)
+        centre, turn, known = cls._moved(sizes, objects, _LEAST * scale**2)
+        start, end = np.quantile(np.sort(cdist(known, known), axis=1)[:, 1], _USUAL)
+        return cls(centre, turn, known, np.array([start, max(end, start + 1e-9)]))
 
-        S of at least 5.
+    @classmethod
+    def of_upper(cls, sizes: Float64, objects: Sequence[str]) -> Self:
+        """From (S, 11) sizes of the upper sides, S of at least 5, and their objects.
+
+        The limit is the least distance of training objects from all other objects, but for one cloud in ten. Where objects are alike, it is
+        the largest distance between clouds of training, but for one in ten.
         """
-        sizes = rows[:, _SIZES]
+        centre, turn, known = cls._moved(sizes, objects, _OTHER_VIEW_M**2)
+        apart = cdist(known, known)
+        np.fill_diagonal(apart, np.inf)
+        limit = np.quantile(apart.min(axis=1), 1.0 - _ONE_IN_TEN)
+        _, index = np.unique(np.asarray(objects), return_inverse=True)
+        if index.any():
+            apart[index[:, None] == index] = np.inf
+            limit = max(limit, np.quantile(apart.min(axis=1), _ONE_IN_TEN))
+        return cls(centre, turn, known, max(float(limit), 1e-9) * np.array(_AROUND_LIMIT))
+
+    @staticmethod
+    def _moved(sizes: Float64, objects: Sequence[str], added: Float64) -> tuple[Float64, Float64, Float64]:
+        """`centre`, `turn` and `known`, from sizes whose variances within objects are larger by (11,) `added` [m²]."""
         centre, scale = standardisation(sizes)
         within = (sizes - centre) / scale
         names = np.asarray(objects)
         for name in np.unique(names):
             within[names == name] -= within[names == name].mean(axis=0)
-        values, axes = np.linalg.eigh(within.T @ within / len(within) + _LEAST * np.eye(len(centre)))
+        values, axes = np.linalg.eigh(within.T @ within / len(within) + np.diag(added / scale**2))
         turn = axes / np.sqrt(values) / scale[:, None]
-        known = (sizes - centre) @ turn
-        start, end = np.quantile(np.sort(cdist(known, known), axis=1)[:, 1], _USUAL)
+        return centre, turn, (sizes - centre) @ turn
+
+    def scores(self, sizes: Float64) -> Float64:
+        """Return (K,) of (K, 11): 1 for sizes like those of training, 0 for others."""
+        moved = ((sizes - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
+        start, end = self.span
+        return np.asarray(np.clip((end - cdist(moved, self.known).min(axis=1)) / (end - start), 0.0, 1.0), np.float64)
+
+    @cached_property
+    def longest(self) -> tuple[float, float]:
+        """The least and the largest deviation along the longest axis of a training cloud [m]."""
+        sizes = (self.known @ np.linalg.inv(self.turn) + self.centre)[:, _LONGEST]
+        return float(sizes.min()), float(sizes.max())
+
+    def _check(self) -> None:
+        super()._check()
+        if len(self.centre) != len(OBJECT_FEATURES):
+            raise ModelError(f"centre: shape {self.centre.shape} is not ({len(OBJECT_FEATURES)},)")
+        if not len(self.known) or not self.span[0] < self.span[1]:
+            raise ModelError("known, span: no cloud, or a span that is empty")
+
+
+@dataclass(frozen=True, eq=False)
+class Limits(TensorRecord):
+    """What view, density of points, width and direction of the hand the training has."""
+
+    low: Float64  # (6,) float64 of tilt, distance, spacing, width, approach and rise
+    high: Float64  # (6,) float64
+
+    RULES = {"low": "6", "high": "6"}  # noqa: RUF012
+
+    @classmethod
+    def fit(cls, rows: Float64) -> Self:
+        """From (S, F) rows of training grasps, whose first columns are `CHECKED`."""
         low, high = np.quantile(rows[:, _LIMITED_COLUMNS], (0.01, 0.99), axis=0)
-        for k, name in enumerate(_LIMITED):
-            factor = _BEYOND.get(name)
-            low[k], high[k] = (
-                (low[k] - _TURN, high[k] + _TURN) if factor is None else (low[k] / factor, high[k] * factor)
-            )
+        added, factor = (
+            np.array([table.get(name, usual) for name in _LIMITED]) for table, usual in ((_TURN, 0.0), (_BEYOND, 1.0))
+        )
+        low, high = low / factor - added, high * factor + added
         low[_LIMITED.index("spacing")] = 0.0  # points cannot be too many
-        return cls(centre, turn, known, np.array([start, max(end, start + 1e-9)]), low, high)
+        return cls(low, high)
+
+    def exceeded(self, rows: Float64) -> tuple[dict[str, Bool], dict[str, Bool]]:
+        """Return (K,) bool by name, whether (K, F) rows are below and above a limit."""
+        values = rows[:, _LIMITED_COLUMNS]
+        below, above = (values < self.low).T, (values > self.high).T
+        return dict(zip(_LIMITED, below, strict=True)), dict(zip(_LIMITED, above, strict=True))
+
+    def has_view(self, view: Float64) -> Bool:
+        """Return (…,) whether the training has such a view as (…, 2) of `VIEW`."""
+        size = len(VIEW)
+        return np.asarray(((view >= self.low[:size]) & (view <= self.high[:size])).all(axis=-1), np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class NoveltyDetector:
+    """Whether a cloud and a grasp, in the frame of the hand, resemble those that a model was trained on.
+
+    In a view as in training, the sizes of all points are compared. In another view other walls are seen, and those of the upper side are
+    compared instead. Conditions under which the training data say nothing are unfamiliar too: too few points, another width or direction of the
+    hand. No view is.
+    """
+
+    whole: KnownSizes
+    upper: KnownSizes
+    limits: Limits
+
+    @classmethod
+    def fit(cls, rows: Float64, objects: Sequence[str]) -> Self:
+        """Fit to (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects.
+
+        S of at least 5.
+        """
+        whole = KnownSizes.of_whole(rows[:, _WHOLE], objects)
+        return cls(whole, KnownSizes.of_upper(rows[:, _UPPER], objects), Limits.fit(rows))
 
     def scores(self, rows: Float64) -> Float64:
-        """(K,) of (K, F) rows: 1 where they are like those of training, 0 where unlike.
+        """Return (K,) shares for (K, F) rows: 1 where they are like those of training, 0 where unlike.
 
         Compare with `IN_DISTRIBUTION`.
         """
-        moved = ((rows[:, _SIZES] - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
-        distance = cdist(moved, self.known).min(axis=1)
-        start, end = self.span
-        limited = rows[:, _LIMITED_COLUMNS]
-        inside = ((limited >= self.low) & (limited <= self.high))[:, 1:].all(axis=1)  # no view is refused
-        return np.where(inside, np.clip((end - distance) / (end - start), 0.0, 1.0), 0.0)
+        whole, scores = self.limits.has_view(rows[:, : len(VIEW)]), np.empty(len(rows))
+        scores[whole] = self.whole.scores(rows[whole][:, _WHOLE])
+        scores[~whole] = self.upper.scores(rows[~whole][:, _UPPER])
+        below, above = self.limits.exceeded(rows)
+        for name in _LIMITED[len(VIEW) :]:
+            scores[below[name] | above[name]] = 0.0
+        return scores
 
     def reasons(self, rows: Float64) -> dict[str, Bool]:
-        """(K,) bool each, what of (K, F) rows is unlike the training, by the names of `UNFAMILIAR`."""
-        below, above = (
-            dict(zip(_LIMITED, (rows[:, _LIMITED_COLUMNS] < self.low).T, strict=True)),
-            dict(zip(_LIMITED, (rows[:, _LIMITED_COLUMNS] > self.high).T, strict=True)),
-        )
-        least, most = self._longest
-        larger, smaller = rows[:, _SIZE] > most, rows[:, _SIZE] < least
+        """Return (K,) bool each, what of (K, F) rows is unlike the training, by the names of `UNFAMILIAR`."""
+        below, above = self.limits.exceeded(rows)
+        whole = self.limits.has_view(rows[:, : len(VIEW)])
+        longest = np.where(whole, rows[:, _WHOLE[_LONGEST]], rows[:, _UPPER[_LONGEST]])
+        least, most = np.where(whole[:, None], self.whole.longest, self.upper.longest).T
+        larger, smaller = longest > most, longest < least
         turned = below["approach"] | above["approach"] | below["rise"] | above["rise"]
         limited = above["spacing"] | above["width"] | below["width"] | turned
         return {
@@ -123,19 +218,6 @@ class NoveltyDetector(TensorRecord):
             "other_direction": turned,
             "sparse_points": above["spacing"],
         }
-
-    @cached_property
-    def _longest(self) -> tuple[float, float]:
-        """The least and the largest deviation along the longest axis of a training cloud [m]."""
-        sizes = (self.known @ np.linalg.inv(self.turn) + self.centre)[:, _SIZES.index(_SIZE)]
-        return float(sizes.min()), float(sizes.max())
-
-    def _check(self) -> None:
-        super()._check()
-        if len(self.centre) != len(_SIZES):
-            raise ModelError(f"centre: shape {self.centre.shape} is not ({len(_SIZES)},)")
-        if not len(self.known) or not self.span[0] < self.span[1]:
-            raise ModelError("known, span: no cloud, or a span that is empty")
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +246,10 @@ class ContactEstimator:
     surroundings: bool = True
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
-        """See `Estimator.estimate`."""
-        rows = HandFrameFeatures(cloud.xyz, table).describe(grasps, surroundings=self.surroundings)
+        """Predict (K, D) counts of grasps on a cloud, and whether they are in the distribution of training."""
+        features = HandFrameFeatures(cloud.xyz, table)
+        upper = not self.novelty.limits.has_view(features.view)
+        rows = features.describe(grasps, surroundings=self.surroundings, upper=upper)
         where = rows[:, len(CONDITIONS) :] if self.surroundings else None
         counts, known = self.predict_rows(rows)
         return Estimate(counts, known, where, {} if known.all() else self.novelty.reasons(rows))
@@ -200,7 +284,12 @@ class ContactEstimator:
     def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
         forests = {f"forest_{name}": forest for name, forest in self.forests.items()}
-        parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty, **forests}
+        novelty = {
+            "novelty/whole": self.novelty.whole,
+            "novelty/upper": self.novelty.upper,
+            "novelty/limits": self.novelty.limits,
+        }
+        parts: dict[str, TensorRecord] = {"kernel": self.kernel, **novelty, **forests}
         tensors = {
             f"{part}/{key}": value for part, member in parts.items() for key, value in member.to_tensors().items()
         }
@@ -208,7 +297,7 @@ class ContactEstimator:
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, AnyArray], ranges: Ranges) -> Self:
-        """From `to_tensors`.
+        """Make the object of the arrays of `to_tensors`.
 
         Raises:
             ModelError: Names the array that is missing or damaged.
@@ -230,7 +319,12 @@ class ContactEstimator:
         kernel = read_part(KernelRegression, tensors, "kernel/")
         if kernel.known.shape[1] != inputs or kernel.weight.shape[1] != channels.size:
             raise ModelError(f"kernel: does not fit {inputs} features and {channels.size} values")
-        return cls(forests, kernel, read_part(NoveltyDetector, tensors, "novelty/"), mean, deviation, gain, ranges)
+        novelty = NoveltyDetector(
+            read_part(KnownSizes, tensors, "novelty/whole/"),
+            read_part(KnownSizes, tensors, "novelty/upper/"),
+            read_part(Limits, tensors, "novelty/limits/"),
+        )
+        return cls(forests, kernel, novelty, mean, deviation, gain, ranges)
 
 
 def save_contact(
@@ -246,7 +340,7 @@ def save_contact(
 
 
 def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
-    """The contact model of a card, with its calibration.
+    """Return the contact model of a card, with its calibration.
 
     Raises:
         ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.

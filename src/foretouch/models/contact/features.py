@@ -13,7 +13,7 @@ shift; points around a contact weigh less the farther they are, so that no point
 Heights are above the table, and `approach` and `rise` are the directions of the hand relative to its normal. Without a
 table the camera is assumed to look straight down on it, as in the public recordings (`foretouch.types.ASSUMED_TABLE`).
 A camera that is tilted sees other parts of an object. Its points are therefore brought to what a camera above the table
-would see (`models.contact.above`).
+would see (`models.contact.above`). In views that the training does not have, objects are compared by the upper side alone.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.kernels import Kernel, struct
-from foretouch.models.contact.above import seen_from_above
+from foretouch.models.contact.above import seen_from_above, upper_side
 from foretouch.models.novelty import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, Grasps, Int32, Int64, Plane
 
@@ -43,6 +43,8 @@ _UPPER: Final = np.array([0, 1, 2, 4, 5, 8])  # of a flat (3, 3)
 _SYMMETRIC: Final = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # a flat (3, 3) from its upper triangle
 _STEP: Final = 0.002  # about the distance of points: no object is thinner [m]
 _NOTHING: Final = 1e-12  # a smaller share of the points is none
+_FLAT: Final = [0, 3, 10]  # of the sizes: deviation and extent along the shortest axis, and height
+_FLAT_M: Final = np.array([0.003, 0.012, 0.012])  # of a flat face, by the noise of a D415 at 1.3 m
 
 OBJECT_FEATURES: Final = (
     *(f"spread_{k}" for k in (1, 2, 3)),
@@ -50,10 +52,16 @@ OBJECT_FEATURES: Final = (
     *(f"radius_q{round(100 * q)}" for q in _QUARTERS),
     "height",
 )
-"""Sizes of the object alone, by which novelty is detected."""
+"""Sizes of the object alone, by which novelty is detected in views as in training."""
 
-CONDITIONS: Final = ("tilt", "spacing")
-"""Cosine between the line of sight and the vertical, and the distance of the points from each other. No prediction depends on them."""
+UPPER_FEATURES: Final = tuple(f"upper_{name}" for name in OBJECT_FEATURES)
+"""The same sizes of the upper side without its walls, by which novelty is detected in other views."""
+
+VIEW: Final = ("tilt", "distance")
+"""Angle between the line of sight and the vertical [rad], and distance of the object from the camera [m]."""
+
+CONDITIONS: Final = (*VIEW, "spacing", *UPPER_FEATURES)
+"""The view, the distance of the points from each other [m], and `UPPER_FEATURES`. No prediction depends on them."""
 
 CHECKED: Final = (*CONDITIONS, *OBJECT_FEATURES, "width", "approach", "rise")
 """The first columns of a row, by which novelty is detected."""
@@ -87,26 +95,32 @@ class HandFrameFeatures:
 
     Attributes:
         object_features: (len(OBJECT_FEATURES),) float64, lengths in metres.
+        view: (2,) float64, see `VIEW`.
 
     Raises:
         CloudError: If fewer than eight points are finite, or all are at one position.
     """
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]], table: Plane | None = None) -> None:
-        self._points, self._turn, steepness = seen_from_above(usable_points(xyz), table)
+        self._seen = usable_points(xyz)
+        self._points, self._turn, self.view = seen_from_above(self._seen, table)
         self._centre, self._columns, self._covariance = centred_columns(self._points)
         self._centred = self._points - self._centre
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
-        extents = [
-            end - start for start, end in (quantiles(projected, _LOW_HIGH) for projected in axes.T @ self._columns)
-        ]
-        low, high = quantiles(self._points[:, 2], _LOW_HIGH)
-        self._top = low  # nearest to the camera
-        self.object_features: Float64 = np.concatenate(
-            [spreads, extents, quantiles(distances(self._columns), _QUARTERS), [high - low]]
-        )
-        self._conditions = np.array([steepness, np.sqrt(extents[1] * extents[2] / len(self._points))])
+        self.object_features: Float64
+        self.object_features, self._top = _sizes(self._points, self._columns, spreads, axes)
+        _, middle, longest = self.object_features[3:6]  # extents
+        self._spacing = np.sqrt(middle * longest / len(self._points))
+
+    @cached_property
+    def upper_features(self) -> Float64:
+        """(len(UPPER_FEATURES),) float64 [m], where a flat face is as thick as the noise of a camera."""
+        upper = upper_side(self._seen, self._turn, float(self.view[0]))
+        _, columns, covariance = centred_columns(upper)
+        sizes, _ = _sizes(upper, columns, *principal_axes(covariance))
+        sizes[_FLAT] = np.hypot(sizes[_FLAT], _FLAT_M)
+        return sizes
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -131,10 +145,10 @@ class HandFrameFeatures:
         )
         return columns, grid, cells, starts
 
-    def describe(self, grasps: Sequence[Grasp], *, surroundings: bool = True) -> Float64:
-        """(K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp.
+    def describe(self, grasps: Sequence[Grasp], *, surroundings: bool = True, upper: bool = True) -> Float64:
+        """Return (K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp.
 
-        Without `surroundings`, the columns that describe the points around each contact are 0.
+        Without `surroundings`, the columns that describe the points around each contact are 0; without `upper`, those of the upper side.
         """
         if not grasps:
             return np.empty((0, len(FEATURES)))
@@ -143,14 +157,16 @@ class HandFrameFeatures:
         hand = (self._turn[None, :, :, None] * columns.rotation[:, None, :, :]).sum(axis=2)
         away = np.where(hand[:, 2, :1] < 0.0, -1.0, 1.0)
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
-        objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))
+        sizes = self.upper_features if upper else np.zeros(len(UPPER_FEATURES))
+        whole = np.concatenate([self.view, [self._spacing], sizes, self.object_features])
+        objects = np.tile(whole, (len(grasps), 1))
         second = np.stack([hand[:, :, 0], -hand[:, :, 1], -hand[:, :, 2]], axis=2)  # z is where the finger closes to
         ends, fingers = np.concatenate([g1, g2]), np.concatenate([second, hand])
         contacts = self._contacts(ends, fingers) if surroundings else np.zeros((len(ends), len(_CONTACT_FEATURES)))
         return np.hstack([objects, self._grasps(g1, g2, hand), contacts[: len(grasps)], contacts[len(grasps) :]])
 
     def _grasps(self, g1: Float64, g2: Float64, hand: Float64) -> Float64:
-        """(K, len(_GRASP_FEATURES))."""
+        """Return (K, len(_GRASP_FEATURES)) features of the grasps alone."""
         middle = (g1 + g2) / 2.0
         offset = middle - self._centre
         turned = (self._covariance[None, :, :, None] * hand[:, None, :, :]).sum(axis=2)
@@ -175,7 +191,7 @@ class HandFrameFeatures:
         )
 
     def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
-        """(K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
+        """Return (K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
 
         The compiled function leaves out contacts at points that are in one plane to 1e-7 m, such as on a face at one
         step of the depth: there the features depend on rounding, and are computed by NumPy in a fixed order.
@@ -213,15 +229,22 @@ class HandFrameFeatures:
         return np.column_stack(columns)
 
     def _sums(self, contact: Float64, index: list[int]) -> Float64:
-        """(4, 11) of pad and patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz; number of points."""
+        """Return (4, 11) of pad and patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz; number of points."""
         powers = self._powers[index]
         offset = powers[:, 1:4] - contact
         weight = np.maximum(1.0 - (offset * offset).sum(axis=1) / _SQUARES[:, None], 0.0)
         return np.column_stack([weight @ powers / len(self._points), np.count_nonzero(weight, axis=1)])
 
 
+def _sizes(points: Float64, columns: Float64, spreads: Float64, axes: Float64) -> tuple[Float64, float]:
+    """`OBJECT_FEATURES` of (N, 3) points, from their (3, N) columns from the centre, deviations and principal axes; and z of their top."""
+    extents = [end - start for start, end in (quantiles(projected, _LOW_HIGH) for projected in axes.T @ columns)]
+    low, high = quantiles(points[:, 2], _LOW_HIGH)
+    return np.concatenate([spreads, extents, quantiles(distances(columns), _QUARTERS), [high - low]]), low
+
+
 def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float64, Float64]:
-    """Of (U, 11) sums around (U, 3) contacts, both from the object's centre.
+    """Compute moments of (U, 11) sums around (U, 3) contacts, both from the object's centre.
 
     Returns:
         (U,) weights, (U, 3) means from the contact, (U, 3) standard deviations along the principal axes, ascending, and
@@ -235,5 +258,5 @@ def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float6
 
 
 def _into(frames: Float64, vectors: Float64) -> Float64:
-    """(K, 3) vectors in the (K, 3, 3) frames, whose axes are columns; the same to the last bit for any K."""
+    """Return (K, 3) vectors in the (K, 3, 3) frames, whose axes are columns; the same to the last bit for any K."""
     return np.asarray((frames * vectors[:, :, None]).sum(axis=1), np.float64)

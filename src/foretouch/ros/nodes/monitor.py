@@ -79,8 +79,14 @@ def _is_unfamiliar(prediction: TouchPrediction) -> bool:
 class MonitorNode(Node):
     """Subscribes to `touch` and /diagnostics; also to the clouds, to draw an answer, and to the hand, to show its readings.
 
-    The predictions are for `sensor`; with `hand`, the messages of the hand are read. `on_touch` is called with each message of `touch`,
-    in the executor's thread, and must return at once. The view is closed after `count` of them, if that is given.
+    Args:
+        namespace: Of the graph.
+        with_clouds: Whether clouds are kept, to draw an answer.
+        hand: How the messages of the hand are read; None reads none.
+        on_touch: Called with each message of `touch`, in the executor's thread; must return at once.
+        sensor: For which touch is predicted.
+        count: Messages of `touch` after which the view is closed; None for no limit.
+        options: For rclpy's `Node`.
     """
 
     def __init__(

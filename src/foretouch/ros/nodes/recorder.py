@@ -83,16 +83,6 @@ class RecorderConfig(NodeConfig, TactileInput):
     writing: RecordingConfig = field(default_factory=RecordingConfig)
 
 
-def _dataset_identity(config: RecorderConfig) -> Identity:
-    """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
-    identity, (thumb, middle) = config.identity, config.tactile.fingers
-    hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": config.tactile.message_type}
-    return Identity(
-        hand={**hand, "thumb": thumb, "middle_finger": middle},
-        camera={"model": identity.camera, "serial": identity.camera_serial},
-    )
-
-
 def _decode_label(request: Any) -> Label:
     """Read the label in a request; a `ConfigError` or `DatasetError` if its outcome or the object's label is none."""
     if request.outcome >= len(_OUTCOMES):
@@ -184,8 +174,14 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     @property
     def identity(self) -> Identity:
-        """Hand and camera, as datasets hold them."""
-        return _dataset_identity(self.config)
+        """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
+        identity, tactile = self.config.identity, self.config.tactile
+        thumb, middle = tactile.fingers
+        hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": tactile.message_type}
+        return Identity(
+            hand={**hand, "thumb": thumb, "middle_finger": middle},
+            camera={"model": identity.camera, "serial": identity.camera_serial},
+        )
 
     @property
     def recording(self) -> bool:
@@ -225,7 +221,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         for name in filter(None, (label, *config.objects)):
             check_name(name, "object")
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
-        writer = RecordingWriter(target, _dataset_identity(config), config.writing, sensor=self.reader.sensor)
+        writer = RecordingWriter(target, self.identity, config.writing, sensor=self.reader.sensor)
         assembling = AssemblerConfig(
             pairing=config.pairing,
             object=label,

@@ -26,7 +26,13 @@ _CLOUDS = 5  # of the camera that are kept until the object's cloud of the same 
 
 
 class CheckFeed:
-    """Receives until `close`; messages that cannot be decoded are counted."""
+    """Receives until `close`; messages that cannot be decoded are counted.
+
+    Args:
+        check: Gets the messages.
+        inputs: What is received.
+        reader: Of the hand's messages.
+    """
 
     def __init__(self, check: SessionCheck, inputs: RecorderInputs, reader: TactileReader) -> None:
         self._check, self._inputs, self._reader = check, inputs, reader

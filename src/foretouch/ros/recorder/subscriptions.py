@@ -43,7 +43,14 @@ class RecordedTopic(InputTopic):
 
 
 def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[RecordedTopic]:
-    """List the topics of samples, the hand's first, with the clouds of the camera if their depth is not 0."""
+    """List the topics of samples, the hand's first.
+
+    Args:
+        config: Topic and type of the hand's messages.
+        depth: Messages that may wait in the middleware.
+        cloud_depth: The same of `object_cloud`.
+        points_depth: The same of the camera's clouds; 0 leaves them out.
+    """
     topics = [
         RecordedTopic(config.tactile_topic, message_class(config.tactile.message_type), depth, role="tactile"),
         RecordedTopic(CLOUD_TOPIC, PointCloud2, cloud_depth, role="cloud"),

@@ -87,7 +87,12 @@ def _name_log_folder() -> None:
 
 
 def large_clouds(rmw: str, folder: Path = _FOLDER) -> tuple[str, bool]:
-    """Describe how large clouds pass between processes by a middleware (RMW), and whether that is known to lose none."""
+    """Describe how large clouds pass between processes, and whether that is known to lose none.
+
+    Args:
+        rmw: Name of the middleware.
+        folder: Of shared memory.
+    """
     if rmw != FAST_DDS:
         return f"{rmw}: not tested; the shared-memory profile of foretouch is for {FAST_DDS} (docs/install.md)", False
     try:
@@ -104,7 +109,12 @@ def large_clouds(rmw: str, folder: Path = _FOLDER) -> tuple[str, bool]:
 
 
 def stale_bytes(folder: Path = _FOLDER, *, free: bool = False) -> int:
-    """Sum the sizes of the segments of this user whose processes have ended [bytes]; they are removed if asked for."""
+    """Sum the sizes of the segments of this user whose processes have ended [bytes].
+
+    Args:
+        folder: Of shared memory.
+        free: Whether these segments are removed.
+    """
     total = 0
     for lock in [*folder.glob(f"fastdds_*{_LOCK}"), *folder.glob(f"fastrtps_*{_LOCK}")]:
         segment = lock.with_name(lock.name.removesuffix(_LOCK))

@@ -66,7 +66,10 @@ class InternalErrors:
     ) -> Callable[..., Any]:
         """Make a function that reports its errors instead of raising them.
 
-        After an error it returns what `answer` gives, from the arguments of the call and the reason.
+        Args:
+            name: By which errors are counted.
+            callback: The function.
+            answer: Gives what is returned after an error, from the arguments of the call and the reason.
         """
 
         @functools.wraps(callback)
@@ -80,9 +83,13 @@ class InternalErrors:
 
 
 def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool], poll_s: float) -> None:
-    """Spin until a condition holds, which is checked every `poll_s`, through errors in the executor itself.
+    """Spin until a condition holds, through errors in the executor itself, such as an answer that cannot be encoded.
 
-    Such errors are rare, such as an answer that cannot be encoded. They are reported.
+    Args:
+        executor: Serves the nodes.
+        errors: Counts and logs the errors.
+        until: The condition.
+        poll_s: Time between two looks at it [s].
 
     Raises:
         ExternalShutdownException: If the context is shut down.

@@ -165,7 +165,14 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self._followed.pop(name).destroy()
 
     def serve(self, kind: Any, name: str, callback: Callable[..., Any], group: CallbackGroup) -> None:
-        """Offer a service until the node is cleaned up; a coroutine function must not raise."""
+        """Offer a service until the node is cleaned up.
+
+        Args:
+            kind: Type of the service.
+            name: Of the service.
+            callback: Answers a request; a coroutine function must not raise.
+            group: Callback group.
+        """
         guarded = callback
         if not inspect.iscoroutinefunction(callback):
             guarded = self.internal_errors.guarded(name, callback, failed_response)

@@ -31,10 +31,16 @@ _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
 
 
 def check_parameters(arguments: Sequence[str], nodes: Nodes, own: Sequence[str], namespace: str) -> None:
-    """Check the parameter files and parameters of a command line for the nodes `own` of this process, of all `nodes`.
+    """Check the parameter files and parameters of a command line.
 
-    A `ConfigError` if a file is none, or names an unknown node or parameter, with the nearest known one. The command line
-    may remap the namespace.
+    Args:
+        arguments: The command line, which may remap the namespace.
+        nodes: All nodes that there are.
+        own: Names of the nodes of this process.
+        namespace: Of these nodes.
+
+    Raises:
+        ConfigError: If a file is none, or names an unknown node or parameter, with the nearest known one.
     """
     remapped = [word.partition(":=")[2] for word in arguments if re.match(r"(\w+:)?__ns:=", word)]
     namespace = f"/{(remapped or [namespace])[-1].strip('/')}"

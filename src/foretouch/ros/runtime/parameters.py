@@ -24,7 +24,12 @@ _LIMITS: dict[type, Any] = {int: 2**63 - 1, float: sys.float_info.max}
 class NodeSettings(Generic[_S]):
     """The parameters of a node, one for each setting of `cls`, as one frozen `Settings`, `value`.
 
-    Nested settings have dotted names. `on_change` is called with the new settings after a change.
+    Nested settings have dotted names.
+
+    Args:
+        node: Declares the parameters.
+        cls: Class of the settings.
+        on_change: Called with the new settings after a change.
 
     Raises:
         ConfigError: If a value given at the start (file or command line) breaks a rule.

@@ -143,7 +143,15 @@ class OnlineAdapter:
         reach: ReachConfig,
         table: Plane | None = None,
     ) -> Predictions:
-        """Predict as `TouchModel.predict`, adapted to the readings so far."""
+        """Predict touch, adapted to the readings so far.
+
+        Args:
+            cloud: Of the object.
+            grasps: On the object.
+            limits: Of objects.
+            reach: Of the hand.
+            table: Under the object; None if it is not known.
+        """
         config, model = self._config(), self._model
         self.process_touches()
         tare = self._recent_tare(config)

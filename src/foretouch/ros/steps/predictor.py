@@ -26,7 +26,12 @@ from foretouch_msgs.msg import Status
 
 
 class Predictor:
-    """A model that may be absent: every answer then gives the reason. `fallback` is used if it cannot be loaded."""
+    """A model that may be absent: every answer then gives the reason.
+
+    Args:
+        model: Name or path of the model.
+        fallback: Name or path of the model to use if it cannot be loaded; "" for none.
+    """
 
     def __init__(self, model: str, fallback: str = "") -> None:
         self.model: TouchModel | None = None  # None if neither could be loaded
@@ -95,6 +100,11 @@ class Predictor:
         """Predict for the grasps on one object, where `posed` is ok and no other reason to refuse is found.
 
         Readings so far are adapted to.
+
+        Args:
+            target: The object.
+            posed: The grasps, without values yet.
+            config: The limits of objects and the hand's reach.
         """
         model = self.model
         if model is None:

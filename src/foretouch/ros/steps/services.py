@@ -44,7 +44,12 @@ _LIMIT: Final = 100  # requests that may wait or be worked on
 
 
 class TouchServices(Step):
-    """Services and actions of a node, which predict by its `TouchStep`."""
+    """Offers services and actions.
+
+    Args:
+        node: Offers them; it must be configuring, and its settings are `TouchSettings`.
+        step: Predicts.
+    """
 
     def __init__(self, node: ForetouchNode[Any], step: TouchStep) -> None:
         self._node, self._step = node, step

@@ -79,7 +79,13 @@ class TouchStep(Step):
     # The topic.
 
     def answer_plans(self, targets: Sequence[Object], plans: Sequence[GraspPlan], grasps: GraspArray) -> TouchAnswer:
-        """Predict for the plans of all targets, whose message is `grasps`."""
+        """Predict for planned grasps.
+
+        Args:
+            targets: The objects.
+            plans: Of each target.
+            grasps: The message of all plans.
+        """
         parts = []
         for target, plan in zip(targets, plans, strict=True):
             posed = Predictions.refused(plan.grasps, self.predictor.channels, "ok", "")  # no value yet
