@@ -124,8 +124,7 @@ def _parse(parser: CommandParser, arguments: list[str]) -> argparse.Namespace:
 def command_parser(chosen: str | None) -> CommandParser:
     """Make the parser of all commands; only the module of the chosen one is imported for its arguments."""
     parser = CommandParser(
-        prog="foretouch",
-        description="Plan two-finger grasps, and predict what tactile fingertips will read.",
+        prog="foretouch", description="Plan two-finger grasps, and predict what tactile fingertips will read."
     )
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}", help="print the version")
     for name, summary in COMMANDS.items():
