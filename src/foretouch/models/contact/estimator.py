@@ -54,6 +54,8 @@ _OTHER_VIEW_M: Final = np.array([0.012 if "extent" in name or "height" in name e
 _ONE_IN_TEN: Final = 0.1
 _AROUND_LIMIT: Final = (0.8, 1.2)  # shares of a limit between which the score falls from 1 to 0
 _BEYOND: Final = {"spacing": 2.5, "width": 1.5, "distance": 1.25}  # factors beyond them
+_ANY: Final = 1e9
+"""A limit that no view exceeds."""
 _TURN: Final = {"approach": 0.05, "rise": 0.05, "tilt": float(np.radians(5.0))}  # what is added: cosines, an angle
 _LIMITED: Final = (*VIEW, "spacing", "width", "approach", "rise")
 _LIMITED_COLUMNS, _WHOLE, _UPPER = (
@@ -187,6 +189,28 @@ class NoveltyDetector:
         whole = KnownSizes.of_whole(rows[:, _WHOLE], objects)
         return cls(whole, KnownSizes.of_upper(rows[:, _UPPER], objects), Limits.fit(rows))
 
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, AnyArray]) -> Self:
+        """Make the detector of the arrays of a file, which errors name.
+
+        In a file of 0.2 or 0.3, which has no upper sides, the sizes of all points are compared in any view.
+        """
+        if "novelty/low" not in tensors:
+            upper = read_part(KnownSizes, tensors, "novelty/upper/")
+            return cls(
+                read_part(KnownSizes, tensors, "novelty/whole/"), upper, read_part(Limits, tensors, "novelty/limits/")
+            )
+        whole = read_part(KnownSizes, tensors, "novelty/")
+        # The first of five limits there was for the distance of the camera, and was not used.
+        limits = {name: tensors.get(f"novelty/{name}", np.empty(0))[1:] for name in ("low", "high")}
+        views = {"low": np.full(len(VIEW), -_ANY), "high": np.full(len(VIEW), _ANY)}
+        joined = {f"novelty/{name}": np.concatenate([views[name], limits[name]]) for name in limits}
+        return cls(whole, whole, read_part(Limits, joined, "novelty/"))
+
+    def parts(self) -> dict[str, TensorRecord]:
+        """Return what a file has, by the beginning of its names."""
+        return {"novelty/whole": self.whole, "novelty/upper": self.upper, "novelty/limits": self.limits}
+
     def scores(self, rows: Float64) -> Float64:
         """Return (K,) shares for (K, F) rows: 1 where they are like those of training, 0 where unlike.
 
@@ -284,12 +308,7 @@ class ContactEstimator:
     def to_tensors(self) -> dict[str, AnyArray]:
         """Arrays by name, for a file."""
         forests = {f"forest_{name}": forest for name, forest in self.forests.items()}
-        novelty = {
-            "novelty/whole": self.novelty.whole,
-            "novelty/upper": self.novelty.upper,
-            "novelty/limits": self.novelty.limits,
-        }
-        parts: dict[str, TensorRecord] = {"kernel": self.kernel, **novelty, **forests}
+        parts: dict[str, TensorRecord] = {"kernel": self.kernel, **self.novelty.parts(), **forests}
         tensors = {
             f"{part}/{key}": value for part, member in parts.items() for key, value in member.to_tensors().items()
         }
@@ -319,12 +338,7 @@ class ContactEstimator:
         kernel = read_part(KernelRegression, tensors, "kernel/")
         if kernel.known.shape[1] != inputs or kernel.weight.shape[1] != channels.size:
             raise ModelError(f"kernel: does not fit {inputs} features and {channels.size} values")
-        novelty = NoveltyDetector(
-            read_part(KnownSizes, tensors, "novelty/whole/"),
-            read_part(KnownSizes, tensors, "novelty/upper/"),
-            read_part(Limits, tensors, "novelty/limits/"),
-        )
-        return cls(forests, kernel, novelty, mean, deviation, gain, ranges)
+        return cls(forests, kernel, NoveltyDetector.from_tensors(tensors), mean, deviation, gain, ranges)
 
 
 def save_contact(
