@@ -45,10 +45,8 @@ _PITCH = 0.004  # of the outline's grid, as a tangent: two pixels of 640 x 480
 _SPACINGS = 0.55  # mean distances to the neighbours in a cell of that grid, at least
 _FLOATING_M = 0.3  # above the table, where no object stands that is all above it: the table is another
 _THIN_M = 0.001  # shorter lines hold nothing
-_ALMOST, _ALMOST_HAND = (
-    0.96,
-    0.85,
-)  # of the opening of tips, or of a hand with a palm, from where on a line costs the more the wider it is
+_ALMOST = 0.96  # of the opening of tips, from where on a line costs the more the wider it is
+_ALMOST_HAND = 0.85  # of the opening of a hand with a palm
 REASONS = ("n_too_flat", "n_too_wide", "n_too_thin", "n_blocked")  # counts of refused lines, in this order
 # The cost of a line is 1 for each of these, squared but for the width and the share of the view.
 _DISTANCE_M = 0.015  # beside the centre of mass

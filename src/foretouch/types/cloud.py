@@ -133,12 +133,12 @@ class DepthCloud(Cloud):
 
     @property
     def organised(self) -> bool:
-        """See `Cloud`."""
+        """Whether the points form an image (H, W)."""
         return self.image is not None or super().organised
 
     @property
     def size(self) -> int:
-        """See `Cloud`."""
+        """Number of points, whether they have a depth or not."""
         return super().size if self.image is None else self.image.shape[0] * self.image.shape[1]
 
 

@@ -196,10 +196,8 @@ class NoveltyDetector:
         In a file of 0.2 or 0.3, which has no upper sides, the sizes of all points are compared in any view.
         """
         if "novelty/low" not in tensors:
-            upper = read_part(KnownSizes, tensors, "novelty/upper/")
-            return cls(
-                read_part(KnownSizes, tensors, "novelty/whole/"), upper, read_part(Limits, tensors, "novelty/limits/")
-            )
+            whole, upper = (read_part(KnownSizes, tensors, f"novelty/{side}/") for side in ("whole", "upper"))
+            return cls(whole, upper, read_part(Limits, tensors, "novelty/limits/"))
         whole = read_part(KnownSizes, tensors, "novelty/")
         # The first of five limits there was for the distance of the camera, and was not used.
         limits = {name: tensors.get(f"novelty/{name}", np.empty(0))[1:] for name in ("low", "high")}
