@@ -10,8 +10,8 @@ from pair_builders import PERIOD, REST, SECOND, interval, level, stream
 
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
-from foretouch.dataset.record import APPROACH, HOLD
-from foretouch.dataset.record import REST as REST_PHASE
+from foretouch.types import APPROACH, HOLD
+from foretouch.types import REST as REST_PHASE
 from foretouch_lab.simulation.message_faults import FaultConfig
 
 CONFIG = PairingConfig()

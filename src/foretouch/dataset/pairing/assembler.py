@@ -24,11 +24,10 @@ from foretouch.dataset.pairing.matcher import (
     RejectedGrasp,
 )
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, SensorHealth
-from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader
-from foretouch.types import Cloud, Float32, Grasp, Sample, stamp_ns
+from foretouch.types import DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -53,7 +52,7 @@ class AssemblerConfig:
 class AssembledSample(NamedTuple):
     """A sample as it is recorded, without an id, and its readings; None for a sample without a touch."""
 
-    record: SampleRecord
+    sample: Sample
     cut: TouchCut | None = None
 
 
@@ -205,23 +204,21 @@ class SampleAssembler:
 
     # Records.
 
-    def _labelled(self, match: MatchedGrasp) -> SampleRecord:
+    def _labelled(self, match: MatchedGrasp) -> Sample:
         label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
-        sample = Sample(
+        cloud = _object_cloud(match.cloud, match.plan.frame_id, grasp)
+        others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
+        self._labelled_clouds.add(match.cloud.stamp_ns)
+        return Sample(
             id="",
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
-            cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp),
+            cloud=cloud,
             grasp=grasp,
             touch=cut.touch,
             tare=cut.tare,
             stamp_ns=executed.interval.contact if executed.interval else 0,
             extra={"clock_offset_s": cut.clock_ns * 1e-9, **self._temperatures(cut)},
-        )
-        self._labelled_clouds.add(match.cloud.stamp_ns)
-        others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
-        return SampleRecord(
-            sample=sample,
             candidates=candidates,
             outcome=_outcome(match),
             note="; ".join(filter(None, (self.config.note, label.note, left_out))),
@@ -248,17 +245,17 @@ class SampleAssembler:
             }
         return temperatures
 
-    def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
+    def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> Sample:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
-        sample = Sample(
+        return Sample(
             id="",
             object=self._object_at(cloud.stamp_ns),
             cloud=_object_cloud(cloud, plan.frame_id, grasp),
             grasp=grasp,
             stamp_ns=cloud.stamp_ns,
+            candidates=candidates,
+            note="; ".join(filter(None, (self.config.note, left_out))),
         )
-        note = "; ".join(filter(None, (self.config.note, left_out)))
-        return SampleRecord(sample=sample, candidates=candidates, note=note)
 
 
 def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...], str]:
