@@ -7,13 +7,13 @@ given by the caller.
 """
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from foretouch.cloud.messages import decode_objects, read_header
-from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (
     ExecutedGrasp,
@@ -26,7 +26,7 @@ from foretouch.dataset.pairing.matcher import (
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, SensorHealth
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
-from foretouch.tactile.messages.table import TactileReader
+from foretouch.tactile.messages.table import TactileReader, TactileReading
 from foretouch.types import DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
@@ -129,18 +129,18 @@ class SampleAssembler:
         else:
             self.matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
 
-    def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TouchReading, ...]:
+    def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TactileReading, ...]:
         """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`).
 
         One in which a finger was not read is left out, and counted as `invalid`, as are taxels.
         """
-        content = self._reader.read(message)
-        self.invalid.update({f"taxels_{reason}": count for reason, count in content.invalid.items()})
-        if np.isnan(content.counts).any():
-            self._leave_out(content.counts)
+        reading = replace(self._reader.read(message), received_ns=received_ns)
+        self.invalid.update({f"taxels_{reason}": count for reason, count in reading.invalid.items()})
+        if np.isnan(reading.counts).any():
+            self._leave_out(reading.counts)
             return ()
-        stamp = received_ns if content.stamp_ns is None else content.stamp_ns
-        reading = TouchReading(stamp, content.counts, content.others, received_ns if self.config.check_clock else stamp)
+        if not self.config.check_clock:
+            reading = replace(reading, received_ns=reading.time_ns)
         jumps = self.readings.anomalies["clock_jump"]
         accepted = self.readings.add(reading)
         self._last_tactile_s = now_s
@@ -149,7 +149,7 @@ class SampleAssembler:
             if self.readings.anomalies["clock_jump"] != jumps:
                 self._episodes.reset()
             for accepted_reading in accepted:
-                episode = self._episodes.update(accepted_reading.stamp_ns, accepted_reading.counts)
+                episode = self._episodes.update(accepted_reading.time_ns, accepted_reading.counts)
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
         return accepted

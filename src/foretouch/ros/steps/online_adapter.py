@@ -101,7 +101,7 @@ class OnlineAdapter:
             if self._assembler.readings.anomalies["clock_jump"] != jumps:
                 self._tare.reset()
             for reading in accepted:
-                self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
+                self._tare.update(reading.time_ns, reading.counts, time.monotonic())
                 self._others = reading.others
 
     def add_executed(self, message: ExecutedGrasp) -> None:
