@@ -13,7 +13,8 @@ from functools import partial
 
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts
-from foretouch.ros.graph import Graph, node_class
+from foretouch.ros.graph import Graph
+from foretouch.ros.nodes import NODES
 from foretouch.ros.runtime.environment import prepare_environment
 
 
@@ -29,7 +30,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     prepare_environment()
     try:
         for name in names:
-            node_class(name)
+            NODES[name]()
         raise_interrupts()
         graph = Graph({name: {} for name in names}, arguments=arguments, monitor=None)
         with suppress(KeyboardInterrupt), graph:

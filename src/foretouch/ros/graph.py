@@ -9,14 +9,13 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
-from foretouch.laboratory import needs_laboratory
+from foretouch.ros.nodes import NODES
 from foretouch.ros.runtime.environment import prepare_environment, stale_bytes, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
 from foretouch.topics import NAMESPACE
@@ -101,7 +100,7 @@ class Graph:
                 served.append(self.monitor)
         for name, parameters in self._parameters.items():
             with uninterrupted():
-                node = node_class(name)(parameter_overrides=_parameters(parameters), **self._namespace)
+                node = NODES[name]()(parameter_overrides=_parameters(parameters), **self._namespace)
                 self._closed.callback(node.destroy_node)
                 self.nodes[name] = node
                 served.append(node)
@@ -206,30 +205,6 @@ def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMES
     stale_bytes(free=True)
     check_parameters(arguments, NODES, names, namespace)
     start_rclpy(arguments)
-
-
-def node_class(name: str) -> "type[ForetouchNode[Any]]":
-    """Return the class of a node, which is imported now.
-
-    To make a node of it, `rclpy.init` must have been called; a `ConfigError` if a parameter breaks a rule. It is not configured yet.
-
-    Raises:
-        MissingDependencyError: If it is of the laboratory, which is not installed.
-        KeyError: If there is no such node.
-    """
-    with needs_laboratory(f"node {name}"):
-        if name == "hand":
-            from foretouch_lab.ros.hand import HandNode
-
-            return HandNode
-        from foretouch.ros.nodes import NODE_CLASSES
-
-        return NODE_CLASSES[name]
-
-
-_NAMES: Final = "camera perception segmentation grasp touch_predictor replay hand recorder bridge"
-NODES: Final = {name: partial(node_class, name) for name in _NAMES.split()}
-"""What gives the class of each node, by name."""
 
 
 def input_of(topic: str, wait_s: float) -> str:

@@ -10,8 +10,8 @@ from depth_builders import compressed, png, rvl
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.graph import node_class
 from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.nodes import node_class
 from foretouch.types import Cloud
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
