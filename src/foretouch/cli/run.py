@@ -335,7 +335,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     conflicts = graph.conflicts()
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
+        counts |= {"answers": view.answers, "reasons": view.reasons}
         if "hand" in graph.nodes:
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         _print_end(arguments.lines, counts)

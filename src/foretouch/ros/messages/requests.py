@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs from other nodes, read or refused with a status, and the plan of grasps that answers."""
+"""Read what other nodes send, or refuse it with a status."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,15 +13,13 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
-from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
-from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
 from foretouch.grasp.pose import joined_faults, rotation_faults
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import obstacles_from_msg, plane_from_msg
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Grasps, Plane
+from foretouch.types import ASSUMED_TABLE, Grasp, Grasps, Plane
 from foretouch.types.arrays import Bool, objects
 from foretouch.types.grasps import contact_faults
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -120,12 +118,6 @@ def read_serialized(data: bytes, kind: type[_M]) -> _M:
     return message
 
 
-def read_cloud(message: PointCloud2) -> Cloud:
-    """Convert a cloud; a `RefusalError`, BAD_CLOUD, if its sizes do not add up."""
-    with _refused_as(Status.BAD_CLOUD):
-        return decode_cloud(message)
-
-
 def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tuple[Object, ...]:
     """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
 
@@ -155,23 +147,24 @@ def read_plane(message: PlaneMsg) -> Plane:
     return plane
 
 
-def read_table(message: TablePlane, header: Header) -> Plane:
-    """Convert the table of the cloud with a header; refused as the sender has, with BAD_PLANE, or UNKNOWN_FRAME."""
-    if message.status != Status.OK:
-        raise passed_on("table", message.status, message.reason)
-    check_frames("table", message.header, header)
-    return read_plane(message.plane)
-
-
-def read_obstacles(message: TablePlane) -> Obstacles | None:
-    """Convert what stands around the targets; a `RefusalError`, BAD_REQUEST, if its fields do not fit each other."""
-    with _refused_as(Status.BAD_REQUEST):
-        return obstacles_from_msg(message)
-
-
 def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) -> tuple[Object, ...]:
-    """Convert objects with their table and what stands around them; raises as `read_targets`, `read_table`, `read_obstacles`."""
-    plane, obstacles = read_table(table, message.header), read_obstacles(table)
+    """Convert objects with their table and what stands around them.
+
+    Args:
+        message: The objects.
+        table: Of the same cloud.
+        limits: Of objects.
+
+    Raises:
+        RefusalError: As `read_targets`; as the table's sender has refused; BAD_PLANE; UNKNOWN_FRAME; BAD_REQUEST if the
+            fields of the obstacles do not fit each other.
+    """
+    if table.status != Status.OK:
+        raise passed_on("table", table.status, table.reason)
+    check_frames("table", table.header, message.header)
+    plane = read_plane(table.plane)
+    with _refused_as(Status.BAD_REQUEST):
+        obstacles = obstacles_from_msg(table)
     return tuple(replace(target, obstacles=obstacles) for target in read_targets(message, plane, limits))
 
 

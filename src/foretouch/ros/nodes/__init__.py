@@ -35,15 +35,15 @@ def node_class(name: NodeName) -> "type[ForetouchNode[Any]]":
 
                 return PerceptionNode
             case "segmentation":
-                from foretouch.ros.nodes.single_steps import SegmentationNode
+                from foretouch.ros.nodes.perception import SegmentationNode
 
                 return SegmentationNode
             case "grasp":
-                from foretouch.ros.nodes.single_steps import GraspNode
+                from foretouch.ros.nodes.perception import GraspNode
 
                 return GraspNode
             case "touch_predictor":
-                from foretouch.ros.nodes.single_steps import TouchPredictorNode
+                from foretouch.ros.nodes.perception import TouchPredictorNode
 
                 return TouchPredictorNode
             case "replay":
