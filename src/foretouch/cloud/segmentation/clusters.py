@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
@@ -98,6 +99,7 @@ def label_organised(
     xyz: Float32,
     coarse: Float32,
     stride: int,
+    pitch: float,
     crop: CropConfig,
     threshold: HeightThreshold,
     config: ClusterConfig,
@@ -110,6 +112,7 @@ def label_organised(
         xyz: (H, W, 3) float32 [m], contiguous, camera optical frame.
         coarse: Every `stride`-th of its rows and columns, contiguous.
         stride: Step of the coarse grid [px].
+        pitch: See `pixel_pitch`, of the whole image.
         crop: Depth range.
         threshold: Height threshold above the table.
         config: Settings.
@@ -122,7 +125,7 @@ def label_organised(
     """
     image, grid = xyz.shape[:2], coarse.shape[:2]
     # The smallest number of pixels of the coarse grid that may belong to an object.
-    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
+    min_nodes = max(1, config.min_points // (2 * stride * stride))
     settings = np.array(
         [
             *threshold.plane.coefficients,
@@ -169,11 +172,7 @@ def pixel_pitch(xyz: Float32) -> float:
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         steps = np.abs(np.diff(rows[..., 0] / rows[..., 2], axis=1))
     steps = steps[np.isfinite(steps)]
-    if not steps.size:
-        return 0.0
-    middle = [(steps.size - 1) // 2, steps.size // 2]
-    low, high = np.partition(steps, middle)[middle]  # a third of the time of np.median
-    return float((low + high) / np.float32(2.0))
+    return median(steps) if steps.size else 0.0
 
 
 def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold) -> list[Clusters]:
