@@ -6,6 +6,7 @@ them, waits for the disk, and assembles samples. Services have a callback group 
 """
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -23,8 +24,9 @@ from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.operator import Action, Operator
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
+from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
+from foretouch.ros.recorder.session import RecordingSession, SessionStatus
 from foretouch.ros.recorder.subscriptions import RecorderInputs, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
@@ -246,7 +248,13 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def status(self) -> RecorderStatus:
         """Make the current `recorder_status`."""
-        return status_to_msg(self._session, self.inputs, self.get_clock().now().nanoseconds)
+        session = self.session_status()
+        message = copy(session.message)
+        message.header = header_to_msg("", self.get_clock().now().nanoseconds)
+        message.topics = topics = [] if self.inputs is None else self.inputs.accounts(session.accounts)
+        message.received, message.used = sum(topic.received for topic in topics), sum(topic.written for topic in topics)
+        message.lost = sum(topic.lost for topic in topics)
+        return message
 
     # Services and the timer.
 

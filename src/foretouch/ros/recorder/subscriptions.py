@@ -7,12 +7,13 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.bounded_queue import BoundedQueue
 from foretouch.cloud.io.depth_messages import info_topic
+from foretouch.dataset.pairing.assembler import Role
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput, message_class
@@ -38,7 +39,7 @@ class RecordedTopic(InputTopic):
     """A topic whose messages are received serialised."""
 
     raw: bool = True
-    role: str = ""  # what its messages are for samples or checks; "" for neither
+    role: Role | Literal["touch", "table", "scene", "info", ""] = ""  # of its messages in samples or checks
     optional: bool = False  # whether nothing is reported of it until a message arrives
 
 
