@@ -208,11 +208,14 @@ def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMES
 
 
 def input_of(topic: str, wait_s: float) -> str:
-    """Find out what a topic of a camera is for `perception`: `depth` or `points`; a `ConfigError` if it is nothing of both.
+    """Find out what a topic of a camera is for `perception`: `depth` or `points`.
 
     Args:
         topic: Full name.
-        wait_s: Longest wait until somebody publishes it [s].
+        wait_s: Longest wait until a node publishes it [s].
+
+    Raises:
+        ConfigError: If no node publishes it, or it is neither images nor clouds.
     """
     start_rclpy([])
     import rclpy
@@ -228,10 +231,12 @@ def input_of(topic: str, wait_s: float) -> str:
     for kind in kinds.get(topic, ()):
         if kind in _INPUTS:
             return _INPUTS[kind]
-    there = [name for name, types in kinds.items() if any(kind in _INPUTS for kind in types)]
-    rule = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"nobody publishes it within {wait_s:g} s"
-    seen = f"; there are {', '.join(sorted(there))}" if there else "; there is no topic of images or clouds"
-    raise ConfigError(f"{topic}: {rule}, not an image of depth or a cloud{seen}")
+    usable = sorted(name for name, types in kinds.items() if any(kind in _INPUTS for kind in types))
+    fault = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"no node published it within {wait_s:g} s"
+    cure = "no images or clouds are published here: start the driver of the camera, with the same ROS_DOMAIN_ID"
+    if usable:
+        cure = f"images and clouds are published on {', '.join(usable)}"
+    raise ConfigError(f"{topic}: {fault}; {cure}")
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:

@@ -120,7 +120,8 @@ class InputStatistics:
             report.warnings.append("no input yet" if now.idle_s is None else f"no input for {now.idle_s:.1f} s")
         lost = Counter({**now.dropped, "lost in transport": now.lost})
         if recent := lost - self._reported:
-            report.warnings.append(f"dropped: {', '.join(f'{count} {reason}' for reason, count in recent.items())}")
+            counts = ", ".join(f"{count} {reason}" for reason, count in recent.items())
+            report.warnings.append(f"dropped since the last report: {counts}")
         self._reported = lost
         numbers = {"received": now.received, "used": now.used, "dropped": sum(now.dropped.values())}
         numbers |= {f"dropped.{reason}": count for reason, count in sorted(now.dropped.items())}
