@@ -208,7 +208,7 @@ class MonitorNode(Node):
         for result in results:
             if isinstance(result, AssembledSample) and result.cut is not None:
                 for touch in predictions:
-                    if touch.grasp.id == result.record.sample.grasp.id:
+                    if touch.grasp.id == result.sample.grasp.id:
                         drawn = self._drawn(touch, result.cut)
                         with self._lock:
                             self._view.executed = touch, result.cut

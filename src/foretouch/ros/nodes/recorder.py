@@ -17,10 +17,10 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 
 from foretouch.config import Settings, setting
+from foretouch.dataset.identity import Identity, check_name
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.cut import Interval, PairingConfig
 from foretouch.dataset.pairing.matcher import Label
-from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.operator import Action, Operator
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
@@ -33,7 +33,7 @@ from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.topics import GRASPS_TOPIC
-from foretouch.types import stamp_ns
+from foretouch.types import Outcome, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 

@@ -187,13 +187,13 @@ class RecordingSession:
                 with self._assembler_lock:
                     self._operator.add_rejected(result.grasp_id, result.message)
                 continue
-            name = self.writer.append(result.record)
+            name = self.writer.append(result.sample)
             if result.cut is not None:
                 self._last_sample = name
-                self._last = self._prediction(result.record.sample), result.cut
+                self._last = self._prediction(result.sample), result.cut
                 self._errors_ns.append(result.cut.error_ns)
             with self._assembler_lock:
-                self._operator.add_sample(result.record, name)
+                self._operator.add_sample(result.sample, name)
         self._update_status()
 
     def _without_pause(self, messages: list[SerializedMessage]) -> list[SerializedMessage]:
