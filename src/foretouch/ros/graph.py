@@ -164,7 +164,7 @@ class Graph:
                 self.nodes[name].stop()
 
     def wait_for_hand(self, timeout_s: float) -> bool:
-        """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
+        """Let the simulated hand finish its grasp and start no other; False if it takes longer than a time [s]."""
         hand, end = cast("Any", self.nodes.get("hand")), time.monotonic() + timeout_s
         if hand is not None:
             hand.set_parameters(list(_parameters({"automatic": False})))
@@ -240,9 +240,18 @@ def input_of(topic: str, wait_s: float) -> str:
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:
-    """Call a service without arguments of a graph that runs elsewhere; returns whether it succeeded, and its message.
+    """Call a service without arguments of a graph that runs elsewhere.
 
-    A `ForetouchError` as `call_service`.
+    Args:
+        service: Name in the namespace.
+        namespace: Of the graph; None for `/foretouch`.
+        wait_s: Longest wait for the service, and then for its answer [s].
+
+    Returns:
+        Whether it succeeded, and its message.
+
+    Raises:
+        ForetouchError: If there is no such service, or no answer within the time.
     """
     namespace = _checked(namespace or NAMESPACE)
     start_rclpy([])
@@ -257,7 +266,13 @@ def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bo
 
 
 def call_service(kind: Any, name: str, request: Any, wait_s: float) -> Any:
-    """Call a service, and return its answer; rclpy is started.
+    """Call a service, and return its answer; rclpy must have been started.
+
+    Args:
+        kind: Type of the service.
+        name: Full name of the service.
+        request: Of this type.
+        wait_s: Longest wait for the service, and then for its answer [s].
 
     Raises:
         ForetouchError: If there is no such service, or no answer within the time.

@@ -171,7 +171,16 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     # Recording.
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
-        """Do an action of the operator (see `Operator.act`); a `ConfigError` if nothing is being recorded."""
+        """Do an action of the operator, and say what was done.
+
+        Args:
+            action: What to do.
+            text: Of a note, or the name of an object.
+            grasp_id: Grasp that it is about; "" for the last one.
+
+        Raises:
+            ConfigError: If nothing is being recorded.
+        """
         return self._running().act(action, text, grasp_id)
 
     @property
@@ -207,7 +216,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
         """Start a session and return the dataset's path; an existing dataset is extended.
 
-        A `path` of "" stands for a name made of the time. The object's `label` and the `note` are for every sample.
+        Args:
+            path: Of the dataset, in `folder`; "" for a name made of the time.
+            label: Of the object on the table.
+            note: For every sample.
 
         Raises:
             ConfigError: If a session is running.

@@ -66,7 +66,12 @@ def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_
 
 
 def depth_topics(images: str, depth: int) -> list[RecordedTopic]:
-    """List the topic of depth images, raw or `compressedDepth`, and of the camera infos beside it."""
+    """List the topic of depth images, and of the camera infos beside it.
+
+    Args:
+        images: Topic of the images, raw or `compressedDepth`.
+        depth: Images that may wait in the middleware.
+    """
     kind = CompressedImage if images.endswith("/compressedDepth") else Image
     infos = RecordedTopic(info_topic(images), CameraInfo, 10 * depth, role="info")
     return [RecordedTopic(images, kind, depth, role="scene"), infos]
