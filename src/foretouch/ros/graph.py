@@ -164,7 +164,7 @@ class Graph:
                 self.nodes[name].stop()
 
     def wait_for_hand(self, timeout_s: float) -> bool:
-        """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
+        """Let the simulated hand finish its grasp and start no other; False if it takes longer than a time [s]."""
         hand, end = cast("Any", self.nodes.get("hand")), time.monotonic() + timeout_s
         if hand is not None:
             hand.set_parameters(list(_parameters({"automatic": False})))
@@ -208,11 +208,14 @@ def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMES
 
 
 def input_of(topic: str, wait_s: float) -> str:
-    """Find out what a topic of a camera is for `perception`: `depth` or `points`; a `ConfigError` if it is nothing of both.
+    """Find out what a topic of a camera is for `perception`: `depth` or `points`.
 
     Args:
         topic: Full name.
-        wait_s: Longest wait until somebody publishes it [s].
+        wait_s: Longest wait until a node publishes it [s].
+
+    Raises:
+        ConfigError: If no node publishes it, or it is neither images nor clouds.
     """
     start_rclpy([])
     import rclpy
@@ -228,16 +231,27 @@ def input_of(topic: str, wait_s: float) -> str:
     for kind in kinds.get(topic, ()):
         if kind in _INPUTS:
             return _INPUTS[kind]
-    there = [name for name, types in kinds.items() if any(kind in _INPUTS for kind in types)]
-    rule = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"nobody publishes it within {wait_s:g} s"
-    seen = f"; there are {', '.join(sorted(there))}" if there else "; there is no topic of images or clouds"
-    raise ConfigError(f"{topic}: {rule}, not an image of depth or a cloud{seen}")
+    usable = sorted(name for name, types in kinds.items() if any(kind in _INPUTS for kind in types))
+    fault = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"no node published it within {wait_s:g} s"
+    cure = "no images or clouds are published here: start the driver of the camera, with the same ROS_DOMAIN_ID"
+    if usable:
+        cure = f"images and clouds are published on {', '.join(usable)}"
+    raise ConfigError(f"{topic}: {fault}; {cure}")
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:
-    """Call a service without arguments of a graph that runs elsewhere; returns whether it succeeded, and its message.
+    """Call a service without arguments of a graph that runs elsewhere.
 
-    A `ForetouchError` as `call_service`.
+    Args:
+        service: Name in the namespace.
+        namespace: Of the graph; None for `/foretouch`.
+        wait_s: Longest wait for the service, and then for its answer [s].
+
+    Returns:
+        Whether it succeeded, and its message.
+
+    Raises:
+        ForetouchError: If there is no such service, or no answer within the time.
     """
     namespace = _checked(namespace or NAMESPACE)
     start_rclpy([])
@@ -252,7 +266,13 @@ def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bo
 
 
 def call_service(kind: Any, name: str, request: Any, wait_s: float) -> Any:
-    """Call a service, and return its answer; rclpy is started.
+    """Call a service, and return its answer; rclpy must have been started.
+
+    Args:
+        kind: Type of the service.
+        name: Full name of the service.
+        request: Of this type.
+        wait_s: Longest wait for the service, and then for its answer [s].
 
     Raises:
         ForetouchError: If there is no such service, or no answer within the time.

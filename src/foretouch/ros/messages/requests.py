@@ -110,7 +110,15 @@ def _refused_as(status: int) -> Iterator[None]:
 
 
 def read_serialized(data: bytes, kind: type[_M]) -> _M:
-    """Deserialise a message of a raw subscription, whose bytes nobody has checked; or a `DatasetError`."""
+    """Deserialise a message of a raw subscription, whose bytes nobody has checked.
+
+    Args:
+        data: The message in CDR.
+        kind: Its class.
+
+    Raises:
+        DatasetError: If the bytes are no such message.
+    """
     try:
         message: _M = deserialize_message(data, kind)
     except Exception as err:  # rclpy declares no type for it
@@ -119,7 +127,12 @@ def read_serialized(data: bytes, kind: type[_M]) -> _M:
 
 
 def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tuple[Object, ...]:
-    """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
+    """Convert a cloud of objects, which must hold at least one.
+
+    Args:
+        message: An `object_cloud`, or any cloud of one object.
+        plane: Table of the objects, in the frame of the cloud.
+        limits: Of objects; an object within them must be in an optical frame.
 
     Raises:
         RefusalError: BAD_CLOUD, EMPTY_CLOUD, or UNKNOWN_FRAME with a reason that holds `not_optical`.
@@ -200,14 +213,29 @@ def no_latest_cloud() -> RefusalError:
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:
-    """Make the refusal of a message, called `name`, whose sender has refused the cloud; with a reason in any case."""
+    """Make the refusal of a message whose sender has refused the cloud; it has a reason in any case.
+
+    Args:
+        name: What the message is called in the reason.
+        status: Of the message.
+        reason: Of the message.
+    """
     if status not in STATUSES:
         return RefusalError(Status.BAD_REQUEST, f"{name}: status {status} is unknown")
     return RefusalError(status, reason or f"{name}: status {status_name(status)} without a reason")
 
 
 def check_frames(name: str, header: Header, cloud: Header) -> None:
-    """Raise a `RefusalError`, UNKNOWN_FRAME, unless a message called `name` is in the frame of its cloud."""
+    """Require that a message is in the frame of its cloud.
+
+    Args:
+        name: What the message is called in the reason.
+        header: Of the message.
+        cloud: Header of the cloud.
+
+    Raises:
+        RefusalError: UNKNOWN_FRAME.
+    """
     if header.frame_id != cloud.frame_id:
         raise RefusalError(
             Status.UNKNOWN_FRAME, f"{name}: frame {header.frame_id!r} is not the cloud's, {cloud.frame_id!r}"

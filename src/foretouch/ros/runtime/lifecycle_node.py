@@ -152,7 +152,12 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.destroy_lifecycle_publisher(publisher)
 
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
-        """Subscribe until the node is cleaned up (see `FollowingSubscription`); callbacks of a node never run at the same time."""
+        """Subscribe until the node is cleaned up; callbacks of a node never run at the same time.
+
+        Args:
+            topic: What to subscribe to.
+            callback: Called with each message.
+        """
         guarded = self.internal_errors.guarded(topic.name, callback)
         subscription = FollowingSubscription(self, topic, guarded, self._input_group, self.statistics.lose)
         self._followed[topic.name] = subscription
@@ -178,7 +183,12 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.closing.callback(self.destroy_service, service)
 
     def every(self, period_s: float, callback: Callable[[], None]) -> Any:
-        """Make a timer, which goes on while the clock of a simulator stands."""
+        """Make a timer, which goes on while the clock of a simulator stands.
+
+        Args:
+            period_s: Between two calls [s].
+            callback: Errors are counted by its name.
+        """
         guarded = self.internal_errors.guarded(callback.__name__.strip("_"), callback)
         clock, group = Clock(clock_type=ClockType.STEADY_TIME), MutuallyExclusiveCallbackGroup()
         return self.create_timer(period_s, guarded, callback_group=group, clock=clock)
