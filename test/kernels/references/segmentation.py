@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from foretouch.cloud.segmentation.clusters import CLOSE_SLOPE, FLYING_SLOPE, MAX_SLOPE, Clusters, in_range
+from foretouch.cloud.segmentation.clusters import CLOSE_SLOPE, FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
 from foretouch.cloud.segmentation.objects import Segment
 from foretouch.types.camera import DepthImage
 
@@ -72,11 +72,11 @@ def write_ids(image, window, ids) -> int:
     return np.count_nonzero(new)
 
 
-def label_organised(xyz, coarse, stride, pitch, crop, threshold, config, rays=None, write=None) -> list[Clusters]:
+def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None, write=None) -> list[Clusters]:
     """Windows around the patches of the coarse grid, each labelled on the grid and then refined."""
     if write is not None:
         write(0, xyz.shape[0], 0, xyz.shape[1])
-    min_nodes = max(1, config.min_points // (2 * stride * stride))
+    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
 
     def step(z, slope):
         return np.maximum(z * np.float32(slope * pitch), np.float32(config.gap_m))

@@ -99,7 +99,6 @@ def label_organised(
     xyz: Float32,
     coarse: Float32,
     stride: int,
-    pitch: float,
     crop: CropConfig,
     threshold: HeightThreshold,
     config: ClusterConfig,
@@ -112,7 +111,6 @@ def label_organised(
         xyz: (H, W, 3) float32 [m], contiguous, camera optical frame.
         coarse: Every `stride`-th of its rows and columns, contiguous.
         stride: Step of the coarse grid [px].
-        pitch: See `pixel_pitch`, of the whole image.
         crop: Depth range.
         threshold: Height threshold above the table.
         config: Settings.
@@ -125,7 +123,7 @@ def label_organised(
     """
     image, grid = xyz.shape[:2], coarse.shape[:2]
     # The smallest number of pixels of the coarse grid that may belong to an object.
-    min_nodes = max(1, config.min_points // (2 * stride * stride))
+    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
     settings = np.array(
         [
             *threshold.plane.coefficients,

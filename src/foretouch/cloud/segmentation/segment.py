@@ -196,8 +196,8 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         limits = config.clusters
         threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
         if cloud.organised:
+            windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays, write)
             pitch = pixel_pitch(coarse)
-            windows = label_organised(xyz, coarse, stride, pitch / stride, config.crop, threshold, limits, rays, write)
             windows, parts = split_clusters(xyz, windows, threshold, pitch / stride, config.split, write)
             reasons, outline = find_background(coarse, stride, windows, threshold, pitch)
         else:
