@@ -240,7 +240,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         self._phase = "stopped" if self.stopping.is_set() else "finished"
 
     def _wait_for_subscribers(self) -> bool:
-        """Wait for those of the clouds, and then, with a limit, until all know each other; False if the replay must stop."""
+        """Wait for subscribers of the clouds, and then, with a limit, until all nodes know each other; False if the replay must stop."""
         config = self.config
         if not self._wait(self._missing_ends, math.inf, 0.5):
             return False

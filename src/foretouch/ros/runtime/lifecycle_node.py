@@ -72,7 +72,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         except ForetouchError:
             super().destroy_node()  # or the context would, through the hooks of a node that is incomplete
             raise
-        for service in self.services:  # those of parameters and of the lifecycle
+        for service in self.services:  # of parameters and of the lifecycle
             callback = service.callback
             if service.srv_type is ChangeState:
                 callback = partial(self._change_state, callback)
