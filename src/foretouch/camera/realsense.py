@@ -60,9 +60,12 @@ class CameraStatus:
 class RealSenseCamera:
     """A context manager and an iterator of organised clouds.
 
-    A device that is absent, unplugged or silent is reported in `status` and tried again. `source`, which has the methods of a
-    `DeviceSource`, is used instead of what the settings name; `on_change` is called by the reading thread when the state changes,
-    None logs it.
+    A device that is absent, unplugged or silent is reported in `status` and tried again.
+
+    Args:
+        config: The device or the recording, and how its frames are processed.
+        source: Has the methods of a `DeviceSource`, and is used instead of what the settings name.
+        on_change: Called by the reading thread when the state changes; None logs it.
 
     Raises:
         FileError: If the settings name a recording that is absent.
@@ -86,15 +89,23 @@ class RealSenseCamera:
         self.status = CameraStatus()  # the state, its reason, and the counts so far; replaced as a whole
 
     def read(self, timeout_s: float) -> Cloud | None:
-        """Return the next image as an organised cloud (see `read_frame`)."""
+        """Return the next image as an organised cloud.
+
+        Args:
+            timeout_s: As in `read_frame`.
+        """
         frame = self.read_frame(timeout_s)
         return None if frame is None else frame.cloud()
 
     def read_frame(self, timeout_s: float) -> DepthFrame | None:
         """Return the next depth image; None if there was none in time, for the reason that `status` gives.
 
-        Opening a device may take longer than `timeout_s` [s]. A `CameraError` if the camera does not offer what the settings
-        ask for, or a `FileError` if the file is not a recording.
+        Args:
+            timeout_s: Longest wait [s]; opening a device may take longer.
+
+        Raises:
+            CameraError: If the camera does not offer what the settings ask for.
+            FileError: If the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
         while self.status.state not in {"ended", "closed"}:

@@ -200,7 +200,7 @@ def read_samples(paths: Sequence[str], channels: Channels) -> list[Sample]:
     for path in paths:
         opened = open_samples(path)
         require_same(opened.sensor.channels, channels, path)
-        samples += [record.sample for record in opened.records()]
+        samples += opened
     return samples
 
 

@@ -324,7 +324,8 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 def _source_state(graph: Graph) -> str:
     """Return what the source does, or what keeps it from sending."""
     source = graph.nodes[next(name for name in ("replay", "camera", "perception") if name in graph.nodes)]
-    return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}"
+    received_nothing = ", and has received nothing" * (source.get_name() == "perception")
+    return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}{received_nothing}"
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
@@ -335,7 +336,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     conflicts = graph.conflicts()
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
+        counts |= {"answers": view.answers, "reasons": view.reasons}
         if "hand" in graph.nodes:
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         _print_end(arguments.lines, counts)
@@ -350,7 +351,9 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
         source = "scene" if "hand" in graph.nodes else "camera" if "camera" in graph.nodes else arguments.source
-        warn(f"no cloud came from the {source}: {getattr(arguments, 'state', _source_state(graph))}")
+        state = getattr(arguments, "state", _source_state(graph))
+        cure = "; of a camera that is no RealSense, give the topic of its driver as --source" * (source == "camera")
+        warn(f"no cloud came from the {source}: {state}{cure}")
         return 3
     if untouched := at_rest(view.executed and view.executed[1]):
         warn("the last executed grasp touched nothing: its readings are those at rest")

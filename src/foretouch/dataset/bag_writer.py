@@ -94,10 +94,10 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
     """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
     with BagWriter(out) as writer:
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
-        for record in samples.records(discarded=True):
+        for sample in samples.with_discarded():
             progress()
-            stamp_ns = record.sample.stamp_ns
-            data = encode_sample(record, samples.identity, samples.sensor)
+            stamp_ns = sample.stamp_ns
+            data = encode_sample(sample, samples.identity, samples.sensor)
             writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, data)
-            writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
+            writer.write_cloud(sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
             result.samples += 1

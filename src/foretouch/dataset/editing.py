@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from foretouch.dataset.record import check_name, renamed_id
+from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recording.folder import is_dataset, lock
 from foretouch.dataset.recording.reader import RecordedDataset
@@ -62,7 +62,7 @@ def _locked(path: Path) -> Iterator[dict[str, str]]:
         raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     with lock(path):
         dataset = RecordedDataset(path)
-        yield {dataset[k].record.sample.id: dataset.as_recorded(k).record.sample.id for k in range(len(dataset))}
+        yield {dataset[k].sample.id: dataset.as_recorded(k).sample.id for k in range(len(dataset))}
 
 
 def _recorded(now: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:

@@ -142,7 +142,7 @@ def open_source(
 
 
 def _sample(samples: SampleSet, number: int) -> Sample:
-    return samples.record(number).sample
+    return samples.read(number)
 
 
 def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:

@@ -26,7 +26,7 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch.dataset.files import read_manifest
-from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
 from foretouch.files import COUNT, file_sha256, open_regular, parse_json, require_schema
@@ -306,7 +306,7 @@ def open_set(path: Path, _: bool) -> SampleSet:
         path=path,
         kind="store",
         size=len(store),
-        record=lambda k: SampleRecord(sample=store[k]),
+        read=lambda k: store[k],
         name=lambda k: f"{path}[{k}]",
         identity=Identity(hand=about.get("hand", {}), camera=about.get("camera", {})),
         sensor=store.sensor,

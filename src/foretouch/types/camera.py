@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
@@ -205,9 +205,8 @@ class DepthImage:
 
     def count(self, low_m: float, high_m: float) -> tuple[int, int]:
         """Count the pixels with a point, and those with a depth between two [m], both included."""
-        counts, (x, y) = np.empty(2, np.int64), self._rays
-        flat = self._depth.reshape(-1)
-        _COUNT[self._kind](flat, flat.size, self._scale, low_m, high_m, x, y, self._each, counts)
+        counts, flat = np.empty(2, np.int64), self._depth.reshape(-1)
+        _COUNT[self._kind](flat, flat.size, self._c_rays(*self._rays), low_m, high_m, counts)
         return int(counts[0]), int(counts[1])
 
     @property
@@ -226,8 +225,11 @@ class DepthImage:
         first = top * across + left
         x, y = (rays.reshape(-1) for rays in self._rays)
         x, y = (x[first:], y[first:]) if self._each else (x[left:], y[top:])
-        size = (height, width, step, self._scale)
-        _DEPROJECT[self._kind](self._depth.reshape(-1)[first:], across, *size, x, y, self._each, xyz, line)
+        rays = self._c_rays(x, y)
+        _DEPROJECT[self._kind](self._depth.reshape(-1)[first:], across, height, width, step, rays, xyz, line)
+
+    def _c_rays(self, x: _Float32, y: _Float32) -> Any:
+        return struct("Rays", scale=self._scale, x=x, y=y, each=self._each)
 
 
 def as_number(name: str, value: Any) -> float:

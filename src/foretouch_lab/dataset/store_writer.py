@@ -20,7 +20,7 @@ import pyarrow as pa
 from foretouch import __version__
 from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import DISCARDED, id_number, numbered_id
+from foretouch.dataset.identity import id_number, numbered_id
 from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
@@ -28,7 +28,7 @@ from foretouch.files import file_sha256
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor
-from foretouch.types import Sample
+from foretouch.types import DISCARDED, Sample
 
 _BATCH_ROWS = 64
 _SHARD_ROWS = 1024
@@ -188,14 +188,14 @@ def build_store(
             require_same(samples.sensor.channels, writer.sensor.channels, str(source))
             identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
             origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
-            for record in samples.records(discarded=True):
+            for sample in samples.with_discarded():
                 progress()
-                if DISCARDED in record.flags:
+                if DISCARDED in sample.flags:
                     result.left_out[DISCARDED] += 1
                     continue
-                sample = ids.with_own_id(number, only_finite(record.sample), renumbered)
-                writer.write(sample)
-                result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
+                stored = ids.with_own_id(number, only_finite(sample), renumbered)
+                writer.write(stored)
+                result.samples.append(SampleFacts(stored.id, stored.object, stored.stamp_ns, stored.touch is not None))
             if renumbered:
                 origins[-1]["renumbered"] = renumbered
                 result.renumbered += len(renumbered)

@@ -14,9 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 
 from foretouch.cli.answers import answer_record
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import CloudError, GraspError, ModelError
 from foretouch.grasp.messages import decode_grasp, has_orientation, rotation_from_quaternion
 from foretouch.ros.messages.conversions import (
@@ -28,7 +30,7 @@ from foretouch.ros.messages.conversions import (
     prediction_from_msg,
     reference_text,
 )
-from foretouch.ros.messages.requests import RefusalError, read_table
+from foretouch.ros.messages.requests import RefusalError, read_objects
 from foretouch.tactile import biotac_touch
 from foretouch.types import Grasp, Plane, Prediction, WayIn
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -143,8 +145,9 @@ def test_planes_are_received_to_the_last_bit_or_refused_with_a_reason(rng):
         plane_from_msg(message)
 
     def check(status, reason, refused_as, text):
+        table = TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason)
         with pytest.raises(RefusalError) as refusal:
-            read_table(TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason), HEADER)
+            read_objects(PointCloud2(header=HEADER), table, ObjectLimits())
         assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
 
     cases = [

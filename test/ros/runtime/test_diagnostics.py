@@ -47,7 +47,7 @@ def test_silence_is_a_warning_where_inputs_are_expected_drops_are_reported_once_
     statistics.drop("superseded")
     statistics.lose(3)
     report = report_of(statistics, 5.0)
-    assert report.warnings == ["dropped: 1 superseded, 3 lost in transport"]
+    assert report.warnings == ["dropped since the last report: 1 superseded, 3 lost in transport"]
     assert (report.values["dropped.superseded"], report.values["lost_on_the_way"]) == ("1", "3")
     status = report_of(statistics).to_msg("n", "fine")
     assert (status.level, status.message) == (DiagnosticStatus.OK, "fine")

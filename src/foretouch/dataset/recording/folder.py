@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.dataset.files import read_manifest, sealed, sync_folder
-from foretouch.dataset.record import Identity
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
 from foretouch.errors import FileError
 from foretouch.files import open_own, open_regular, replace_files, require_schema, system_errors

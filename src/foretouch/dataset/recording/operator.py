@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import Final, Literal, NamedTuple
 
+from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.pairing.assembler import SampleAssembler
-from foretouch.dataset.record import DISCARDED, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, EditLog, read_edits
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import DatasetError, ForetouchError
+from foretouch.types import DISCARDED, Sample
 
 Action = Literal["object", "success", "failure", "unknown", "drop", "relabel", "note", "pause", "undo"]
 DROPPED: Final = "dropped"  # instead of an outcome
@@ -109,12 +110,12 @@ class Operator:
         self._reply(done)
         return done
 
-    def add_sample(self, record: SampleRecord, recorded: str) -> None:
+    def add_sample(self, sample: Sample, recorded: str) -> None:
         """Note that a sample was written under an id, and do what waits for it."""
-        self._grasps[recorded] = summarise(record)
-        if record.sample.touch is not None:
+        self._grasps[recorded] = summarise(sample)
+        if sample.touch is not None:
             self._touched.append(recorded)
-            self._sample_of[record.sample.grasp.id] = recorded
+            self._sample_of[sample.grasp.id] = recorded
             self.end_wait()
 
     def add_rejected(self, grasp_id: str, message: str) -> None:
@@ -225,10 +226,10 @@ def _words(action: str, text: str) -> str:
     return names.get(action, action)
 
 
-def summarise(record: SampleRecord) -> GraspSummary:
+def summarise(sample: Sample) -> GraspSummary:
     """Summarise a sample as it was recorded."""
-    outcome = DROPPED if DISCARDED in record.flags else record.outcome
-    return GraspSummary(sys.intern(record.sample.object), outcome, record.sample.touch is not None)
+    outcome = DROPPED if DISCARDED in sample.flags else sample.outcome
+    return GraspSummary(sys.intern(sample.object), outcome, sample.touch is not None)
 
 
 def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, GraspSummary]:

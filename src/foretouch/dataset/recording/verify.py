@@ -82,7 +82,7 @@ def verify_file(file: RecordingFile, sensor: Sensor | None = None) -> FileReport
             report.faults.append(Damage(item.offset, "a message of a channel or schema that is not declared"))
         elif item.type in SAMPLE_TYPES:
             try:
-                report.ids.append(decode_sample(file.content(item), sensor).record.sample.id)
+                report.ids.append(decode_sample(file.content(item), sensor).sample.id)
             except DatasetError as err:
                 report.faults.append(Damage(item.offset, f"sample: {err}"))
     report.counts = file.counts

@@ -49,7 +49,9 @@ _FRAME = "camera_depth_optical_frame"  # of clouds from files that name none
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
     """Find the message class of each topic of a recording that can be played, and the reason for each other with messages.
 
-    What the nodes in `namespace` published then must not be mixed with what they publish now.
+    Args:
+        topics: Of the recording.
+        namespace: Of the graph: what its nodes published then must not be mixed with what they publish now.
     """
     classes: dict[Topic, type] = {}
     reasons: dict[str, str] = {}

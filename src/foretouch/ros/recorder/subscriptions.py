@@ -7,12 +7,13 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.bounded_queue import BoundedQueue
 from foretouch.cloud.io.depth_messages import info_topic
+from foretouch.dataset.pairing.assembler import Role
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.tactile import TactileInput, message_class
@@ -38,7 +39,7 @@ class RecordedTopic(InputTopic):
     """A topic whose messages are received serialised."""
 
     raw: bool = True
-    role: str = ""  # what its messages are for samples or checks; "" for neither
+    role: Role | Literal["touch", "table", "scene", "info", ""] = ""  # of its messages in samples or checks
     optional: bool = False  # whether nothing is reported of it until a message arrives
 
 
@@ -65,7 +66,12 @@ def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_
 
 
 def depth_topics(images: str, depth: int) -> list[RecordedTopic]:
-    """List the topic of depth images, raw or `compressedDepth`, and of the camera infos beside it."""
+    """List the topic of depth images, and of the camera infos beside it.
+
+    Args:
+        images: Topic of the images, raw or `compressedDepth`.
+        depth: Images that may wait in the middleware.
+    """
     kind = CompressedImage if images.endswith("/compressedDepth") else Image
     infos = RecordedTopic(info_topic(images), CameraInfo, 10 * depth, role="info")
     return [RecordedTopic(images, kind, depth, role="scene"), infos]

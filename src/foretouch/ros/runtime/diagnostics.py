@@ -26,7 +26,12 @@ class Report:
     values: dict[str, str] = field(default_factory=dict)  # all else, by key
 
     def to_msg(self, name: str, fine: str) -> DiagnosticStatus:
-        """Convert to the message of a node; its text is what is wrong, else `fine`."""
+        """Convert to the message of a node.
+
+        Args:
+            name: Full name of the node.
+            fine: Text where nothing is wrong.
+        """
         level = (
             DiagnosticStatus.ERROR if self.errors else DiagnosticStatus.WARN if self.warnings else DiagnosticStatus.OK
         )
@@ -72,7 +77,12 @@ class InputStatistics:
         return now
 
     def use(self, arrived: float, input_age_s: float) -> None:
-        """Count an answer to an input that arrived at a time [s], so long after its stamp [s]."""
+        """Count an answer to an input.
+
+        Args:
+            arrived: When the input arrived, by `time.monotonic` [s].
+            input_age_s: Time from its stamp to the start of the work [s].
+        """
         now = time.monotonic()
         with self._lock:
             self._used += 1
@@ -120,7 +130,8 @@ class InputStatistics:
             report.warnings.append("no input yet" if now.idle_s is None else f"no input for {now.idle_s:.1f} s")
         lost = Counter({**now.dropped, "lost in transport": now.lost})
         if recent := lost - self._reported:
-            report.warnings.append(f"dropped: {', '.join(f'{count} {reason}' for reason, count in recent.items())}")
+            counts = ", ".join(f"{count} {reason}" for reason, count in recent.items())
+            report.warnings.append(f"dropped since the last report: {counts}")
         self._reported = lost
         numbers = {"received": now.received, "used": now.used, "dropped": sum(now.dropped.values())}
         numbers |= {f"dropped.{reason}": count for reason, count in sorted(now.dropped.items())}

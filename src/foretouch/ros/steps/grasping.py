@@ -59,7 +59,13 @@ class GraspStep(Step):
         self._held = GraspHold(HOLD_TOLERANCE_M) if holds else None
 
     def plan(self, targets: Sequence[Object], header: Header, note: str) -> tuple[GraspArray, Sequence[GraspPlan]]:
-        """Plan on the targets, at least one (see `plan_targets`); `note` says how they were selected."""
+        """Plan grasps on all targets (see `plan_targets`), and keep the best of the cloud before.
+
+        Args:
+            targets: At least one.
+            header: Of their cloud.
+            note: How they were selected.
+        """
         return plan_targets(self._pipeline, targets, header, note, self._held, self._margin)
 
     def publish(self, message: GraspArray) -> None:

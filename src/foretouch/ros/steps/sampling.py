@@ -184,7 +184,15 @@ def planner_action_class() -> tuple[Any, str]:
 
 
 def planner_feedback(kind: Any, sampled: Any) -> Any:
-    """Select the grasps of a `SampleGrasps.Result` with a finite cost, which MoveIt needs; a `RefusalError` if there are none."""
+    """Select the grasps with a finite cost, which MoveIt needs.
+
+    Args:
+        kind: Class of MoveIt's action.
+        sampled: A `SampleGrasps.Result`.
+
+    Raises:
+        RefusalError: If no grasp has a finite cost.
+    """
     pairs = zip(sampled.grasp_candidates, sampled.costs, strict=True)
     kept = [(pose, cost) for pose, cost in pairs if math.isfinite(cost)]
     if not kept:

@@ -105,7 +105,7 @@ class SensorReader:
                 self.sensor.layout.fill(sent[row], usable)
         counts = np.concatenate([touched.T.ravel(), sent[..., self._predicted_values].transpose(2, 0, 1).ravel()])
         reasons = {reason: count for reason, count in invalid.items() if count}
-        return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), reasons)
+        return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), invalid=reasons)
 
     def _stamp_ns(self, message: Any) -> int | None:
         if not self._stamp.text:

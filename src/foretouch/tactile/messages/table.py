@@ -69,12 +69,18 @@ class TactileConfig(Settings, read_only=True):
 
 @dataclass(frozen=True, eq=False)
 class TactileReading:
-    """The content of one tactile message."""
+    """One reading of the fingers, as a tactile message holds it."""
 
     stamp_ns: int | None  # stamp of its header [ns]; None where the type has none
     counts: Float32  # (D,) float32 in the order of the sensor's channels; NaN of a finger that was not read
     others: Float32  # (K,) float32, in the order of `TactileReader.others`
+    received_ns: int = 0  # when the message was received, by the clock of the stamps [ns]
     invalid: Mapping[str, int] = field(default_factory=dict)  # taxels that are not valid, by reason
+
+    @property
+    def time_ns(self) -> int:
+        """The stamp, or the time of reception where the type has none [ns]."""
+        return self.received_ns if self.stamp_ns is None else self.stamp_ns
 
 
 @dataclass(frozen=True)

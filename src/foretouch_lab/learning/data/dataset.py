@@ -175,8 +175,8 @@ def load_dataset(path: str | Path) -> Dataset:
     store = Store(path) if opened.kind == "store" else None
     samples: list[Sample] = []
     content = hashlib.sha256()  # as `content_sha256`, in the same pass
-    for read in (record.sample for record in opened.records()) if store is None else store:
-        sample = only_finite(read)
+    for read in opened if store is None else store:
+        sample = replace(only_finite(read), series=None, candidates=())  # which nothing trains on
         content.update(sample_digest(sample))
         samples.append(sample if store is None else LazySample.of(sample, store, len(samples)))
     public = opened.kind == "vision2tactile"
