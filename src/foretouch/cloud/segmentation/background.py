@@ -39,7 +39,8 @@ def find_background(
     Returns:
         For each window the index in `REASONS` by label, and the (n, 3) outline of the table [m], empty if it is not seen.
     """
-    labels, count = np.zeros(grid.points.shape[:2], np.int32), 1
+    (h, w), plane = grid.points.shape[:2], threshold.plane.coefficients
+    labels, count = np.zeros((h, w), np.int32), 1
     starts = []
     for window in windows:
         part = window.labels[:: grid.stride, :: grid.stride]
@@ -49,8 +50,7 @@ def find_background(
         starts.append(count - 1)
         count += window.n_labels
     reasons, n_corners = np.zeros(count, np.int64), np.empty(1, np.int64)
-    outline = np.empty((4 * len(labels) + 2, 3))
-    (h, w), plane = labels.shape, threshold.plane.coefficients
+    outline = np.empty((4 * h + 2, 3))
     image = {"grid": grid.points, "labels": labels, "h": h, "w": w, "n": count, "pitch": grid.pitch}
     _find(struct("Parts", **image, plane=plane, noise=threshold.noise_per_m, **_LIMITS), reasons, outline, n_corners)
     if n_corners[0] < 0:
