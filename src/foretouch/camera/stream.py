@@ -25,7 +25,7 @@ from foretouch.types.camera import CameraModel
 class DepthFrame:
     """A depth image and its camera."""
 
-    depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 where there is none
+    depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 without depth
     scale_m: float  # metres per unit of it
     camera: CameraModel
     frame_id: str  # optical frame of the camera
