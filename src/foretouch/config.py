@@ -89,7 +89,7 @@ class SettingInfo:
     type: type  # bool, int, float, str, or a tuple's item type with `is_list`
     default: Any  # default value
     description: str  # one sentence
-    unit: str  # unit of the value, "" if it has none; by default that which its name ends with, as `range_m`
+    unit: str  # unit of the value, "" if it has none; by default the end of its name, such as `range_m`
     minimum: float | None  # inclusive, or None
     maximum: float | None  # inclusive, or None
     choices: Collection[Any]  # allowed values; empty if unrestricted
@@ -241,7 +241,7 @@ _INFOS: dict[type, tuple[SettingInfo, ...]] = {}
 
 
 def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
-    """Return the settings of a class without those of its parts, found out once."""
+    """Return the settings of a class without the settings of its groups, found out once."""
     if cls in _INFOS:
         return _INFOS[cls]
     hints = typing.get_type_hints(cls)

@@ -109,7 +109,7 @@ class DeviceSource:
 
 
 def list_devices() -> list[str]:
-    """Return the name and serial number of each device on the bus; raises as `realsense`."""
+    """Return the name and serial number of each device on the bus; a `MissingDependencyError` without the library."""
     return [describe(device) for device in realsense().context().query_devices()]
 
 

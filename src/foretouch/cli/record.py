@@ -45,7 +45,7 @@ def record_panel(
 ) -> Panel:
     """Samples, objects with their outcomes, the last grasp, sensors, and message counts of each topic, at a glance.
 
-    `keys` are the answer to the last key and the list of keys; `sensor` is that which is described.
+    `keys` are the answer to the last key and the list of keys; `sensor` is the described sensor, None for a BioTac SP.
     """
     parts: list[RenderableType] = [_samples(status)]
     if status.reason:

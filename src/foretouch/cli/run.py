@@ -170,7 +170,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if not live:
         source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
         if not any("late_after_s" in parameters for parameters in given):
-            perception["late_after_s"] = 0.0  # the stamps are those of the recording
+            perception["late_after_s"] = 0.0  # the recording's stamps are old
         perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
         if source.info_topic:
             arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]

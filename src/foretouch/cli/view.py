@@ -80,7 +80,7 @@ def _readings(samples: SampleSet) -> Iterator[ViewStep]:
 
 
 class _View(NamedTuple):
-    """What steps are made with; inputs are as those of `predict`."""
+    """What steps are made with; `predict` takes the same inputs."""
 
     arguments: argparse.Namespace
     pipeline: Pipeline

@@ -29,7 +29,7 @@ def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
 
 
 def merge(path: str | Path, label: str, into: str) -> int:
-    """Merge two objects: all samples of `label` become samples of `into` (raises as `relabel`)."""
+    """Merge two objects: all samples of `label` become samples of `into`. A `DatasetError` or `FileError`, as of `relabel`."""
     check_name(into, "object")
     with _locked(Path(path)) as now:
         ids = [name for name in now if name.partition("/")[0] == label]
@@ -39,13 +39,13 @@ def merge(path: str | Path, label: str, into: str) -> int:
 
 
 def drop(path: str | Path, ids: Sequence[str]) -> int:
-    """Discard samples: they stay in the recording, but builds and exports leave them out (raises as `relabel`)."""
+    """Discard samples: they stay in the recording, but builds and exports leave them out. A `DatasetError` if one does not exist."""
     with _locked(Path(path)) as now:
         return append_edit(Path(path), Edit(action="drop", ids=_recorded(now, ids)))
 
 
 def undo(path: str | Path) -> int:
-    """Undo the latest edit that is in force, and return its number; a `DatasetError` if there is none."""
+    """Undo the latest edit that is in force, and return its number; a `DatasetError` if no edit is in force."""
     with _locked(Path(path)):
         in_force = read_edits(Path(path)).in_force()
         undone = max((number for number, edit in in_force.items() if edit.ids), default=0)

@@ -38,7 +38,7 @@ Missing = Literal["refuse", "hold", "mask"]
 Remarks = dict[str, list[str]]  # the samples to look at, by what is remarkable
 
 _OUTCOMES: Final[dict[Any, Outcome]] = {True: "success", False: "failure", None: "unknown"}
-_FACTOR: Final = 2.0  # between the rate of the stamps and that of the sensor's description
+_FACTOR: Final = 2.0  # between the rate of the stamps and the rate in the sensor's description
 _GAP: Final = 5.0  # usual steps from a reading to the next
 
 

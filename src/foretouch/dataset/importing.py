@@ -53,7 +53,7 @@ class BagTopics:
     executed: str = full_name(EXECUTED_TOPIC)  # `foretouch_msgs/ExecutedGrasp`
     tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
     object: str = "unknown"  # label of the object on the table
-    tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by that of the topic
+    tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by the topic's type
 
     def roles(self) -> dict[str, Role]:
         """Return the role of each topic."""
@@ -159,7 +159,7 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
 
 
 def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
-    """Return the topics, with that of the depth images of a bag without object clouds."""
+    """Return the topics, with the topic of the depth images of a bag without object clouds."""
     if topics.clouds != BagTopics().clouds or any(topic.name == topics.clouds for topic in bag.topics):
         return topics
     with suppress(FileError):

@@ -2,14 +2,14 @@
 """Export to LeRobotDataset v3, written with pyarrow alone; every executed grasp is an episode, every reading a frame.
 
 The frames hold what policies train on: both fingers, the grasp as the action, and the cloud with a fixed number of points. Each channel
-of a finger is also a feature of its own, `observation.tactile.FINGER.CHANNEL`, taxels x axes, whose `info` states where the taxels are and
-what their numbers mean (`_described`). At a chosen rate, such as that of a camera, a frame holds a window: the newest readings at its time,
+of a finger is also its own feature, `observation.tactile.FINGER.CHANNEL`, taxels x axes, whose `info` states where the taxels are and
+what their numbers mean (`_described`). At a chosen rate, such as a camera's, a frame holds a window: the newest readings at its time,
 oldest first, with their stamps. Clouds that are images are depth maps in millimetres, with their intrinsics.
 LeRobot assumes a constant rate, so that `timestamp` is frame_index / fps, and `stamp_ns` is the sensor's own time. What the
 tables cannot hold (all points, colours, candidates, notes, samples without a touch) is in the folder `foretouch` beside them,
 a recorded dataset, from which an export is imported again.
 
-Statistics are as LeRobot combines them: those of the whole dataset follow from those of the episodes, quantiles as their
+Statistics are as LeRobot combines them: statistics of the whole dataset follow from the episodes', quantiles as their
 means weighted by frames.
 """
 
@@ -54,7 +54,7 @@ _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "x
 def export(
     samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None], fps: int | None = None
 ) -> None:
-    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`.
+    """Write samples in this format (arguments: `export` in `foretouch.dataset.formats`).
 
     With `fps`, frames hold windows of readings.
     """
@@ -134,7 +134,7 @@ class _Tables:
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far
-        self._writers: dict[str, pq.ParquetWriter] = {}  # of the one file of frames, and that of episodes
+        self._writers: dict[str, pq.ParquetWriter] = {}  # of the one file of frames, and of the file of episodes
 
     def add(self, sample: Sample) -> None:
         """Write the frames of a grasp that has a touch."""

@@ -28,14 +28,14 @@ _NAMES: Final = {
     "other_names": "series_names",
     "others": "series_others",
 }
-"""Names of arrays that are not those of the fields of a `foretouch_msgs/GraspSample`."""
+"""Names of arrays that differ from the fields of a `foretouch_msgs/GraspSample`."""
 _NESTED: Final = ("header", "cloud", "grasp", "candidates", "score", "sha256")
 _TEXTS: Final = ("other_names", "flags", "extra_names")
 _GRASP: Final = {"g1": (3,), "g2": (3,), "rotation": (3, 3), "score": (), "grasp_id": (), "object_id": ()}
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
+    """Write samples in this format (arguments: `export` in `foretouch.dataset.formats`)."""
     out.mkdir(parents=True)
     for sample in samples:
         progress()

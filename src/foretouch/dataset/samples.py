@@ -121,7 +121,7 @@ class ExportResult:
 
 
 def sensor_of_samples(samples: SampleSet) -> Sensor:
-    """Return the sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
+    """Return the sensor of a dataset, with the taxels declared dead that all readings show to be dead."""
     rows = [series.counts[:: max(1, len(series.counts) // _SHOWN)] for sample in samples if (series := sample.readings)]
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
 

@@ -58,7 +58,7 @@ class _Tally:
 
 
 def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
-    """Measure ranges, noise, drift, rate and failed taxels of a dataset, beside those of a description, in plain types.
+    """Measure ranges, noise, drift, rate and failed taxels of a dataset beside what a description states, in plain types.
 
     Dead taxels are those that training would mask (see `foretouch.tactile.dead_taxels`), stuck ones did not change through at least one grasp.
     Noise is the standard deviation at rest, drift the change of the rest level from a grasp to the next (medians over taxels).

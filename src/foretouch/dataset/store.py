@@ -99,7 +99,7 @@ class Store(Sequence[Sample]):
     batches are kept in memory.
 
     Raises:
-        FileError: If there is none, it is of another version, or files and manifest disagree.
+        FileError: If no store is there, it is of another version, or files and manifest disagree.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -299,7 +299,7 @@ recognise = is_store
 
 
 def open_set(path: Path, _: bool) -> SampleSet:
-    """Return the samples of a store (raises as `Store`)."""
+    """Return the samples of a store; a `FileError` if files and manifest disagree."""
     store = Store(path)
     about = store.manifest.get("about", {})
     return SampleSet(

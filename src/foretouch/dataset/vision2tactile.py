@@ -151,7 +151,7 @@ def open_set(path: Path, _: bool) -> SampleSet:
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
+    """Write samples in this format (arguments: `export` in `foretouch.dataset.formats`)."""
     require_same(samples.sensor.channels, BIOTAC, str(samples.path))
     out.mkdir(parents=True)
     exported = {f"{name}_{finger}" for name in _EXTRA for finger in ("MF", "TH")}

@@ -105,7 +105,7 @@ def write_records(
     progress: Callable[[], None] = lambda: None,
     remarks: Remarks | None = None,
 ) -> None:
-    """Write the records to a dataset and add to the result; their stamps are held against the rate of the sensor; see `write`."""
+    """Write the records to a dataset and add to the result; their stamps are compared with the rate of the sensor."""
     remarks = {} if remarks is None else remarks
     with ExitStack() as stack:
         folder = path if path.exists() else stack.enter_context(new_folder(path))

@@ -3,7 +3,7 @@
 
 GeoGrasp (Zapata-Impata et al. 2019) decides by hard limits whether a point is an outlier, and the sign of the axis by the
 camera's frame. Here outliers fade out around the limit of the filter, points weigh by the area that they cover, and the
-sign of the axis is that of the object's own asymmetry.
+sign of the axis follows the object's own asymmetry.
 """
 
 from dataclasses import dataclass

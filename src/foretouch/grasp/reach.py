@@ -16,7 +16,7 @@ _TOGETHER = 16  # of them at a time, for many grasps
 
 @dataclass(frozen=True, kw_only=True)
 class ReachConfig(Settings):
-    """The hand's reach. The defaults are those of a Shadow Hand, thumb and middle finger."""
+    """The hand's reach. By default, of a Shadow Hand with thumb and middle finger."""
 
     max_width_m: float = setting(0.2, "Grasps whose contacts are farther apart are refused", bounds=(0.001, 10.0))
     max_distance_m: float = setting(

@@ -71,7 +71,7 @@ class ViewStep:
 def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor = BIOTAC_SP) -> int:
     """Write a Rerun recording (`.rrd`) with a layout, which appears when it is complete; returns the number of steps.
 
-    All touches are of one sensor. Each step is written before the next one is asked for. A `ForetouchError` if there is none, the
+    All touches are of one sensor. Each step is written before the next one is asked for. A `ForetouchError` if there is no step, the
     file cannot be written, or Rerun is not installed.
     """
     try:

@@ -143,7 +143,7 @@ def _window(inside: Bool) -> tuple[int, int, int, int]:
 
 
 def _pixels(cloud: Cloud, points: Float64) -> Float64:
-    """Return (K, 2) columns and rows at which points (K, 3) are seen: those of the camera, fitted to the image where it is not known."""
+    """Return (K, 2) columns and rows at which the camera sees points (K, 3); a camera that is not known is fitted to the image."""
     rays = cloud.xyz[..., :2] / cloud.xyz[..., 2:]
     known = np.isfinite(rays).all(axis=2)
     places = []

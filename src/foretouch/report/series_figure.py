@@ -22,7 +22,7 @@ _ROW_INCH: Final = 2.4  # height of a grasp
 def save_series_sheet(path: str | Path, records: Sequence[Sample], title: str, sensor: Sensor) -> Path:
     """Write one PNG with a row for each grasp that was read: what became of it, its taxels over time, and its pads.
 
-    Of a grasp of several readings, the pads are those of the reading that moved the taxels most. Dead taxels are left white over time, and
+    Of a grasp of several readings, the pads show the reading that moved the taxels most. Dead taxels are left white over time, and
     are hollow on the pads.
     """
     view = TaxelView(sensor)

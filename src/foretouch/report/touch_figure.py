@@ -54,7 +54,7 @@ def save_touch_picture(
     """
     view = TaxelView(sensor)
     tared = all(view.has_rest(grasp.rest) for grasp in grasps if grasp.read or grasp.prediction.ok)
-    # Finger, `predicted` or `read`, touch and its levels in each panel of taxels; those of a finger are side by side.
+    # Finger, `predicted` or `read`, touch and its levels in each panel of taxels; panels of a finger are side by side.
     panels = [
         [
             (finger, what, touch, view.levels(touch.values, grasp.rest if tared else None, finger))

@@ -13,7 +13,7 @@ from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column
 
 @dataclass(frozen=True, eq=False)
 class WayIn:
-    """How a described hand comes to a grasp; see `foretouch.grasp.hand`."""
+    """How a described hand comes to a grasp (`foretouch.grasp.hand` finds it)."""
 
     approach: (
         Float64  # (3,) float64, unit length, from the palm to the middle of the contacts, perpendicular to their line

@@ -62,7 +62,7 @@ class Sample:
     cloud: Cloud = field(default_factory=lambda: NO_CLOUD)  # the object's cloud on which the grasp was planned
     grasp: Grasp = field(default_factory=lambda: NO_GRASP)
     touch: Touch | None = None  # reading in contact; None for an unlabelled sample
-    tare: Touch | None = None  # reading without contact; None if there is none
+    tare: Touch | None = None  # reading without contact; None without one
     stamp_ns: int = 0  # time of recording [ns]
     extra: Mapping[str, float] = field(default_factory=dict)  # further values of the source, by name
     candidates: tuple[Grasp, ...] = ()  # the other grasps planned on the same cloud

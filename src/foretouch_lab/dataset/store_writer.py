@@ -37,7 +37,7 @@ _SHARD_ROWS = 1024
 class StoreWriter:
     """Collects samples; the store appears at the path when the `with` block ends without an error.
 
-    `about` are facts for the manifest: what made the samples, from which sources, with which seed. `sensor` is that of the
+    `about` are facts for the manifest: what made the samples, from which sources, with which seed. `sensor` is the sensor of the
     readings, by default the BioTac SP; it may be set before the first sample.
 
     Raises:
@@ -167,7 +167,7 @@ def build_store(
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
-    A sample whose id is that of a sample of a source before gets the number after the highest so far, as in a
+    A sample whose id a sample of an earlier source has gets the number after the highest so far, as in a
     recording that is continued; `about.sources` in the manifest lists the new ids by the old ones. `attach` makes text
     files to add to the store, such as splits, by name, from the samples.
 
@@ -219,7 +219,7 @@ class _UniqueIds:
         self._last = 0
 
     def with_own_id(self, number: int, sample: Sample, renumbered: dict[str, str]) -> Sample:
-        """Return a sample of a source with an id of its own, which is added to `renumbered` if it is new.
+        """Return a sample of a source with its own id, which is added to `renumbered` if it is new.
 
         Raises a `DatasetError` if a source before holds the sample, whatever the ids.
         """

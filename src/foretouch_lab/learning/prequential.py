@@ -29,8 +29,8 @@ class TimedReadings:
     objects: npt.NDArray[np.str_]  # (S,) names; another object begins wherever the name changes
     readings: Float64  # (S, D) [counts]
     expected: Float64  # (S, D) predictions by vision, at the rest level of training [counts]
-    tares: Float64 | None = None  # (S, D) tare of each grasp minus the rest level, NaN where there is none [counts]
-    known: Bool | None = None  # (S,) whether the object is like those of training; None if none is
+    tares: Float64 | None = None  # (S, D) tare of each grasp minus the rest level, NaN without a tare [counts]
+    known: Bool | None = None  # (S,) whether the object is like the training objects; None if unknown
     tdc: Float64 | None = None  # (S, F) TDC of the fingers with the reading, NaN without [counts]
     tare_tdc: Float64 | None = None  # (S, F) the same with the tare
     where: Float64 | None = None  # (S, P) features of the grasps, by which touches of one object are compared
@@ -188,7 +188,7 @@ class ModelReplay:
     samples: list[Sample]  # S of them
     recording: TimedReadings  # readings of unlabelled samples are NaN
     played: Replayed
-    scored: Bool  # (S,) False for those of the history
+    scored: Bool  # (S,) False for samples of the history
 
 
 def replay_model(model: TouchModel, samples: Sequence[Sample], history: Sequence[Sample] = ()) -> ModelReplay:

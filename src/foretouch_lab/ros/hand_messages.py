@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tactile messages as drivers send them: `BiotacAll`, and the messages of a described sensor.
+"""Tactile messages as drivers send them: `BiotacAll`, and messages of a described sensor.
 
 They are decoded in `foretouch.tactile.messages`.
 """

@@ -99,7 +99,7 @@ def test_a_way_in_that_cannot_be_used_is_refused_by_name():
     cases = [
         (r"approaches: 3 numbers are not 2 x 11", "approaches", [0.0, 1.0, 2.0]),
         (r"approaches: .*nan.* is not finite", "approaches", [math.nan] * 22),
-        (r"posture: 1 angles are not those of 2 joints", "posture", [0.5]),
+        (r"posture: 1 angles do not fit 2 joints", "posture", [0.5]),
         (r"thumb_at: 'g3' is neither g1 nor g2", "thumb_at", "g3"),
         (r"depth_m: inf is not finite", "depth_m", math.inf),
         (r"orientation: length 0.* is not 1", "pose_of_hand", Pose(orientation=Quaternion(w=0.0))),
@@ -122,7 +122,7 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
         (r"orientation: length nan", lambda m: setattr(m.pose.orientation, "x", math.nan)),
         (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, 0.5))),
         (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, math.nan))),
-        (r"rotation: is not that of pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
+        (r"rotation: differs from pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
     ]
     every_case(cases, check)
     message = grasp_to_msg(UNIT)

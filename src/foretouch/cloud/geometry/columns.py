@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mean, distances and quantiles of points by columns: NumPy's own results to the last bit, several times as fast.
 
-Operations on rows of three numbers take several times as long as those on three contiguous columns.
+Operations on rows of three numbers take several times as long as on three contiguous columns.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def centred_columns(points: Float64) -> tuple[Float64, Float64, Float64]:
 
 
 def bounds(points: Float32) -> tuple[Float64, Float64]:
-    """Return (3,) smallest and (3,) largest coordinates of those of (N, 3) points that are finite; inf and -inf without one."""
+    """Return (3,) smallest and (3,) largest coordinates of the finite ones of (N, 3) points; inf and -inf without one."""
     low, high = np.empty(3), np.empty(3)
     _bounds(np.ascontiguousarray(points), len(points), low, high)
     return low, high

@@ -46,7 +46,7 @@ def not_optical(xyz: Float32, *, alone: bool = False) -> str:
     else:
         return ""
     rule = "an optical frame (x right, y down, z forward) is needed"
-    return f"not_optical: {what}: {rule}; transform the points to that of the camera that saw them"
+    return f"not_optical: {what}: {rule}; transform the points to the frame of the camera that saw them"
 
 
 def has_depth(xyz: Float32) -> Bool:

@@ -35,7 +35,7 @@ class PixelGrid:
     def from_pixels(cls, pixels: Integer, image_shape: tuple[int, int]) -> Self | None:
         """Return a grid from flat, row-major indices into an image; None if it would be large and almost empty.
 
-        Time and memory are those of the smallest rectangle around the pixels, which a message may place anywhere.
+        Time and memory grow with the smallest rectangle around the pixels, which a message may place anywhere.
 
         Args:
             pixels: (N,) integer, all different.

@@ -46,7 +46,7 @@ class AssemblerConfig:
     assume_grasps: bool = False  # whether a contact without a report belongs to the best grasp of the last cloud before
     successes_only: bool = False  # whether grasps that failed after contact are rejected too
     watch_sensors: bool = False  # whether contacts are detected and the sensors' state is followed, which takes time
-    check_clock: bool = True  # whether the time of reception is that of a live system, so that clocks can be compared
+    check_clock: bool = True  # whether messages are received live, so that clocks can be compared
 
 
 class AssembledSample(NamedTuple):

@@ -4,7 +4,7 @@
 Stamps of tactile readings may repeat, come in the wrong order, or come from a clock that is set while it runs. A
 reading whose stamp leaps is set aside until the next one shows whether the clock has jumped or one stamp was wrong;
 all that follow the readings, such as tare and contact detectors, see those alone that the buffer has accepted.
-After a jump back, all readings so far are discarded, since their stamps would be those of readings to come.
+After a jump back, all readings so far are discarded, since readings to come would have the same stamps.
 """
 
 from bisect import bisect_left, bisect_right
@@ -130,9 +130,7 @@ class SerializedCloud:
 
     data: bytes  # the message as CDR
     decode: Callable[[], Any]  # gives the message
-    by_place: bool = (
-        False  # whether its labels are not those of the grasps, so that the object of a grasp is the nearest
-    )
+    by_place: bool = False  # whether its labels differ from the grasps', so that the object of a grasp is the nearest
 
     def is_same(self, other: "SerializedCloud") -> bool:
         """Return whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
@@ -173,7 +171,7 @@ class CloudBuffer:
         return len(self._clouds)
 
     def get(self, stamp_ns: int) -> BufferedCloud | None:
-        """Return the cloud of this stamp, None where there is none or it has been removed."""
+        """Return the cloud of this stamp, None if it never came or has been removed."""
         return self._clouds.get(stamp_ns)
 
     def add(self, stamp_ns: int, message: SerializedCloud, now_s: float) -> list[BufferedCloud]:

@@ -58,7 +58,7 @@ class PairingError(DatasetError):
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """A grasp in time, by the robot's clock [ns], or a contact by that of the sensor."""
+    """A grasp in time, by the robot's clock [ns], or a contact by the sensor's clock."""
 
     start: int  # when the hand began to close; before it, nothing was touched
     contact: int  # when contact was steady

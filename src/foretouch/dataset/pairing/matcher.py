@@ -43,7 +43,7 @@ class Label:
     """What the operator adds to a grasp."""
 
     grasp_id: str = ""  # "" for the latest
-    object: str = ""  # label of the object, "" for that of the session
+    object: str = ""  # label of the object, "" for the session's object
     discard: bool = False  # whether the sample is not to be used
     note: str = ""  # free text
     outcome: Outcome = "unknown"  # as the operator saw it

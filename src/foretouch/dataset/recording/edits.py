@@ -172,7 +172,7 @@ def _read(path: Path) -> tuple[list[Edit], str, int]:
 
 
 def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
-    """Return the edit in a line after so many known ones, and the digest up to it."""
+    """Return the edit in a line after a number of known ones, and the digest up to it."""
     content = require_schema("", parse_json(line), dict)
     require_version(content.get("schema_version"), _VERSION, 1)
     digest = _digest(before, {name: value for name, value in content.items() if name != "sha256"})

@@ -68,7 +68,9 @@ class Operator:
         self._first = len(self._log.edits)
         self._grasps: dict[str, GraspSummary] = {}  # by id as recorded
         self._touched: list[str] = []  # ids as recorded of the samples with a touch
-        self._sample_of: dict[str, str] = {}  # by id of the grasp: id as recorded, or after a colon why there is none
+        self._sample_of: dict[
+            str, str
+        ] = {}  # by id of the grasp: id as recorded, or after a colon why none was recorded
         self._waiting: list[tuple[Action, str]] = []
         self._visits = [0]  # of each object: samples before it was laid on the table
         self._replies: deque[Reply] = deque(maxlen=8)
@@ -243,7 +245,7 @@ def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, Gras
 
 
 def count_outcomes(grasps: Iterable[GraspSummary], plan: Sequence[str] = ()) -> dict[str, Counter[str]]:
-    """Return executed grasps by object and outcome; those of the plan first."""
+    """Return executed grasps by object and outcome; objects of the plan first."""
     counts: dict[str, Counter[str]] = {name: Counter() for name in plan}
     for grasp in grasps:
         if grasp.touched:

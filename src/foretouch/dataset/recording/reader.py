@@ -55,7 +55,7 @@ class RecordedDataset:
             yield self[k]
 
     def as_recorded(self, index: int) -> StoredSample:
-        """Read one sample before any edit (raises as indexing)."""
+        """Read one sample before any edit; a `FileError` names the position of damage."""
         file, message = self._samples[index]
         try:
             return decode_sample(file.content(message), self.stated_sensor)
@@ -88,7 +88,7 @@ def recognise(path: Path) -> bool:
 
 
 def open_set(path: Path, unfinished: bool) -> SampleSet:
-    """Return the samples of a recorded dataset (raises as `RecordedDataset`)."""
+    """Return the samples of a recorded dataset; a `FileError` names file and position of damage."""
     dataset = RecordedDataset(path)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:

@@ -2,7 +2,7 @@
 """Encodes a recorded grasp as a message and decodes it, without ROS.
 
 The message is a `foretouch_msgs/GraspSample`, which holds the description of its sensor. Foretouch 0.2 wrote samples of
-version 1, whose touch is that of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
+version 1, whose touch is of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
 
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 
@@ -292,7 +292,7 @@ class Definitions:
             raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
 
     def text(self, type_name: str) -> str:
-        """Return the definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
+        """Return the definition with the definitions of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
         self._require(type_name)
         return self.store.generate_msgdef(type_name, ros_version=2)[0]
 

@@ -79,9 +79,9 @@ class RecordingWriter:
 
     Args:
         path: The dataset: created if it does not exist, else the session is added to it.
-        identity: Hand and camera; must equal those of the dataset.
+        identity: Hand and camera; must equal the dataset's.
         config: Settings.
-        sensor: Which is read, by default the BioTac SP; must be that of the dataset.
+        sensor: Which is read, by default the BioTac SP; must be the dataset's sensor.
 
     Raises:
         FileError: If another process records into the dataset, or it is of another hand, camera, sensor, version or format,
@@ -197,7 +197,7 @@ class RecordingWriter:
                 self.flush()
 
     def append(self, sample: Sample) -> str:
-        """Write a sample in a chunk of its own, after all messages before it; gives its id.
+        """Write a sample in its own chunk, after all messages before it, and return its id.
 
         An empty id becomes `<object>/<number>`, the number one above the dataset's highest. The sample is now as safe as
         `RecordingConfig` specifies.
@@ -225,7 +225,7 @@ class RecordingWriter:
             return sample.id
 
     def edit(self, edit: Edit) -> int:
-        """Append an edit to the dataset's log and return its number (raises as `append_edit`, or if the session has ended)."""
+        """Append an edit to the dataset's log and return its number; a `FileError` if it cannot be written, or the session has ended."""
         with self._guard:
             self._require_open()
             return append_edit(self.path, edit)
@@ -236,7 +236,7 @@ class RecordingWriter:
         return {name.rpartition("/")[0] for name in self._ids}
 
     def flush(self) -> None:
-        """Write the collected messages (raises as `write`)."""
+        """Write the collected messages; a `FileError` if the session has ended, or ends now."""
         with self._guard:
             self._require_open()
             self._write_pending()

@@ -47,19 +47,19 @@ class TactileConfig(Settings, read_only=True):
 
     @cached_property
     def described(self) -> Sensor:
-        """The sensor (raises as `load_sensor`)."""
+        """The sensor; a `ConfigError` if its description is absent or breaks a rule."""
         if not self.sensor:
             return BIOTAC_SP
         return require_two(load_sensor(self.sensor))
 
     @property
     def message_type(self) -> str:
-        """Type of the messages: that of the sensor's description, if it is named."""
+        """Type of the messages; if a sensor is named, its description states it."""
         return self.described.config.source.type if self.sensor else self.type
 
     @property
     def fingers(self) -> tuple[str, str]:
-        """Names of the fingers at g1 and g2 in the messages (raises as `described`)."""
+        """Names of the fingers at g1 and g2 in the messages; a `ConfigError` for a faulty description."""
         if self.sensor:
             thumb, middle = self.described.channels.fingers
         else:

@@ -190,7 +190,7 @@ def origin_of(manifest: Mapping[str, Any], experiment: Experiment) -> list[str]:
 
 
 def _command(manifest: Mapping[str, Any], experiment: Experiment) -> str:
-    """Return the command of a sweep with the settings that differ from those of its preset."""
+    """Return the command of a sweep with the settings that differ from its preset."""
     preset = manifest["preset"]
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
     usual = flattened(json.loads(json.dumps(base.to_mapping())))

@@ -87,7 +87,7 @@ def score_sources(by_predictor: Mapping[str, Sequence[Row]], config: BootstrapCo
     """Return rows of `results.csv`.
 
     Args:
-        by_predictor: By name of a predictor by vision, the rows of its cells; those of a predictor that lacks a run are left out.
+        by_predictor: By name of a predictor by vision, the rows of its cells; a predictor that lacks a run is left out.
         config: Configuration of the bootstrap.
     """
     scored = {name: _joined(rows) for name, rows in by_predictor.items() if len(rows) == rows[0]["runs"]}
@@ -246,7 +246,7 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
 
 
 def _with_lines(rows: Rows) -> list[Row]:
-    """Return rows with the name of their `line` in tables and figure, those of each of the sources together."""
+    """Return rows with the name of their `line` in tables and figure, rows of one source together."""
     named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
     return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
 

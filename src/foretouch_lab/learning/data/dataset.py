@@ -42,7 +42,7 @@ class Dataset:
     Attributes:
         name: Name of the file or folder.
         samples: In order; without those that the operator discarded. The clouds of a store are read as they are used.
-        sha256: Hash over the samples in order: that of the training store they make.
+        sha256: Hash over the samples in order, equal to the hash of the training store they make.
         splits: The parts of each kind of split.
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.

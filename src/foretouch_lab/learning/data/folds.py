@@ -80,7 +80,7 @@ def _one_thread() -> None:
 
 
 def make_folds(samples: Sequence[Sample | SampleFacts], split: str, seed: int | np.random.Generator) -> list[Fold]:
-    """Return the folds of one of `SPLITS`; the seed is that of the random split.
+    """Return the folds of one of `SPLITS`; the random split uses the seed.
 
     Raises:
         DatasetError: If there is no such split, or there are too few samples for it.

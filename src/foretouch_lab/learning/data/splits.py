@@ -83,7 +83,7 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
 
 
 def read_splits(path: str | Path) -> DatasetSplits:
-    """Read the splits of a dataset, or those of a `splits.json`.
+    """Read the splits of a dataset, or of a `splits.json`.
 
     Raises:
         FileError: If there is no such file, it is damaged or of another version, or an id is in two parts.

@@ -107,7 +107,7 @@ def save_network(
     calibration: CardCalibration | None = None,
     fallback: Fallback | None = None,
 ) -> Path:
-    """Write a network and return the path of its card; see `save_model`."""
+    """Write a network and return the path of its card."""
     facts = {"familiar": None, "config": net.config.to_mapping(), **facts}
     return save_model(Path(folder) / f"{name}.json", "network", _arrays(net), facts, calibration, fallback)
 

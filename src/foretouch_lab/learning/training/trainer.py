@@ -68,7 +68,7 @@ class EpochsConfig(Settings):
 
     @property
     def resolved_device(self) -> str:
-        """`cpu` or `cuda`; a `ConfigError` if a GPU is configured and there is none."""
+        """`cpu` or `cuda`; a `ConfigError` if a GPU is configured and absent."""
         has_cuda = torch.cuda.is_available()
         if self.device == "cuda" and not has_cuda:
             raise ConfigError("device: cuda: torch finds no GPU; choose auto or cpu")
