@@ -25,11 +25,7 @@ from foretouch.types.camera import CameraModel
 class DepthFrame:
     """A depth image and its camera."""
 
-<<<<<<< HEAD
-    depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 where it is not known
-=======
     depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 without depth
->>>>>>> main
     scale_m: float  # metres per unit of it
     camera: CameraModel
     frame_id: str  # optical frame of the camera
