@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several nodes in one process: those of an executable, or of the commands `run`, `replay` and `record`.
+"""Several nodes in one process, of an executable or of the commands `run`, `replay` and `record`.
 
 Threads: the executor spins in the background, so that the caller's thread is free to draw and to handle Ctrl-C.
 """
