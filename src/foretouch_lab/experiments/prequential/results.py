@@ -247,7 +247,7 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
 
 def _with_lines(rows: Rows) -> list[Row]:
     """Return rows with the name of their `line` in tables and figure, rows of one source together."""
-    named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
+    named = [{**row, "line": row["sources"] + ("" if row["vision"] == CONSTANT else " + vision")} for row in rows]
     return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
 
 
