@@ -10,8 +10,20 @@
 #include "common.h"
 
 /* background.c */
-void find_background(const float *grid, int64_t h, int64_t w, const int32_t *labels, int64_t n, double pitch,
-    const double *settings, int64_t *reasons, float *outline, int64_t *found);
+typedef struct {
+    const float *grid;     /* (h, w, 3) points of a coarse grid of pixels */
+    const int32_t *labels; /* (h, w) their parts, from 1 to n - 1; 0 is none */
+    int64_t h, w, n;
+    double pitch;        /* of the grid, lateral distance per depth */
+    const double *plane; /* (4) the table, its normal towards the camera */
+    double level;        /* height [m], */
+    double noise;        /* and height divided by depth^2 [1/m], up to which a cell belongs to the table */
+    double below;        /* depth from which on the world is below the table [m] */
+    double border;       /* share of an outline at the border of the image, from which on a part may be cut off */
+    double foot;         /* height of a foot [m] */
+    double flat;         /* thickness of a wall [m] */
+} Parts;
+void find_background(const Parts *of, int64_t *reasons, double *outline, int64_t *found);
 
 /* closing.c */
 void outline(const double *points, int64_t n, const double *grid, int64_t rows, int64_t columns, float *nearest,

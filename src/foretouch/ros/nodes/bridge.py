@@ -5,7 +5,7 @@ A topic is subscribed to only while a client asks for it. Callbacks of the execu
 the Foxglove SDK send them. Of what a slow client has not fetched, the SDK drops the oldest messages.
 The SDK bounds what waits for a client in messages, not in bytes. So of a large cloud every n-th point is served.
 
-The SDK admits every WebSocket, those of web pages too: a page in a browser of this machine can read the topics.
+The SDK admits every WebSocket, also of web pages: a page in a browser of this machine can read the topics.
 """
 
 import threading

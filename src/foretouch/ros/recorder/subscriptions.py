@@ -93,8 +93,10 @@ def robot_topics(depth: int) -> tuple[list[RecordedTopic], list[str]]:
 class MessageQueue(BoundedQueue[SerializedMessage]):
     """Serialised messages between the executor's callbacks and the thread that writes them, with counts by topic.
 
-    It never blocks a callback. Its memory is bounded, to so many bytes: the oldest messages are kept, so that the file has
-    one gap only.
+    It never blocks a callback. The oldest messages are kept, so that the file has one gap only.
+
+    Args:
+        most_bytes: Limit of the messages that wait.
     """
 
     def __init__(self, most_bytes: int) -> None:

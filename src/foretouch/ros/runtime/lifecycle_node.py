@@ -72,7 +72,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         except ForetouchError:
             super().destroy_node()  # or the context would, through the hooks of a node that is incomplete
             raise
-        for service in self.services:  # those of parameters and of the lifecycle
+        for service in self.services:  # of parameters and of the lifecycle
             callback = service.callback
             if service.srv_type is ChangeState:
                 callback = partial(self._change_state, callback)
@@ -83,7 +83,6 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self.failure = ""  # why the node could not be configured or activated, or its thread has ended
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
-        self._outputs: list[LifecyclePublisher] = []
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._input_group = MutuallyExclusiveCallbackGroup()
@@ -143,13 +142,8 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             # Each event would take as long as a subscription in every wait of rclpy's executor.
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
-        self._outputs.append(publisher)
-        self.closing.callback(self._withdraw, publisher)
+        self.closing.callback(self.destroy_lifecycle_publisher, publisher)
         return publisher
-
-    def _withdraw(self, publisher: LifecyclePublisher) -> None:
-        self._outputs.remove(publisher)
-        self.destroy_lifecycle_publisher(publisher)
 
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
         """Subscribe until the node is cleaned up; callbacks of a node never run at the same time.

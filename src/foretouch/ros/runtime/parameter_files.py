@@ -2,7 +2,7 @@
 """Parameters in files and on the command line, checked before any node starts: ROS ignores names that nobody has.
 
 A parameter of a named node must be one of that node's; one for all nodes (`/**`), of one of them. Nodes of other packages
-may stand in the same file, outside of the namespace of the graph and with names unlike those of our nodes.
+may stand in the same file, outside of the namespace of the graph, if their names are unlike the names of our nodes.
 """
 
 import re
