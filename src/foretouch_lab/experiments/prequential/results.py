@@ -112,6 +112,11 @@ def predict_run(
 ) -> dict[str, dict[str, Float64]]:
     """Return predictions of the last run of a recording from each of the sources, and half widths of those with intervals.
 
+    Args:
+        shown: The readings of the recording, in order of time.
+        tracker: Parameters that were fitted to other objects.
+        ending: The same of a tracker that ends with its object.
+
     Returns:
         `counts` and `half`, both by sources, (S, 50) [counts].
     """
