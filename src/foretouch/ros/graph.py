@@ -157,11 +157,13 @@ class Graph:
         return self._last_played or self.nodes["perception"].statistics.summary().received
 
     def stop_source(self) -> None:
-        """Publish no more clouds; count no more of a topic of others."""
+        """Publish no more clouds; of a topic of others, count no more clouds and answers."""
+        own = [self.nodes[name] for name in _SOURCES if name in self.nodes]
+        if not own:
+            self.monitor.close_view()
         self._last_played = self.played()
-        for name in _SOURCES:
-            if name in self.nodes:
-                self.nodes[name].stop()
+        for node in own:
+            node.stop()
 
     def wait_for_hand(self, timeout_s: float) -> bool:
         """Let the simulated hand finish its grasp and start no other; False if it takes longer than a time [s]."""
