@@ -309,7 +309,7 @@ def _layout(view: TaxelView, *, with_scene: bool) -> Any:
         curves = [
             rrb.TimeSeriesView(
                 origin=f"/touch/{channel.name}_{name}",
-                name=f"{finger}: {'mean of ' * (channel is view.channel)}{channel.name} [{channel.unit}]",
+                name=f"{finger}: {'mean of ' if channel is view.channel else ''}{channel.name} [{channel.unit}]",
                 plot_legend=rrb.PlotLegend(visible=number == 0 and place == 0),
             )
             for place, channel in enumerate((*view.sensor.scalar_channels, view.channel))

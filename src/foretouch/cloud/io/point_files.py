@@ -339,7 +339,14 @@ def _whole_number(path: Path, text: str, field: str) -> int:
 
 
 def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
-    """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes]."""
+    """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes].
+
+    Args:
+        path: The file.
+        unpacked: Size of its unpacked data [bytes].
+        size: Size of the file [bytes].
+        field: What the data are, for the message.
+    """
     limit = max(32_000_000, 10 * size)  # an image of 1280 x 720 points in double has 22 million bytes
     if unpacked > limit:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)

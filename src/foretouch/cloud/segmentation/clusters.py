@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
@@ -181,11 +182,7 @@ def pixel_pitch(xyz: Float32) -> float:
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         steps = np.abs(np.diff(rows[..., 0] / rows[..., 2], axis=1))
     steps = steps[np.isfinite(steps)]
-    if not steps.size:
-        return 0.0
-    middle = [(steps.size - 1) // 2, steps.size // 2]
-    low, high = np.partition(steps, middle)[middle]  # a third of the time of np.median
-    return float((low + high) / np.float32(2.0))
+    return median(steps) if steps.size else 0.0
 
 
 def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold) -> list[Clusters]:

@@ -212,7 +212,8 @@ class Operator:
         self._write(Edit(action="undo", edit=number, ids=since, object=before if since else ""))
         self._assembler.objects.pop()
         self._visits.pop()
-        return f"on the table: {before}" + f", also in the {len(since)} grasps since" * bool(since)
+        also = f", also in the {len(since)} grasps since" if since else ""
+        return f"on the table: {before}{also}"
 
     def _write(self, edit: Edit) -> None:
         edit = replace(edit, stamp_ns=self._clock_ns())

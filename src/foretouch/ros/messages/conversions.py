@@ -65,7 +65,7 @@ def obstacles_to_msg(obstacles: Obstacles | None) -> dict[str, Any]:
 
 
 def obstacles_from_msg(message: TablePlane) -> Obstacles | None:
-    """Convert the points of all objects of a scene; those that are not finite are ignored.
+    """Convert the finite points of all objects of a scene.
 
     Raises:
         CloudError: If the two fields do not have three numbers and one id for each point.

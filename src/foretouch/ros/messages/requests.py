@@ -63,7 +63,7 @@ class RequestedGrasps:
 
     grasps: Grasps  # K rows; NaN where one cannot be read, and an orientation of no meaning where it is not given
     turned: Bool  # (K,) which have an orientation
-    reasons: list[str]  # why one cannot be read; "" for those that can
+    reasons: list[str]  # why a grasp cannot be read; "" if it can
     messages: Sequence[GraspMsg] | None = None  # as they came; None for arrays
 
     @classmethod

@@ -107,12 +107,18 @@ class RecordingSession:
         self._thread.start()
 
     def label(self, label: Label) -> tuple[str, str]:
-        """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`)."""
+        """Add the operator's label of a grasp; gives the id of the grasp, and what becomes of the label."""
         with self._assembler_lock:
             return self._assembler.matcher.add_label(label, time.monotonic())
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
-        """Do an action of the operator (see `Operator.act`)."""
+        """Do an action of the operator, and say what was done.
+
+        Args:
+            action: What to do.
+            text: Of a note, or the name of an object.
+            grasp_id: Grasp that it is about; "" for the last one.
+        """
         with self._assembler_lock:
             return self._operator.act(action, text, grasp_id)
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar, cast
+from typing import Any, ClassVar, Final, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
@@ -41,6 +41,8 @@ from foretouch.topics import NAMESPACE
 _C = TypeVar("_C", bound="NodeConfig")
 REQUESTS = QoSProfile(depth=5000)
 """Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
+# Each event would take as long as a subscription in every wait of rclpy's executor.
+_NO_EVENTS: Final = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +74,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         except ForetouchError:
             super().destroy_node()  # or the context would, through the hooks of a node that is incomplete
             raise
-        for service in self.services:  # those of parameters and of the lifecycle
+        for service in self.services:  # of parameters and of the lifecycle
             callback = service.callback
             if service.srv_type is ChangeState:
                 callback = partial(self._change_state, callback)
@@ -83,11 +85,10 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self.failure = ""  # why the node could not be configured or activated, or its thread has ended
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
-        self._outputs: list[LifecyclePublisher] = []
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._input_group = MutuallyExclusiveCallbackGroup()
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10, event_callbacks=_NO_EVENTS)
         self.every(self.config.diagnostics_period_s, self._publish_report)
         self.every(0.5, self._look)
 
@@ -140,16 +141,10 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions(overridden),
-            # Each event would take as long as a subscription in every wait of rclpy's executor.
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            event_callbacks=_NO_EVENTS,
         )
-        self._outputs.append(publisher)
-        self.closing.callback(self._withdraw, publisher)
+        self.closing.callback(self.destroy_lifecycle_publisher, publisher)
         return publisher
-
-    def _withdraw(self, publisher: LifecyclePublisher) -> None:
-        self._outputs.remove(publisher)
-        self.destroy_lifecycle_publisher(publisher)
 
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
         """Subscribe until the node is cleaned up; callbacks of a node never run at the same time.

@@ -70,7 +70,7 @@ class OnlineAdapter:
         self._config = config
         self._now_ns = now_ns
         self._warn = warn
-        # Of what callbacks store; taken after that of the history, and never while the model works.
+        # Guards what callbacks store; taken after the lock of the history, and never while the model works.
         self._input_lock = threading.Lock()
         self._assembler = SampleAssembler(AssemblerConfig(pairing=settings.pairing, successes_only=True), reader)
         self._tare = LiveTare(reader.channels)

@@ -68,7 +68,7 @@ class SegmentationStep(Step):
         """Find the table and the objects; of equal ones, the target of the cloud before stays the target.
 
         Raises:
-            RefusalError: If a mask is wanted, and there is none that fits the cloud.
+            RefusalError: If a mask is wanted, and none fits the cloud.
         """
         mask = self._selection.mask(cloud)
         try:

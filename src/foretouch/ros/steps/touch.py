@@ -60,7 +60,7 @@ class TouchStep(Step):
         self.latest: Targets | None = None
         self.adapter: OnlineAdapter | None = None
         self._keeper: HistoryKeeper | None = None
-        self._other_hand = ""  # why readings of the hand are not those of the model's sensor
+        self._other_hand = ""  # why the model's sensor is not the sensor of the hand
         self._used_tare = config.use_tare
         self.predictor = Predictor(config.model, config.fallback_model)
         if self.predictor.fault:

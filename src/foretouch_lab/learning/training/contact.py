@@ -201,7 +201,8 @@ def fit_contact(
     noisy = channels.by_modality(
         [channel.noise > 0.0 for channel in channels.channel_of.values()]
     )  # and so never the same
-    if (constant := same & (noisy | same.all())).any():
+    constant = same & (noisy | same.all())
+    if constant.any():
         raise DatasetError(f"contact model: value {int(np.argmax(constant))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]
