@@ -67,7 +67,10 @@ class Graph:
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
-        begin(self._arguments, list(self._parameters), **self._namespace)
+        prepare_environment()
+        stale_bytes(free=True)
+        check_parameters(self._arguments, NODES, list(self._parameters), **self._namespace)
+        start_rclpy(self._arguments)
         try:
             self._start()
         except BaseException:
@@ -190,23 +193,6 @@ class Graph:
                 return False
             time.sleep(0.02)
         return True
-
-
-def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameters of a command line, and start rclpy.
-
-    Args:
-        arguments: The command line.
-        names: Of the nodes of this process.
-        namespace: Of these nodes.
-
-    Raises:
-        ConfigError: If the command line is malformed.
-    """
-    prepare_environment()
-    stale_bytes(free=True)
-    check_parameters(arguments, NODES, names, namespace)
-    start_rclpy(arguments)
 
 
 def input_of(topic: str, wait_s: float) -> str:
