@@ -84,7 +84,7 @@ def foretouch_node(
     Args:
         context: Holds the arguments.
         name: Of the executable, without `foretouch_`.
-        parameters: Set beside those of the file, and stronger.
+        parameters: Set beside the parameters of the file, and stronger.
         options: For `launch_ros.actions.Node`.
     """
     params_file = argument_values(context, "params_file")["params_file"]

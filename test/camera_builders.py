@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings of a synthetic camera, made by the library's own recorder."""
 
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +28,21 @@ class _Recorded:
         return True
 
 
+@contextmanager
+def opened(config: RealSenseConfig, source: Any = None) -> Iterator[RealSenseCamera]:
+    """A camera that is closed at the end."""
+    with closing(RealSenseCamera(config, source, lambda _: None)) as camera:
+        yield camera
+
+
 def record(path: Path, source: SyntheticCamera, config: RealSenseConfig, count: int) -> list[Cloud]:
     """Record so many frames; the clouds of them."""
     clouds = []
-    with RealSenseCamera(config, _Recorded(source, path)) as camera:
+    with opened(config, _Recorded(source, path)) as camera:
         camera.read(0.0)
         for _ in range(count):
             source.feed()
-            cloud = camera.read(1.0)
-            assert cloud is not None, camera.status
-            clouds.append(cloud)
+            frame = camera.read(1.0)
+            assert frame is not None, camera.status
+            clouds.append(frame.cloud())
     return clouds

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.dataset.pairing.buffers import TouchReading
 from foretouch.dataset.pairing.cut import Interval
+from foretouch.tactile.messages.table import TactileReading
 from foretouch_lab.simulation.message_faults import FaultConfig, MessageFaults
 
 SECOND = 1_000_000_000
@@ -46,7 +46,9 @@ def true_counts(stamp_ns: int, grasps: int, period_s: float = 3.0) -> np.ndarray
     return (REST + np.float32(share) * (level(number) - REST)).astype(np.float32)
 
 
-def stream(grasps: int, faults: FaultConfig | None = None, seed: int = 0, period_s: float = 3.0) -> list[TouchReading]:
+def stream(
+    grasps: int, faults: FaultConfig | None = None, seed: int = 0, period_s: float = 3.0
+) -> list[TactileReading]:
     """What the sensor sends during so many grasps, in the order of arrival; arrival is on time."""
     rng = np.random.default_rng(seed)
     spoil = MessageFaults(faults or FaultConfig(), seed)
@@ -57,5 +59,5 @@ def stream(grasps: int, faults: FaultConfig | None = None, seed: int = 0, period
             continue
         noise = rng.normal(0.0, np.concatenate([[0.3, 0.3], np.full(48, 4.4)]))
         counts = np.round(true_counts(true_ns, grasps, period_s) + noise).astype(np.float32)
-        readings.append(TouchReading(stamp, counts, NONE, true_ns))
+        readings.append(TactileReading(stamp, counts, NONE, true_ns))
     return readings

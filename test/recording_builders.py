@@ -13,7 +13,7 @@ from experiment_samples import make_samples
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import APPROACH, DISCARDED, HOLD, REST, Identity, SampleRecord, TouchSeries
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.source import Source
@@ -21,7 +21,7 @@ from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud, Grasp, Sample, Touch
+from foretouch.types import APPROACH, DISCARDED, HOLD, REST, Cloud, Grasp, Sample, Touch, TouchSeries
 
 IDENTITY = Identity(
     hand={"name": "shadow-rh", "serial": "1234", "thumb": "TH", "middle": "MF"},
@@ -40,7 +40,7 @@ def touch(rng: np.random.Generator) -> Touch:
     return biotac_touch(rng.integers(500, 3500, 50).astype(np.float64))
 
 
-def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: bool = True) -> SampleRecord:
+def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: bool = True) -> Sample:
     """A record with every field set, and different for each number."""
     rng = np.random.default_rng([number, points])
     xyz = (0.03 * rng.normal(size=(points, 3)) + [0.0, 0.0, 1.0]).astype(np.float32)
@@ -63,7 +63,7 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
         stamp_ns=1_700_000_001_000_000_000 * 1 + 7_000_000_000 * number,
         extra={"TDC_MF": 2000.0, "TDC_TH": 2100.5},
     )
-    plain = SampleRecord(sample=sample, candidates=(replace(sample.grasp, id=f"other-{number}", score=float("nan")),))
+    plain = replace(sample, candidates=(replace(sample.grasp, id=f"other-{number}", score=float("nan")),))
     if not labelled:
         return plain
     return replace(
@@ -104,7 +104,7 @@ def write_grasps(path: Path) -> None:
                 if number == 2:
                     sample = replace(sample, touch=None, tare=None)
                 flags = (DISCARDED,) if one is samples[5] else ()
-                writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
+                writer.append(replace(sample, candidates=(other,), flags=flags))
 
 
 def write_sample(folder: Path, rng: np.random.Generator) -> None:
@@ -119,12 +119,12 @@ def write_sample(folder: Path, rng: np.random.Generator) -> None:
 
 def ids(path: Path) -> list[str]:
     """Of the samples of a recorded dataset."""
-    return [stored.record.sample.id for stored in RecordedDataset(path)]
+    return [stored.sample.id for stored in RecordedDataset(path)]
 
 
 def read_folder(path: Path) -> list[Sample]:
     """All samples of a dataset, such as folders of vision2tactile."""
-    return [record.sample for record in open_samples(path).records()]
+    return list(open_samples(path))
 
 
 def readable(source: Source, refuse: Callable[[str, ForetouchError], Any]) -> Iterator[tuple[str, Cloud | Sample]]:

@@ -138,7 +138,7 @@ def test_data_collectors_meet_few_concepts() -> None:
 
 def test_the_reference_lists_every_field_parameter_and_option_with_what_is_said_of_it(reference) -> None:
     messages = pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
-    from foretouch.ros.graph import NODES
+    from foretouch.ros.nodes import NODES
 
     for interface in reference.interfaces("msg"):
         fields = getattr(messages, interface.name).get_fields_and_field_types()

@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 
 from benchmarks.other_recordings import EXPERIMENT, OtherSettings, Records, folds_of, hold_chance
 from benchmarks.other_recordings.results import calibration_error, slip_first, tabulate
-from foretouch.dataset.record import SampleRecord
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Sample
 from foretouch_lab.experiments import find_experiment
@@ -15,10 +14,9 @@ from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 RNG = np.random.default_rng(0)
 
 
-def record(number: int, shift: float, outcome: str) -> SampleRecord:
+def record(number: int, shift: float, outcome: str) -> Sample:
     touch, name = biotac_touch(2000.0 + shift + RNG.normal(0.0, 0.2, BIOTAC.size)), f"object_{number % 4}"
-    sample = Sample(id=f"{name}/{number}", object=name, touch=touch, stamp_ns=number * 60_000_000_000)
-    return SampleRecord(sample=sample, outcome=outcome)  # type: ignore[arg-type]
+    return Sample(id=f"{name}/{number}", object=name, touch=touch, stamp_ns=number * 60_000_000_000, outcome=outcome)  # type: ignore[arg-type]
 
 
 def test_calibration_by_hand() -> None:

@@ -21,7 +21,7 @@ def test_what_breaks_a_rule_is_refused() -> None:
         ("dtype <U1 is not of numbers", CloudError, lambda: Cloud(np.full((4, 3), "1"))),
         ("dtype complex128 is not of numbers", CloudError, lambda: Cloud(zeros((4, 3), complex))),
         *(("neither", CloudError, lambda s=s: Cloud(zeros(s, np.float32))) for s in ((3,), (4, 2), (2, 2, 2, 3))),
-        ("is not that of xyz", CloudError, lambda: Cloud(zeros((4, 3), np.float32), zeros((5, 3), np.uint8))),
+        ("differs from xyz", CloudError, lambda: Cloud(zeros((4, 3), np.float32), zeros((5, 3), np.uint8))),
         ("int64 is not uint8", CloudError, lambda: Cloud(zeros((4, 3), np.float32), zeros((4, 3), np.int64))),
         ("zero length", CloudError, lambda: Plane.from_coefficients([0, 0, 0, 1])),
         ("not four finite numbers", CloudError, lambda: Plane.from_coefficients([0, 0, np.nan, 1])),

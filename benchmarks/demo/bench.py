@@ -21,7 +21,8 @@ from foretouch_lab.simulation.simulate import Simulation
 
 HERE = Path(__file__).parent
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
-TOUCHES = (0, 2)  # of the object before the grasps that are drawn and counted
+TOUCHES = range(5)  # touches of the object before the grasps that are counted: all of the demo
+DRAWN = (0, 2)  # touches before the grasps that are drawn
 
 
 def demo_run(model: TouchModel, seed: int) -> ModelReplay:
@@ -41,13 +42,13 @@ def demo_rows(runs: Sequence[ModelReplay]) -> list[dict[str, Any]]:
     rows = []
     for name in OBJECTS:
         for touches in TOUCHES:
-            found = [(run, *inside(run, name, touches)) for run in runs]
-            share = np.array([one for *_, one in found])
-            errors = [np.abs(run.recording.readings[k] - run.played.counts[k])[2:].mean() for run, k, _ in found]
+            grasps = [(run, *inside(run, name, touches)) for run in runs]
+            share = np.array([share for *_, share in grasps])
+            errors = [np.abs(run.recording.readings[k] - run.played.counts[k])[2:].mean() for run, k, _ in grasps]
             rows.append({
                 "object": name, "touches": touches, "runs": len(runs), "inside": share.mean(),
                 "standard_error": share.std(ddof=1) / len(runs) ** 0.5, "least": share.min(),
-                "unfamiliar": np.mean([not run.recording.is_known(k) for run, k, _ in found]),
+                "unfamiliar": np.mean([not run.recording.is_known(k) for run, k, _ in grasps]),
                 "mean_difference": np.mean(errors),
             })  # fmt: skip
     return rows
@@ -55,14 +56,14 @@ def demo_rows(runs: Sequence[ModelReplay]) -> list[dict[str, Any]]:
 
 def draw(runs: Sequence[ModelReplay], path: Path) -> None:
     """Draw the run whose share over the four grasps is the median of all runs; of two, the lower."""
-    total = [np.mean([inside(run, name, touches)[1] for name in OBJECTS for touches in TOUCHES]) for run in runs]
+    total = [np.mean([inside(run, name, touches)[1] for name in OBJECTS for touches in DRAWN]) for run in runs]
     seed = int(np.argsort(total, kind="stable")[(len(runs) - 1) // 2])
     run, maker, pipeline, drawn = runs[seed], FrameMaker(scene("demo").replace(seed=seed)), Pipeline(), []
     for name, known in OBJECTS.items():
-        for touches in TOUCHES:
+        for touches in DRAWN:
             k, _ = inside(run, name, touches)
             sample, value, half = run.samples[k], run.played.counts[k], run.played.half[k]
-            value, lower, upper = (biotac_touch(one) for one in (value, value - half, value + half))
+            value, lower, upper = (biotac_touch(counts) for counts in (value, value - half, value + half))
             cloud = maker.frame(int(sample.extra["slot"]), int(sample.extra["attempt"])).cloud()
             (target,) = pipeline.segment(cloud).targets
             knows = "knows" if known else "does not know (unfamiliar)"

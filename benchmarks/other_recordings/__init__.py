@@ -17,12 +17,11 @@ import numpy as np
 from benchmarks.other_recordings.results import summarise, tabulate
 from foretouch.config import Settings, setting
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.store import content_sha256
 from foretouch.errors import ConfigError
 from foretouch.models.novelty import standardisation
 from foretouch.models.touch_hold import TouchHold, patterns
-from foretouch.types import Bool, Float64
+from foretouch.types import Bool, Float64, Sample
 from foretouch.types.channels import Channels
 from foretouch_lab.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
@@ -53,14 +52,12 @@ class Records:
     the suffix that tells the test set of its authors.
     """
 
-    def __init__(self, records: Sequence[SampleRecord], sha256: str) -> None:
-        self.records, self.sha256 = records, sha256
-        self.touches = np.array(
-            [record.sample.touch.values for record in records if record.sample.touch is not None]
-        )  # (S, D)
-        self.objects: Any = np.array([record.sample.object for record in records])
-        self.postures: Any = np.array([record.note.partition(".")[0].removesuffix("_test") for record in records])
-        files = [record.note.partition(",")[0] for record in records]
+    def __init__(self, samples: Sequence[Sample], sha256: str) -> None:
+        self.samples, self.sha256 = samples, sha256
+        self.touches = np.array([sample.touch.values for sample in samples if sample.touch is not None])  # (S, D)
+        self.objects: Any = np.array([sample.object for sample in samples])
+        self.postures: Any = np.array([record.note.partition(".")[0].removesuffix("_test") for record in samples])
+        files = [record.note.partition(",")[0] for record in samples]
         names = [f"{object_} {file}" for object_, file in zip(self.objects, files, strict=True)]
         self.sessions: Any = np.unique(names, return_inverse=True)[1]
         earlier = [np.count_nonzero(self.sessions[:k] == session) for k, session in enumerate(self.sessions)]
@@ -68,8 +65,8 @@ class Records:
 
 
 def _load(_settings: OtherSettings, path: Path) -> Records:
-    records = [record for record in open_samples(path).records() if record.sample.touch is not None]
-    return Records(records, content_sha256(record.sample for record in records))
+    samples = [sample for sample in open_samples(path) if sample.touch is not None]
+    return Records(samples, content_sha256(samples))
 
 
 def _cells(settings: OtherSettings, data: Records) -> list[Cell]:
@@ -87,8 +84,8 @@ def folds_of(objects: Any, count: int, seed: int) -> Any:
 
 
 def _run(cell: Cell, settings: OtherSettings, data: Records) -> list[Row]:
-    known = np.array([record.outcome != "unknown" for record in data.records])
-    held = np.array([record.outcome == "success" for record in data.records])
+    known = np.array([record.outcome != "unknown" for record in data.samples])
+    held = np.array([record.outcome == "success" for record in data.samples])
     left_out, fold = cell.values["left_out"], cell.values["fold"]
     if left_out == "objects":
         test = folds_of(data.objects, settings.folds, settings.seed) == fold
@@ -112,7 +109,7 @@ def hold_chance(method: str, settings: OtherSettings, data: Records, learnt: Boo
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    channels = data.records[0].sample.touch.channels  # type: ignore[union-attr]  # they are labelled
+    channels = data.samples[0].touch.channels  # type: ignore[union-attr]  # they are labelled
     if method == "patterns":
         readings = electrodes(data.touches, channels)
         return None if readings is None else fit(readings[learnt], held[learnt], settings.seed).chance(readings)

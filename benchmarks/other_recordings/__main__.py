@@ -54,13 +54,13 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the model")
     arguments = parser.parse_args()
     samples = open_samples(arguments.dataset)
-    records = [record for record in samples.records() if record.sample.touch is not None]
-    touches = np.array([record.sample.touch.values for record in records if record.sample.touch is not None])
+    labelled = [sample for sample in samples if sample.touch is not None]
+    touches = np.array([sample.touch.values for sample in labelled if sample.touch is not None])
     readings = electrodes(touches, samples.sensor.channels)
     if readings is None:
         raise SystemExit(f"{arguments.dataset}: holds no electrodes of {', '.join(FINGERS)}")
-    held = np.array([record.outcome == "success" for record in records])
-    objects = np.array([record.sample.object for record in records])
+    held = np.array([record.outcome == "success" for record in labelled])
+    objects = np.array([sample.object for sample in labelled])
     model, refused = calibrated(readings, held, folds_of(objects, _FOLDS, 0), 0)
     rows = [
         row for row in read_csv(arguments.results) if row.get("what", "hold") == "hold"
@@ -69,8 +69,8 @@ def main() -> None:
         "summary": "whether a grasp of three BioTac SP holds when it is lifted, from one reading; read skill and limits first",
         "config": {**CONFIG, "fingers": list(FINGERS)},
         "data": {
-            "name": "biotacsp-stability-set-v2", "samples": len(records), "objects": len(set(objects)),
-            "sha256": content_sha256(record.sample for record in records),
+            "name": "biotacsp-stability-set-v2", "samples": len(labelled), "objects": len(set(objects)),
+            "sha256": content_sha256(labelled),
             "source": "github.com/3dperceptionlab/biotacsp-stability-set-v2", "licence": "MIT",
         },
         "skill": _skill([row for row in rows if row["method"] == "patterns"]),

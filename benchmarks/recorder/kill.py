@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording import writer as writer_module
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
@@ -50,7 +50,7 @@ def contents(folder: Path) -> dict[str, int]:
         return {}
     result = {}
     for stored in RecordedDataset(folder):
-        sample = stored.record.sample
+        sample = stored.sample
         number = int(sample.grasp.score)
         same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
         result[sample.id] = number if same else -1
@@ -73,7 +73,7 @@ def record_forever(folder: Path) -> None:
                     writer.receive(TOPIC)
                     writer.write(TOPIC, message, time.time_ns() + k)
                 number += 1
-                given = writer.append(SampleRecord(sample=made_sample(number)))
+                given = writer.append(made_sample(number))
                 os.write(1, f"{given} {number}\n".encode())
 
 

@@ -277,7 +277,7 @@ def experiments() -> str:
 
 def node_configs() -> dict[str, type[Settings]]:
     """The settings of each node by its name."""
-    from foretouch.ros.graph import NODES
+    from foretouch.ros.nodes import NODES
 
     return {name: load().config_class for name, load in NODES.items()}
 
@@ -372,7 +372,7 @@ def graph() -> dict[str, Ends]:
     from rclpy.context import Context
     from rclpy.parameter import Parameter
 
-    from foretouch.ros.graph import NODES, node_class
+    from foretouch.ros.nodes import NODES, node_class
 
     found: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
     context = Context()

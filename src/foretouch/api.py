@@ -69,7 +69,7 @@ def reading(message: Any) -> Prediction | Predictions:
         dimension K for K grasps. Values are NaN if there is no prediction, bounds without calibration.
 
     Raises:
-        TactileError: If the number of values is not that of the names.
+        TactileError: If the number of values does not fit the names.
     """
     rows = decode_predictions(message)
     many = hasattr(message, "predictions") or hasattr(message, "statuses")

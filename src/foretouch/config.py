@@ -89,7 +89,7 @@ class SettingInfo:
     type: type  # bool, int, float, str, or a tuple's item type with `is_list`
     default: Any  # default value
     description: str  # one sentence
-    unit: str  # unit of the value, "" if it has none; by default that which its name ends with, as `range_m`
+    unit: str  # unit of the value, "" if it has none; by default the end of its name, such as `range_m`
     minimum: float | None  # inclusive, or None
     maximum: float | None  # inclusive, or None
     choices: Collection[Any]  # allowed values; empty if unrestricted
@@ -108,7 +108,17 @@ def setting(
     choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
-    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments); `bounds` are both limits."""
+    """Declare one field of a `Settings` dataclass.
+
+    Args:
+        default: Value where none is given.
+        description: One line for help, reference and ROS.
+        unit: Unit of the value; by default the end of its name, such as `range_m`.
+        bounds: Least and largest value, both allowed.
+        minimum: Least value, where there is no largest one.
+        choices: The only values that are allowed.
+        read_only: Whether a running node refuses changes.
+    """
     low, high = (minimum, None) if bounds is None else bounds
     limits = {"minimum": low, "maximum": high, "choices": choices, "read_only": read_only}
     return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})
@@ -241,7 +251,7 @@ _INFOS: dict[type, tuple[SettingInfo, ...]] = {}
 
 
 def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
-    """Return the settings of a class without those of its parts, found out once."""
+    """Return the settings of a class without the settings of its groups, found out once."""
     if cls in _INFOS:
         return _INFOS[cls]
     hints = typing.get_type_hints(cls)

@@ -248,13 +248,13 @@ def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
     with open_regular(path) as file, _named(path):
         size = os.fstat(file.fileno()).st_size
         content = b"" if limit is not None and size > limit else file.read() or b""  # None of the kernel's that wait
-    if limit is not None and (size := max(size, len(content))) > limit:  # those of the kernel have no size before
+    if limit is not None and (size := max(size, len(content))) > limit:  # files of the kernel have no size before
         raise FileError(path, f"{size} bytes exceed {limit}", field="size")
     return content
 
 
 def read_json(path: str | Path) -> Any:
-    """Return the document in a JSON file; raises as `read_bytes` and `json_in`."""
+    """Return the document in a JSON file; a `FileError` if it cannot be read, is too large, or is no JSON."""
     return json_in(path, read_bytes(path, TEXT_LIMIT))
 
 

@@ -180,7 +180,7 @@ class Pipeline:
 
     @property
     def model(self) -> TouchModel:
-        """The touch model, loaded once; raises as `load_model`."""
+        """The touch model, loaded once; a `ForetouchError` if it is absent or damaged."""
         if self._model is None:
             self._model = load_model(self.config.model)
         return self._model

@@ -36,7 +36,7 @@ def ray_results(
         workers: Cores of that node.
 
     Yields:
-        The item, its result, and the error in one line: "" if there is none, and then no result.
+        The item, its result, and the error in one line: "" without an error; with one, no result.
 
     Raises:
         MissingDependencyError: If ray is not installed.
@@ -64,7 +64,7 @@ def ray_results(
             while waiting and len(running) < limit:
                 item = waiting.pop()
                 running[task.remote(function, item, __version__)] = item
-            with redirect_stdout(sys.stderr):  # Ray, in a thread of its own, reports nodes that are lost
+            with redirect_stdout(sys.stderr):  # Ray, in its own thread, reports nodes that are lost
                 finished, _ = ray.wait(list(running), num_returns=1, timeout=_LOOK_S)
             if not finished:
                 has_head = False
@@ -87,7 +87,7 @@ def ray_results(
 def outcome(function: Callable[[_Item], Any], item: _Item, version: str = __version__) -> tuple[Any, str]:
     """Return in another process the result and no error, or none and the error in one line.
 
-    `version` is that of the process that asks.
+    `version` is the version of foretouch in the process that asks.
     """
     if version != __version__:
         return None, f"node {socket.gethostname()} has foretouch {__version__}, not {version}"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_builders import record
+from camera_builders import opened, record
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.realsense import RealSenseCamera
@@ -20,11 +20,13 @@ def _playing(path: Path, config: RealSenseConfig) -> RealSenseConfig:
 def test_a_recording_plays_back_bit_for_bit(tmp_path, source, config):
     path = tmp_path / "seen.db3"
     recorded = record(path, source, config, 5)
-    with RealSenseCamera(_playing(path, config)) as camera:
+    with opened(_playing(path, config)) as camera:
         played = {}
-        for cloud in camera:
+        while camera.status.state != "ended":
+            frame = camera.read(0.05)
             time.sleep(0.05)  # a slow reader loses nothing
-            played[cloud.stamp_ns] = cloud
+            if frame is not None:
+                played[frame.stamp_ns] = frame.cloud()
         status = camera.status
     assert status.state == "ended"
     assert status.reason == "the recording has ended"
@@ -39,12 +41,12 @@ def test_a_recording_plays_back_bit_for_bit(tmp_path, source, config):
 
 def test_files_that_cannot_be_played_are_named(tmp_path, config):
     with pytest.raises(FileError, match=r"gone\.db3: no such file"):
-        RealSenseCamera(_playing(tmp_path / "gone.db3", config))
+        RealSenseCamera(_playing(tmp_path / "gone.db3", config), None, print)
     for name in ("bad.db3", "bad.bag"):
         path = tmp_path / name
         path.write_bytes(b"no recording" * 100)
         with (
-            RealSenseCamera(_playing(path, config)) as camera,
+            opened(_playing(path, config)) as camera,
             pytest.raises(FileError, match=rf"{name}: not a RealSense recording"),
         ):
             camera.read(1.0)

@@ -50,4 +50,4 @@ def test_a_refused_stream_leaves_the_device_free(source: SyntheticCamera, config
         assert _next(source, stream) is not None
         stream.close()
         stream.close()
-    assert RealSenseCamera(config, source).status.opened == 0
+    assert RealSenseCamera(config, source, print).status.opened == 0

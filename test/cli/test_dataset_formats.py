@@ -10,25 +10,25 @@ from recording_builders import record, write_dataset
 
 from foretouch.dataset import formats
 from foretouch.dataset.importing import import_samples
-from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.samples import SampleSet
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
+from foretouch.types import Sample
 
 
 def _open(path, unfinished) -> SampleSet:
     files = sorted(path.glob("*.number"))
 
-    def read(k: int) -> SampleRecord:
+    def read(k: int) -> Sample:
         one = record(int(files[k].read_text()))
-        return replace(one, sample=replace(one.sample, id=f"ball/{k + 1:06d}"))
+        return replace(one, id=f"ball/{k + 1:06d}")
 
-    return SampleSet(path=path, kind="numbers", size=len(files), record=read, name=lambda k: str(files[k]))
+    return SampleSet(path=path, kind="numbers", size=len(files), read=read, name=lambda k: str(files[k]))
 
 
 def _export(samples, out, result, progress) -> None:
     out.mkdir()
-    for k, _ in enumerate(samples.records()):
+    for k, _ in enumerate(samples):
         (out / f"{k:03d}.number").write_text(str(k))
         result.samples += 1
         progress()
@@ -52,7 +52,7 @@ def test_a_new_format_is_read_built_exported_imported_and_listed(tmp_path, call)
     (info,) = call("dataset", "info", out, "--json").records
     assert (info["kind"], info["samples"], info["objects"]) == ("numbers", 3, {"ball": 3})
     assert call("dataset", "build", out, "-o", tmp_path / "store", "--json").records[0]["samples"] == 3
-    np.testing.assert_array_equal(Store(tmp_path / "store")[2].cloud.xyz, record(2).sample.cloud.xyz)
+    np.testing.assert_array_equal(Store(tmp_path / "store")[2].cloud.xyz, record(2).cloud.xyz)
     assert import_samples(out, tmp_path / "again").labelled == 3
     source = open_source(out)
     assert source.kind == "samples"

@@ -9,7 +9,7 @@ from every_case import every_case
 from experiment_samples import make_samples
 from recording_builders import IDENTITY, QUICK
 
-from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.grasp.pose import hand_rotation
 from foretouch.models.registry import load_model
@@ -25,7 +25,7 @@ def write_recording(path: Path, counts: tuple[int, ...], identity: Identity = ID
             for sample in samples[k * max(counts) :][:count]:
                 rotation = hand_rotation(sample.grasp.g1, sample.grasp.g2, np.array([0.0, 1.0, 0.0]))
                 sample.grasp.__dict__["rotation"] = rotation
-                writer.append(SampleRecord(sample=sample))
+                writer.append(sample)
 
 
 def test_a_model_of_too_few_grasps_has_a_card_that_says_how_many_are_missing(tmp_path: Path, call) -> None:

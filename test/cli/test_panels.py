@@ -68,7 +68,7 @@ def test_predicted_stands_against_read_whatever_else_there_is() -> None:
     view = View(last=TouchPredictionArray(predictions=[last] * 10))
     view.executed = (last, READINGS)
     view.answers.update({"ok": 123, "no_object": 4})
-    view.reasons.update({"no point above the table stands out": 4})
+    view.count_reason("no point above the table stands out")
     for name in ("camera", "segmentation", "grasp", "touch_predictor", "hand", "markers"):
         values = {"state": "active", "rate_hz": "29.97", "received": "12345", "used": "12333", "dropped.late": "12"}
         values |= {"latency_ms.p50": "12.31", "latency_ms.p95": "145.63"}
@@ -82,13 +82,13 @@ def test_predicted_stands_against_read_whatever_else_there_is() -> None:
     every_case([60, 80], check)
 
 
-def test_reasons_have_their_numbers_or_the_range_of_them() -> None:
+def test_reasons_are_counted_by_kind_and_the_last_of_each_is_shown() -> None:
     view = View()
     for reason in ("12 mm wide, less than 20", "16.1 mm wide, less than 20"):
         view.count_reason(reason)
     view.count_reason("no point #")
     text = printed(live_panel(view, "title"))
-    assert "2 x 12 to 16.1 mm wide, less than 20" in text
+    assert "2 x last: 16.1 mm wide, less than 20" in text
     assert "1 x no point #" in text
 
 

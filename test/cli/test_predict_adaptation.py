@@ -44,10 +44,9 @@ def write_touches(path: Path, levels: Sequence[float], drift: float | None, **la
         for number, level in enumerate(levels):
             one = record(label.get("first", 0) + number, points=300)
             tare = None if drift is None else biotac_touch(REST + drift * number)
-            stamp_ns = one.sample.stamp_ns - label.get("before_ns", 0)
-            changes = {"object": label.get("object", one.sample.object), "stamp_ns": stamp_ns}
-            sample = replace(one.sample, touch=biotac_touch(REST + level), tare=tare, **changes)
-            writer.append(replace(one, sample=sample))
+            stamp_ns = one.stamp_ns - label.get("before_ns", 0)
+            changes = {"object": label.get("object", one.object), "stamp_ns": stamp_ns}
+            writer.append(replace(one, touch=biotac_touch(REST + level), tare=tare, **changes))
     return path
 
 
@@ -65,7 +64,7 @@ def earlier(tmp_path_factory) -> Path:
 
 
 def samples_of(path: Path) -> list[Sample]:
-    return sorted((one.sample for one in open_samples(path).records()), key=lambda sample: sample.stamp_ns)
+    return sorted(open_samples(path), key=lambda sample: sample.stamp_ns)
 
 
 def hand_after(model: TouchModel, path: Path) -> History:
@@ -216,7 +215,7 @@ def test_no_reading_of_the_future_is_used_and_never_its_own(call, model, tracked
     assert readings == [2 * k for k in range(5)] or readings == [k + 1 if k else 0 for k in range(5)]
     assert flat(alone[0]["predictions"][0], "value") == flat(adapted[0]["predictions"][0], "value")
     with RecordingWriter(tmp_path / "one", IDENTITY, QUICK) as writer:
-        writer.append(next(iter(open_samples(session).records())))
+        writer.append(next(iter(open_samples(session))))
     words = ("predict", tmp_path / "one", "--model", model, "--json")
     (alone,), (adapted,) = (call(*words, *more).records for more in ((), ("--touched", tmp_path / "one")))
     assert adapted["predictions"] == alone["predictions"]

@@ -18,12 +18,11 @@ from PIL import Image
 from recording_builders import IDENTITY, QUICK, record, write_grasps
 
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import BIOTAC_SP
-from foretouch.types import Cloud, Prediction, Touch
+from foretouch.types import Cloud, Prediction, Sample, Touch
 
 LAYER_M = 0.0014
 
@@ -69,8 +68,8 @@ def view(call, tmp_path) -> Callable[..., Written]:
     return run
 
 
-def records_of(path: Path) -> list[SampleRecord]:
-    return list(open_samples(path).records())
+def records_of(path: Path) -> list[Sample]:
+    return list(open_samples(path))
 
 
 def test_predictions_are_those_of_predict_and_readings_are_beside_them_by_one_scale(call, view, recording) -> None:
@@ -80,11 +79,11 @@ def test_predictions_are_those_of_predict_and_readings_are_beside_them_by_one_sc
     for curve, key in (("predicted", "value"), ("lower", "lower"), ("upper", "upper")):
         for name in ("PDC_TH", "E_MF"):
             drawn = written.rows(f"/touch/{name}/{curve}", "Scalars:scalars")
-            expected = [np.mean(answers[one.sample.id][name][key]) for one in records]
+            expected = [np.mean(answers[one.id][name][key]) for one in records]
             np.testing.assert_allclose([drawn[k][0] for k in range(7)], expected)
     times = written.rows("/touch/PDC_TH/predicted", "Scalars:scalars", "time")
-    assert list(times) == [one.sample.stamp_ns for one in records]
-    touches = {k: one.sample.touch for k, one in enumerate(records)}
+    assert list(times) == [one.stamp_ns for one in records]
+    touches = {k: one.touch for k, one in enumerate(records)}
     drawn = written.rows("/touch/PDC_TH/read", "Scalars:scalars")
     assert drawn == {k: [touch["PDC_TH"][0]] for k, touch in touches.items() if touch is not None}
     colours: dict[str, set[int]] = {}
@@ -105,7 +104,7 @@ def test_predictions_are_those_of_predict_and_readings_are_beside_them_by_one_sc
 
 
 def test_cloud_hand_and_fingertips_are_where_they_are(view, recording) -> None:
-    written, first = view(recording, "--count", 1), records_of(recording)[0].sample
+    written, first = view(recording, "--count", 1), records_of(recording)[0]
 
     def pose(path: str) -> tuple[np.ndarray, np.ndarray]:
         (translation,) = written.rows(path, "Transform3D:translation")[0]
@@ -181,7 +180,7 @@ def test_the_viewer_sends_no_statistics_and_listens_on_this_machine_alone() -> N
 
 
 def test_a_sensor_of_any_layout_is_on_its_pad_and_its_dead_taxels_are_grey(recording, tmp_path) -> None:
-    grasp, sensor = records_of(recording)[0].sample.grasp, sensor_with_dead("xela_uskin_4x4", 1)
+    grasp, sensor = records_of(recording)[0].grasp, sensor_with_dead("xela_uskin_4x4", 1)
     rest = Touch(np.where(sensor.channels.tared, 1000.0, 0.0), sensor.channels)
     values = rest.values.copy()
     values[sensor.taxel_columns[:, 7, -1]] += 20.0
@@ -202,9 +201,7 @@ def test_readings_without_a_camera_are_steps_of_their_own(view, recording) -> No
     path = recording.with_name("no_camera")
     with RecordingWriter(path, IDENTITY, QUICK) as writer:
         for number in range(2):
-            made = record(number)
-            empty = replace(made.sample, cloud=Cloud(np.empty((0, 3), np.float32)))
-            writer.append(replace(made, sample=empty))
+            writer.append(replace(record(number), cloud=Cloud(np.empty((0, 3), np.float32))))
     written = view(path)
     assert len(written.rows("/taxels/TH/read", "Points2D:colors")) == 12
     assert not written.rows("/scene/cloud", "Points3D:positions")

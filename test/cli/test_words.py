@@ -179,7 +179,7 @@ ACCEPTED = (
 def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -> None:
     pytest.importorskip("rclpy")
     from foretouch.errors import ConfigError
-    from foretouch.ros.graph import NODES as KNOWN
+    from foretouch.ros.nodes import NODES as KNOWN
     from foretouch.ros.runtime.parameter_files import check_parameters
 
     path = tmp_path / "robot.yaml"
@@ -209,7 +209,7 @@ def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -
 def test_parameters_of_single_steps_are_refused_by_perception(tmp_path) -> None:
     pytest.importorskip("rclpy")
     from foretouch.errors import ConfigError
-    from foretouch.ros.graph import NODES as KNOWN
+    from foretouch.ros.nodes import NODES as KNOWN
     from foretouch.ros.runtime.parameter_files import check_parameters
 
     path = tmp_path / "old.yaml"

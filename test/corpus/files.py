@@ -26,7 +26,6 @@ from foretouch.dataset.editing import drop, undo
 from foretouch.dataset.files import sealed
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import import_samples
-from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
@@ -170,8 +169,8 @@ def _compressed_pcd(folder: Path) -> Path:
 def _samples(path: Path) -> str:
     """The digest of all values of every sample of a dataset, in order."""
     digest = hashlib.sha256()
-    for one in open_samples(path).records(discarded=True):
-        digest.update(sample_digest(one.sample))
+    for one in open_samples(path).with_discarded():
+        digest.update(sample_digest(one))
         digest.update(repr((one.outcome, one.flags, one.contact_ns)).encode())
     return digest.hexdigest()
 
@@ -187,7 +186,7 @@ def _described_recording(folder: Path) -> Path:
     for session in range(2):
         with RecordingWriter(folder / "recording", IDENTITY, QUICK, sensor=USKIN) as writer:
             for sample in readings(make_samples(1, 2, session), USKIN.channels, session):
-                writer.append(SampleRecord(sample=replace(sample, id="", object="ball")))
+                writer.append(replace(sample, id="", object="ball"))
     drop(folder / "recording", ["ball/000001"])
     return folder / "recording"
 
@@ -217,7 +216,7 @@ def _bag(path: Path) -> str:
 def _store(folder: Path) -> Path:
     with StoreWriter(folder / "store", {"scene": "x"}) as writer:
         for k in range(5):
-            writer.write(replace(only_finite(record(k).sample), id=f"ball/{k}"))
+            writer.write(replace(only_finite(record(k)), id=f"ball/{k}"))
         writer.attach("splits.json", json.dumps({"schema_version": 1, "splits": {}}))
     return folder / "store"
 

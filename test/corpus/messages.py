@@ -19,6 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane
 
 from foretouch import reading
+from foretouch.cloud.messages import decode_cloud
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ForetouchError
@@ -28,9 +29,9 @@ from foretouch.models.history_keeper import HistoryKeeper
 from foretouch.pipeline import Object, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
-from foretouch.ros.messages.requests import RequestedGrasps, Targets, read_cloud, read_plane, read_targets
+from foretouch.ros.messages.requests import RequestedGrasps, Targets, read_plane, read_targets
+from foretouch.ros.nodes.perception import TouchPredictorConfig
 from foretouch.ros.nodes.recorder import _decode_label
-from foretouch.ros.nodes.single_steps import TouchPredictorConfig
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.predictor import Predictor
@@ -133,7 +134,7 @@ def clouds() -> Reader:
     pipeline, numbers = Pipeline(PipelineConfig()), count()
 
     def read(message: Any) -> None:
-        cloud = read_cloud(message)
+        cloud = decode_cloud(message)
         place_and_size(cloud)
         if next(numbers) % 10:
             return

@@ -16,20 +16,20 @@ from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder,
 from foretouch.dataset.formats import FORMATS, export_samples, open_samples
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
-from foretouch.dataset.record import DISCARDED, SampleRecord
 from foretouch.dataset.recording.sample_codec import encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError
+from foretouch.types import DISCARDED, Sample
 from foretouch_lab.dataset.store_writer import StoreWriter, build_store
 
 NS = 1_000_000_000
 
 
-def records(path: Path) -> list[SampleRecord]:
-    return list(open_samples(path).records(discarded=True))
+def records(path: Path) -> list[Sample]:
+    return list(open_samples(path).with_discarded())
 
 
 @pytest.fixture
@@ -47,8 +47,8 @@ def test_a_store_holds_what_was_recorded(dataset: Path, tmp_path: Path) -> None:
     assert content_sha256(store) == store.sha256
     assert store.sha256 == result.sha256
     for stored, made in zip(store, records(dataset), strict=True):
-        assert stored.id == made.sample.id
-        assert_same_sample(stored, made.sample)
+        assert stored.id == made.id
+        assert_same_sample(stored, made)
     assert [(f.id, f.object, f.labelled) for f in result.samples][-1] == ("sponge/000004", "sponge", False)
     assert store.manifest["about"]["hand"] == IDENTITY.hand
     assert (tmp_path / "store" / "note.txt").read_text() == "4\n"
@@ -81,7 +81,7 @@ def test_sessions_of_one_object_in_several_datasets_are_numbered_on(tmp_path: Pa
     store = Store(tmp_path / "store")
     assert [sample.id for sample in store] == [f"ball/{number:06d}" for number in range(1, 7)]
     for stored, made in zip(store, [one for day in days for one in records(day)], strict=True):
-        assert_same_sample(stored, replace(made.sample, id=stored.id))
+        assert_same_sample(stored, replace(made, id=stored.id))
     assert result.renumbered == 4
     assert [source.get("renumbered") for source in store.manifest["about"]["sources"]] == [
         None,
@@ -121,7 +121,7 @@ def test_info_counts_and_discarded_samples_are_left_out(dataset: Path, tmp_path:
     assert info["flags"] == {"arrival_stamped": 3, DISCARDED: 1}
     assert info["pairing_ms"] == [4, 0, 0, 0, 0, 0]
     assert info["points"] == (30, 30, 30)
-    vectors = [r.sample.touch.values for r in records(dataset) if r.sample.touch is not None]
+    vectors = [r.touch.values for r in records(dataset) if r.touch is not None]
     assert info["ranges"]["E_MF"] == (min(v[26:].min() for v in vectors), max(v[26:].max() for v in vectors))
     assert (info["first_ns"], info["last_ns"]) == (1_700_000_001 * NS, 1_700_000_022 * NS)
     result = build_store([dataset], tmp_path / "store")
@@ -143,9 +143,9 @@ def test_every_export_imported_again_is_equal(dataset: Path, tmp_path: Path) -> 
             return
         for made, back in zip(map(record, range(3)), again, strict=True):
             for part in ("cloud.xyz", "cloud.rgb", "grasp.g1", "grasp.g2"):
-                np.testing.assert_array_equal(attrgetter(part)(back.sample), attrgetter(part)(made.sample))
-            np.testing.assert_array_equal(back.sample.touch.values, made.sample.touch.values)
-            assert back.sample.extra["TDC_TH"] == 2100.5
+                np.testing.assert_array_equal(attrgetter(part)(back), attrgetter(part)(made))
+            np.testing.assert_array_equal(back.touch.values, made.touch.values)
+            assert back.extra["TDC_TH"] == 2100.5
 
     every_case([entry.name for entry in FORMATS if entry.exported], check)
 
@@ -161,7 +161,7 @@ def test_archives_that_are_no_samples_are_refused_by_file_and_field(dataset: Pat
         arrays = {name: value for name, value in (good | changes).items() if value is not None}
         np.savez(folder / "ball" / "000001.npz", **arrays)
         with pytest.raises(FileError, match=rule):
-            open_samples(folder).record(0)
+            open_samples(folder).read(0)
 
     assert len(open_samples(tmp_path / "good")) == 4
     every_case(
@@ -191,7 +191,7 @@ def test_nothing_is_overwritten_and_names_that_lead_elsewhere_are_not_exported(d
     before = sorted(tmp_path.rglob("*"))
     for name, label in (("../x", ".."), ("ball/../../x", "ball"), ("/etc/x", "")):  # of a store of another program
         with StoreWriter(tmp_path / "store") as writer:
-            writer.write(replace(record(0).sample, id=name, object=label))
+            writer.write(replace(record(0), id=name, object=label))
         for kind in ("npz", "vision2tactile"):
             with pytest.raises(DatasetError, match=r"^(id|object): .* is "):
                 export_samples(tmp_path / "store", tmp_path / "out" / "here", kind)

@@ -18,7 +18,6 @@ from foretouch.dataset.bag import Recording
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
 from foretouch.dataset.info import describe
-from foretouch.dataset.record import SampleRecord, readings
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, encode_sample
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
@@ -27,6 +26,7 @@ from foretouch.dataset.store import Store, content_sha256
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.description import load_sensor, packaged_sensor
 from foretouch.tactile.messages.table import TactileConfig
+from foretouch.types import Sample
 from foretouch_lab.dataset.store_writer import build_store
 
 NAME = "xela_uskin_4x4"
@@ -46,8 +46,8 @@ def as_touch(level: int) -> np.ndarray:
     return xela_counts(level).transpose(2, 0, 1).ravel()
 
 
-def labelled(samples: SampleSet) -> SampleRecord:
-    (found,) = (record for record in samples.records() if record.sample.touch is not None)
+def labelled(samples: SampleSet) -> Sample:
+    (found,) = (sample for sample in samples if sample.touch is not None)
     return found
 
 
@@ -64,9 +64,9 @@ def test_its_touch_has_all_values_by_channel_and_finger_and_the_recording_names_
     assert (result.samples, result.labelled, sum(result.left_out.values())) == (2, 1, 0)
     assert (samples.sensor.config.name, samples.sensor.sha256) == (NAME, packaged_sensor(NAME).sha256)
     one = labelled(samples)
-    assert one.sample.touch.channels.modalities == ("X_TH", "X_FF", "Y_TH", "Y_FF", "Z_TH", "Z_FF")
-    np.testing.assert_array_equal(one.sample.touch.values, as_touch(100))
-    np.testing.assert_array_equal(one.sample.tare.values, as_touch(0))
+    assert one.touch.channels.modalities == ("X_TH", "X_FF", "Y_TH", "Y_FF", "Z_TH", "Z_FF")
+    np.testing.assert_array_equal(one.touch.values, as_touch(100))
+    np.testing.assert_array_equal(one.tare.values, as_touch(0))
     assert (one.series.counts.shape[1], one.flags, one.contact_ns) == (96, ("frozen_TH", "frozen_FF"), AT)
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
     info = describe(tmp_path / "ds")
@@ -106,7 +106,7 @@ def test_taxels_that_fail_are_replaced_and_counted_and_half_of_them_are_no_finge
     fingers = packaged_sensor(NAME).to_mapping()["fingers"]
     path = described(tmp_path, fingers=[{**fingers[0], "dead": [0, 5]}, fingers[1]])
     result, samples = imported(tmp_path / "dead", sensor=path)
-    expected, z = xela_counts(100)[0, :, 2].astype(float), labelled(samples).sample.touch["Z_TH"]
+    expected, z = xela_counts(100)[0, :, 2].astype(float), labelled(samples).touch["Z_TH"]
     expected[[0, 5]] = expected[[1, 4]].mean(), expected[[1, 4, 6, 9]].mean()
     np.testing.assert_array_equal(z, expected)
     assert +result.left_out == {"taxels_dead": 1000}
@@ -144,11 +144,11 @@ def test_what_is_not_of_the_sensor_is_refused_or_counted_by_name(tmp_path: Path)
     one = labelled(open_samples(tmp_path / "ds"))
     with RecordingWriter(tmp_path / "biotac_ds", IDENTITY, QUICK) as writer:
         with pytest.raises(TactileError, match="touch: is of xela_uskin_4x4"):
-            writer.append(replace(one, sample=replace(one.sample, id="")))
-        writer.append(replace(one, sample=replace(one.sample, id="", touch=None, tare=None), series=None))
+            writer.append(replace(one, id=""))
+        writer.append(replace(one, id="", touch=None, tare=None, series=None))
     with pytest.raises(DatasetError, match=r"series: 96 values, not 50"):
-        encode_sample(replace(one, sample=replace(one.sample, touch=None, tare=None)), IDENTITY)
-    assert readings(one) is one.series
+        encode_sample(replace(one, touch=None, tare=None), IDENTITY)
+    assert one.readings is one.series
 
 
 def one_finger(at_ns: int, level: int) -> tuple[str, Any]:

@@ -14,43 +14,42 @@ from topic_builders import NS, TURNED, Faults, write_topics
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.importing import BagTopics, WriteResult, import_samples
-from foretouch.dataset.record import SampleRecord
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.errors import FileError
 from foretouch.tactile.messages.table import TactileConfig
-from foretouch.types import Cloud
+from foretouch.types import Cloud, Sample
 from foretouch_lab.simulation.depth_scene import random_scene
 
 
-def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[WriteResult, list[SampleRecord]]:
+def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[WriteResult, list[Sample]]:
     write_topics(tmp_path / "bag", faults)
     result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(**topics))
-    return result, list(open_samples(tmp_path / "ds").records(discarded=True))
+    return result, list(open_samples(tmp_path / "ds").with_discarded())
 
 
 def test_named_topics_become_samples_by_id_and_header_stamps_also_of_a_replay(tmp_path: Path) -> None:
     result, (touched, other) = imported(tmp_path, Faults(), object="sponge")
     assert (result.samples, result.labelled) == (2, 1)
-    assert touched.sample.grasp.id == "a"
+    assert touched.grasp.id == "a"
     assert [grasp.id for grasp in touched.candidates] == ["b"]
-    assert (touched.outcome, touched.sample.object) == ("success", "sponge")
-    np.testing.assert_array_equal(touched.sample.touch["E_TH"], np.arange(24) + 2900)
-    np.testing.assert_array_equal(touched.sample.tare["E_MF"], np.arange(24) + 3000)
-    assert touched.sample.touch["PDC_MF"][0] == 1800
+    assert (touched.outcome, touched.object) == ("success", "sponge")
+    np.testing.assert_array_equal(touched.touch["E_TH"], np.arange(24) + 2900)
+    np.testing.assert_array_equal(touched.tare["E_MF"], np.arange(24) + 3000)
+    assert touched.touch["PDC_MF"][0] == 1800
     assert touched.pairing_error_ns <= NS // 100
     assert touched.contact_ns == 1_700_000_003 * NS
     assert touched.series.others.keys() == {f"{c}_{f}" for c in ("PAC0", "PAC1", "TAC", "TDC") for f in ("TH", "MF")}
-    assert (touched.sample.cloud.xyz == 1).all()
-    assert other.sample.touch is None
-    assert other.sample.grasp.id == "c"
+    assert (touched.cloud.xyz == 1).all()
+    assert other.touch is None
+    assert other.grasp.id == "c"
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
     # Its grasps hold nine zeros as matrix, and are read from their quaternions.
     faults = Faults(ago_ns=86_400 * NS, late_ns=NS // 2, matrix=np.zeros((3, 3)))
     result, samples = imported(tmp_path / "replay", faults)
     assert (result.samples, result.labelled) == (2, 1)
-    assert samples[0].sample.extra["clock_offset_s"] == 0.0
+    assert samples[0].extra["clock_offset_s"] == 0.0
     for sample in samples:
-        np.testing.assert_array_equal(sample.sample.grasp.rotation, TURNED)
+        np.testing.assert_array_equal(sample.grasp.rotation, TURNED)
 
 
 def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -> None:
@@ -61,7 +60,7 @@ def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -
         if reason == "no_tactile":
             assert result.left_out["unreadable /rh/tactile"] == 500
         if reason == "pairing_error":  # a cloud whose grasp was rejected becomes a sample without a touch
-            assert [sample.sample.grasp.id for sample in samples] == ["a", "c"]
+            assert [sample.grasp.id for sample in samples] == ["a", "c"]
 
     cases = [
         ("pairing_error", Faults(hole=True)),
@@ -76,7 +75,7 @@ def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path) -
 
 def test_topics_are_checked_and_fingers_chosen_by_their_names(tmp_path: Path) -> None:
     result, (touched, _) = imported(tmp_path, Faults(), tactile_config=TactileConfig(thumb="FF", middle="RF"))
-    assert (result.labelled, touched.sample.touch is None) == (1, False)  # all fingers read the same
+    assert (result.labelled, touched.touch is None) == (1, False)  # all fingers read the same
     supported = r"/foretouch/grasps: holds foretouch_msgs/GraspArray; supported: foretouch_msgs/BiotacAll, sr_robot"
     for topics, rule in (
         (BagTopics(clouds="/nowhere"), "/nowhere: no such topic; known: /foretouch/executed_grasp"),
@@ -109,5 +108,5 @@ def test_depth_images_are_segmented_and_the_object_of_a_grasp_is_the_nearest(tmp
     assert len(objects) == 3
     middle = np.array([0.0, 0.0, 1.0])  # of the contacts
     nearest = min(objects, key=lambda one: float(np.linalg.norm(one.cloud.xyz - middle, axis=1).min()))
-    for record in open_samples(tmp_path / "ds").records(discarded=True):
-        np.testing.assert_array_equal(record.sample.cloud.xyz, nearest.cloud.xyz)
+    for sample in open_samples(tmp_path / "ds").with_discarded():
+        np.testing.assert_array_equal(sample.cloud.xyz, nearest.cloud.xyz)

@@ -21,11 +21,10 @@ from recording_builders import IDENTITY, QUICK, record
 
 from foretouch.dataset.formats import export_samples, open_samples
 from foretouch.dataset.lerobot import recognise
-from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import BIOTAC_SP, finger_label
-from foretouch.types import Cloud
+from foretouch.types import DISCARDED, Cloud
 
 OWN = ["timestamp", "frame_index", "episode_index", "index", "task_index", "stamp_ns"]
 
@@ -40,7 +39,7 @@ def exported(tmp_path: Path) -> Path:
         writer.append(replace(with_all_channels(5, "cup"), flags=(DISCARDED,)))
         hollow = with_all_channels(6, "cup")
         unseen = Cloud(np.full((3, 3), np.nan, np.float32))
-        writer.append(replace(hollow, sample=replace(hollow.sample, cloud=unseen)))
+        writer.append(replace(hollow, cloud=unseen))
     result = export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
     assert (result.samples, dict(result.left_out)) == (4, {"unlabelled": 1, "discarded": 1, "no points": 1})
     return tmp_path / "out"
@@ -59,7 +58,7 @@ def expected_frames() -> dict[str, np.ndarray]:
     made = [with_all_channels(number, name) for number, name in enumerate(("ball", "ball", "cup", "ball"))]
     rows: dict[str, list[np.ndarray]] = {}
     for number, one in enumerate(made):
-        counts, sample = one.series.counts, one.sample
+        counts, sample = one.series.counts, one
         cloud = sample.cloud.xyz[[k * len(sample.cloud.xyz) // 1024 for k in range(1024)]]
         own = {
             "observation.tactile.thumb": np.c_[counts[:, 0], counts[:, 2:26], one.series.others["TDC_TH"]],
@@ -154,7 +153,7 @@ def test_each_channel_states_where_its_taxels_are_and_what_they_mean(exported: P
     assert (features[name]["shape"], features[name]["info"]["axes"]) == ([16, 3], ["X", "Y", "Z"])
     assert np.flatnonzero(~np.array(features[name]["info"]["valid"])).tolist() == [3]
     frame = pq.read_table(tmp_path / "uskin/data/chunk-000/file-000.parquet").to_pylist()[0]
-    sample = next(open_samples(store).records()).sample
+    sample = next(iter(open_samples(store)))
     assert sample.touch is not None
     expected = np.stack([sample.touch[f"{axis}_{first}"] for axis in "XYZ"], axis=1)
     np.testing.assert_array_equal(frame[name], expected.astype(np.float32))
@@ -193,9 +192,7 @@ def test_at_the_rate_of_a_camera_a_frame_has_the_newest_readings_and_their_stamp
     assert fast == stamps[latest].tolist()
     with pytest.raises(ConfigError, match="fps: 2000 exceeds 10 times the rate of the readings"):
         export_samples(tmp_path / "ds", tmp_path / "faster", "lerobot", fps=2000)
-    for one, other in zip(
-        open_samples(tmp_path / "out").records(), open_samples(tmp_path / "ds").records(), strict=True
-    ):
+    for one, other in zip(open_samples(tmp_path / "out"), open_samples(tmp_path / "ds"), strict=True):
         assert one.series is not None
         assert other.series is not None
         np.testing.assert_array_equal(one.series.counts, other.series.counts)
@@ -210,7 +207,7 @@ def test_clouds_that_are_images_are_depth_maps_in_millimetres_with_their_intrins
     with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
         for number in range(2):
             made = record(number)
-            writer.append(replace(made, sample=replace(made.sample, cloud=Cloud(xyz))))
+            writer.append(replace(made, cloud=Cloud(xyz)))
     export_samples(tmp_path / "ds", tmp_path / "out", "lerobot")
     feature = json.loads((tmp_path / "out/meta/info.json").read_text())["features"]["observation.images.depth"]
     assert (feature["dtype"], feature["shape"]) == ("image", [12, 16, 1])
@@ -262,7 +259,7 @@ def test_the_newest_lerobot_reads_equal_frames_windows_and_depth(exported: Path,
     row, column = np.indices((8, 10))
     xyz = np.dstack([(column - 4.5) / 600.0, (row - 3.5) / 600.0, np.ones((8, 10))]).astype(np.float32)
     with RecordingWriter(tmp_path / "images", IDENTITY, QUICK) as writer:
-        writer.append(replace(record(0), sample=replace(record(0).sample, cloud=Cloud(xyz))))
+        writer.append(replace(record(0), cloud=Cloud(xyz)))
     export_samples(tmp_path / "images", tmp_path / "depth", "lerobot", fps=40_000_000)
     _, found = read_by_lerobot(tmp_path / "depth", tmp_path)
     stored = pq.read_table(tmp_path / "depth/data/chunk-000/file-000.parquet").to_pylist()

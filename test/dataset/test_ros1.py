@@ -14,8 +14,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from topic_builders import write_topics
 
 from foretouch.dataset.formats import open_samples
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.importing import import_samples
-from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.sample_codec import encode_sample
 
 PACKAGE = Path(__file__).parents[2] / "foretouch_msgs"
@@ -92,6 +92,6 @@ def test_a_bag_of_noetic_gives_the_samples_of_the_same_bag_of_ros_2(tmp_path: Pa
     for name in ("bag", "noetic.bag"):
         result = import_samples(tmp_path / name, tmp_path / f"{name} imported", identity=IDENTITY)
         assert (result.samples, result.labelled) == (2, 1)
-        records = open_samples(tmp_path / f"{name} imported").records()
+        records = open_samples(tmp_path / f"{name} imported")
         samples.append([encode_sample(record, IDENTITY) for record in records])
     assert samples[0] == samples[1]

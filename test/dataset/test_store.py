@@ -26,7 +26,7 @@ from foretouch_lab.dataset.store_writer import StoreWriter
 
 
 def sample(k: int, points: int = 40, *, labelled: bool = True, colour: bool = False) -> Sample:
-    made = record(k, "can", points).sample
+    made = record(k, "can", points)
     cloud = made.cloud if colour else replace(made.cloud, rgb=None)
     rotation = np.linalg.qr(np.random.default_rng(k).standard_normal((3, 3)))[0]
     grasp = replace(made.grasp, rotation=rotation, score=math.nan if k == 1 else float(k))

@@ -19,8 +19,8 @@ import foretouch as ft
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.grasp_arrays import stamp_faults
 from foretouch.dataset.importing import import_samples
-from foretouch.dataset.record import HOLD, REST, SampleRecord, readings
 from foretouch.errors import DatasetError, FileError
+from foretouch.types import HOLD, REST, Sample
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SENSOR: dict[str, Any] = {
@@ -54,9 +54,9 @@ def grasp(rows: Any = None, **changes: Any) -> dict[str, Any]:
     return given | stamps | changes
 
 
-def written(path: Path, sensor: Path, *samples: Any, **options: Any) -> list[SampleRecord]:
+def written(path: Path, sensor: Path, *samples: Any, **options: Any) -> list[Sample]:
     ft.write(path, samples, sensor, **options)
-    return list(open_samples(path).records())
+    return list(open_samples(path))
 
 
 def test_arrays_become_a_sample_whose_values_equal_them(tmp_path: Path, pads: Path) -> None:
@@ -64,7 +64,7 @@ def test_arrays_become_a_sample_whose_values_equal_them(tmp_path: Path, pads: Pa
     (record,) = written(
         tmp_path / "ds", pads, grasp(rows, outcome=True, others={"angle": np.arange(100) / 8}, note="file")
     )
-    assert (record.sample.id, record.outcome, record.note, record.flags) == ("mug/7", "success", "file", ())
+    assert (record.id, record.outcome, record.note, record.flags) == ("mug/7", "success", "file", ())
     assert record.series is not None
     assert_array_equal(record.series.counts, rows)
     assert_array_equal(record.series.others["angle"], np.arange(100) / 8)
@@ -73,10 +73,10 @@ def test_arrays_become_a_sample_whose_values_equal_them(tmp_path: Path, pads: Pa
     assert record.contact_ns == record.series.stamps_ns[40]  # the first reading with contact
     assert set(np.flatnonzero(record.series.phases == HOLD)) == set(range(70, 100))  # 0.3 s later
     assert_array_equal(np.flatnonzero(record.series.phases == REST), np.arange(20))
-    assert record.sample.touch is not None
-    assert record.sample.tare is not None
-    assert_array_equal(record.sample.touch.values, np.median(rows[70:], axis=0))
-    assert_array_equal(record.sample.tare.values, np.median(rows[:20], axis=0))
+    assert record.touch is not None
+    assert record.tare is not None
+    assert_array_equal(record.touch.values, np.median(rows[70:], axis=0))
+    assert_array_equal(record.tare.values, np.median(rows[:20], axis=0))
 
 
 def test_a_dataset_is_written_as_it_is_and_one_reading_is_the_touch(tmp_path: Path, pads: Path) -> None:
@@ -89,14 +89,14 @@ def test_a_dataset_is_written_as_it_is_and_one_reading_is_the_touch(tmp_path: Pa
     }
     first = written(tmp_path / "a", pads, grasp(), single)
     result = ft.write(tmp_path / "b", open_samples(tmp_path / "a"))
-    again = list(open_samples(tmp_path / "b").records())
+    again = list(open_samples(tmp_path / "b"))
     assert (result.samples, result.labelled, result.readings) == (2, 2, 101)
-    assert [one.sample.id for one in again] == [one.sample.id for one in first] == ["mug/7", "mug/000001"]
+    assert [one.id for one in again] == [one.id for one in first] == ["mug/7", "mug/000001"]
     for one, other in zip(first, again, strict=True):
-        assert_array_equal(one.sample.touch.values, other.sample.touch.values)
-        assert (one.outcome, one.contact_ns, one.sample.extra) == (other.outcome, other.contact_ns, other.sample.extra)
-    assert_array_equal(first[1].sample.touch.values, row)
-    assert (first[1].sample.extra, first[1].series) == ({"angle": 0.5}, None)
+        assert_array_equal(one.touch.values, other.touch.values)
+        assert (one.outcome, one.contact_ns, one.extra) == (other.outcome, other.contact_ns, other.extra)
+    assert_array_equal(first[1].touch.values, row)
+    assert (first[1].extra, first[1].series) == ({"angle": 0.5}, None)
 
 
 STAMPS: dict[str, tuple[Any, str]] = {  # a hundred readings at 100 Hz as others store them
@@ -154,7 +154,7 @@ def test_equal_stamps_gaps_and_another_rate_are_flagged_and_named(tmp_path: Path
 def test_no_contact_is_named(tmp_path: Path, pads: Path) -> None:
     with pytest.warns(UserWarning, match="no_contact: 1 samples, first mug/7: none found after 20 readings"):
         (record,) = written(tmp_path / "ds", pads, grasp(pressed(contact=100)))
-    assert record.sample.touch is None
+    assert record.touch is None
 
 
 def test_missing_numbers_are_refused_held_or_masked_by_setting(tmp_path: Path, pads: Path) -> None:
@@ -174,14 +174,14 @@ def test_missing_numbers_are_refused_held_or_masked_by_setting(tmp_path: Path, p
     assert_array_equal(masked.series.counts, expected)
     assert held.flags == masked.flags == ("missing_numbers",)
     for one in (held, masked):
-        assert_array_equal(one.sample.touch.values, np.nanmedian(one.series.counts[70:].astype(float), axis=0))
+        assert_array_equal(one.touch.values, np.nanmedian(one.series.counts[70:].astype(float), axis=0))
     gone = rows.copy()
     gone[:, 4] = np.nan
     with pytest.raises(DatasetError, match=r"P_B\[1\] .* in all readings: leave it out, or declare the taxel dead"):
         ft.write(tmp_path / "d", [grasp(gone)], pads, missing="hold")
     with pytest.warns(UserWarning, match=r"missing_numbers \(mask\): 1 samples, first mug/7: 100"):
         (masked,) = written(tmp_path / "d", pads, grasp(gone), missing="mask")
-    assert np.isnan(masked.sample.touch.values).tolist() == [False] * 4 + [True, False]
+    assert np.isnan(masked.touch.values).tolist() == [False] * 4 + [True, False]
     with pytest.raises(DatasetError, match=r"others: angle of reading 3 .*only taxels can be masked"):
         ft.write(
             tmp_path / "e", [grasp(others={"angle": np.where(np.arange(100) == 3, np.nan, 1.0)})], pads, missing="mask"
@@ -298,10 +298,10 @@ def test_a_source_that_is_not_imported_names_what_reads_it(tmp_path: Path, file:
         import_samples(tmp_path / "source", tmp_path / "ds")
 
 
-def run_example(name: str, source: Path, out: Path, monkeypatch: Any) -> list[SampleRecord]:
+def run_example(name: str, source: Path, out: Path, monkeypatch: Any) -> list[Sample]:
     monkeypatch.setattr(sys, "argv", [name, str(source), str(out)])
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
-    return list(open_samples(out).records())
+    return list(open_samples(out))
 
 
 def test_examples_are_short() -> None:
@@ -321,7 +321,7 @@ def test_the_example_of_a_gripper_reads_a_folder_of_it(
     (folder / "gripper_tactor_tactor_data.csv").write_text("\n".join(lines))
     (folder / "grasp_outcome.txt").write_text("SUCCESS\n")
     (record,) = run_example("import_osu_grasps", tmp_path, tmp_path / "ds", monkeypatch)
-    assert (record.sample.id, record.outcome) == ("cube large soft/1600000000.5", "success")
+    assert (record.id, record.outcome) == ("cube large soft/1600000000.5", "success")
     assert_array_equal(record.series.counts, rows)
     assert record.series.stamps_ns[[0, 1]].tolist() == [1_600_000_000_500_000_000, 1_600_000_000_550_000_000]
     assert record.contact_ns == 1_600_000_005_500_000_000
@@ -334,9 +334,7 @@ def test_the_example_of_lerobot_reads_what_the_export_writes(tmp_path: Path, mon
 
     write_grasps(tmp_path / "recording")
     export_samples(tmp_path / "recording", tmp_path / "exported", "lerobot")
-    wanted = [
-        readings(record) for record in open_samples(tmp_path / "exported").records() if record.sample.touch is not None
-    ]
+    wanted = [record.readings for record in open_samples(tmp_path / "exported") if record.touch is not None]
     found = run_example("import_lerobot", tmp_path / "exported", tmp_path / "ds", monkeypatch)
     assert wanted
     for one, other in zip(wanted, found, strict=True):
@@ -364,7 +362,7 @@ def test_the_public_recordings_are_written_whole(tmp_path: Path, folder: str, mo
     )
     total = np.zeros(2)
     for record in records:
-        values = record.series.counts if record.series is not None else record.sample.touch.values[None]  # noqa: PD011
+        values = record.series.counts if record.series is not None else record.touch.values[None]  # noqa: PD011
         total += values.astype(np.float64).sum(), np.square(values.astype(np.float64)).sum()
     assert_array_equal(total, raw_sums(root, folder))
 

@@ -57,7 +57,7 @@ def test_every_recorded_object_and_grasp_is_accepted(real_data: Path) -> None:
     from foretouch.dataset.formats import open_samples
 
     found = open_samples(str(real_data / "vision2tactile"))
-    samples = [record.sample for record in found.records()]
+    samples = list(found)
     assert len(samples) >= 400
     for sample in samples:
         check_object(sample.cloud.xyz)

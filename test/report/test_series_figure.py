@@ -13,17 +13,16 @@ from recording_builders import IDENTITY, QUICK, record
 
 from foretouch.cli.main import main
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import HOLD, REST, SampleRecord, TouchSeries
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import sensor_of_samples
 from foretouch.report import series_figure
 from foretouch.tactile.channels import BIOTAC_SP
-from foretouch.types import Cloud
+from foretouch.types import HOLD, REST, Cloud, Sample, TouchSeries
 
 DEAD = BIOTAC_SP.with_dead(np.arange(24) == np.array([[5], [99]]))
 
 
-def pressed(number: int, stuck: float | None = 800.0) -> SampleRecord:
+def pressed(number: int, stuck: float | None = 800.0) -> Sample:
     """Forty readings without a camera: rest, then every electrode of the thumb falls by ten times its number."""
     made, rng = record(number), np.random.default_rng(number)
     counts = 3000.0 + np.rint(rng.normal(0.0, 3.0, (40, 50)))
@@ -33,9 +32,14 @@ def pressed(number: int, stuck: float | None = 800.0) -> SampleRecord:
     stamps = 1_700_000_000_000_000_000 + 10**10 * number + 10_000_000 * np.arange(40)
     phases = np.where(np.arange(40) < 20, REST, HOLD).astype(np.uint8)
     series = TouchSeries(stamps, counts.astype(np.float32), phases)
-    sample = replace(made.sample, cloud=Cloud(np.empty((0, 3), np.float32)), tare=None)
-    outcome = "failure" if number else "success"
-    return replace(made, sample=sample, series=series, outcome=outcome, contact_ns=int(stamps[20]))
+    return replace(
+        made,
+        cloud=Cloud(np.empty((0, 3), np.float32)),
+        tare=None,
+        series=series,
+        outcome="failure" if number else "success",
+        contact_ns=int(stamps[20]),
+    )
 
 
 def drawn(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[Any]:

@@ -38,7 +38,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
-from foretouch.ros.graph import node_class  # noqa: E402
+from foretouch.ros.nodes import node_class  # noqa: E402
 from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 
 _domains = itertools.count()

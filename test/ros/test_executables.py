@@ -10,8 +10,8 @@ from every_case import every_case
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros import executables
-from foretouch.ros.graph import NODES
 from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.nodes import NODES
 from foretouch.types import stamp_ns
 from foretouch_msgs.msg import TouchPredictionArray
 

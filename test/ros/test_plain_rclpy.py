@@ -39,7 +39,7 @@ def test_no_private_part_of_rclpy_and_no_change_of_the_interpreter():
 def test_importing_the_nodes_sets_no_variable_and_leaves_shared_memory_alone():
     code = (
         "import os, sys, gc; before = dict(os.environ), gc.get_freeze_count(), sys.getswitchinterval();"
-        "import foretouch.ros.nodes.perception, foretouch.ros.nodes.single_steps, foretouch.ros.nodes.recorder;"
+        "import foretouch.ros.nodes.perception, foretouch.ros.nodes.recorder;"
         "assert before == (dict(os.environ), gc.get_freeze_count(), sys.getswitchinterval())"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

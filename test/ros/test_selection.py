@@ -75,7 +75,7 @@ def test_a_clicked_object_is_the_target_until_another_is_clicked_and_bad_clicks_
         assert [str(object_.id) for object_ in found["objects"].objects if object_.target] == [expected]
     beyond = scene.objects[0].cloud.xyz[0] + np.float32([0.0, 0.0, 0.4])
     bad = [
-        ((scene.objects[0].centroid, "map"), "refused: frame 'map' is not that of the clouds"),
+        ((scene.objects[0].centroid, "map"), "refused: frame 'map' is not the frame of the clouds"),
         ((beyond, frame), "refused: point: no object within 0.03 m"),
         (([0.0, 0.0, np.nan], frame), "is not three finite numbers"),
         ((scene.objects[0].centroid, frame, START), "s old, more than click_age_s 10"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the RealSense camera, of the library's filters, and of a scene in its place."""
+"""Settings of the RealSense camera, and of a scene in its place."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -7,22 +7,18 @@ from typing import Final
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 
-FILTERS: Final = ("decimation", "spatial", "temporal", "hole_filling")
-"""Of the library, in the order that it recommends."""
-
 _MS_NS: Final = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class RealSenseConfig(Settings, read_only=True):
-    """A RealSense depth camera, live or recorded, and the processing of its frames."""
+    """A RealSense depth camera, live or recorded."""
 
     serial: str = setting("", "Serial number of the live device; empty for the first one found")
     file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device")
     width: int = setting(848, "Columns of a live image", unit="px", bounds=(64, 3840))
     height: int = setting(480, "Rows of a live image", unit="px", bounds=(64, 2160))
     fps: int = setting(30, "Frames per second of a live device", unit="Hz", bounds=(1, 300))
-    filters: tuple[str, ...] = setting((), "Filters of the library, with its defaults, in its order", choices=FILTERS)
     silence_s: float = setting(
         3.0,
         "A camera without a frame for longer is opened again; it is reported as stalled after a third of that",

@@ -62,7 +62,11 @@ def realsense() -> Any:
 class DeviceSource:
     """The device that settings name: on the USB bus, or a file of the library's own recorder (`.db3`, older ones `.bag`).
 
-    A `FileError` if it is a file that is absent.
+    Args:
+        config: Names it.
+
+    Raises:
+        FileError: If it is a file that is absent.
 
     Attributes:
         reopens: Whether opening a silent device again may help; a recording ends, and would only restart.
@@ -105,7 +109,7 @@ class DeviceSource:
 
 
 def list_devices() -> list[str]:
-    """Return the name and serial number of each device on the bus; raises as `realsense`."""
+    """Return the name and serial number of each device on the bus; a `MissingDependencyError` without the library."""
     return [describe(device) for device in realsense().context().query_devices()]
 
 

@@ -5,18 +5,16 @@ Threads: the thread that reads also opens, waits and reopens; any thread may rea
 whole and never changed.
 """
 
-import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import DeviceSource, describe, realsense
 from foretouch.camera.stream import DepthFrame, FrameStream
 from foretouch.errors import CameraError
-from foretouch.types import Cloud
 
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _BACKOFF_S = (0.5, 10.0)  # pause after the first failed attempt, and the longest
@@ -47,33 +45,29 @@ class CameraStatus:
         return f"camera: {self.state}{self.reason and f': {self.reason}'}"
 
     @property
-    def received(self) -> int:
-        """Depth frames that the device made, by its frame numbers."""
-        return self.delivered + sum(self.dropped.values())
-
-    @property
     def is_ok(self) -> bool:
         """Whether frames arrive, or none are expected yet or any more."""
         return self.state in {"streaming", "ended", "closed"} or (self.state == "reconnecting" and not self.failures)
 
 
 class RealSenseCamera:
-    """A context manager and an iterator of organised clouds.
+    """Depth images of a RealSense, one by one, until it is closed.
 
-    A device that is absent, unplugged or silent is reported in `status` and tried again. `source`, which has the methods of a
-    `DeviceSource`, is used instead of what the settings name; `on_change` is called by the reading thread when the state changes,
-    None logs it.
+    A device that is absent, unplugged or silent is reported in `status` and tried again.
+
+    Args:
+        config: The device or the recording, and how its frames are processed.
+        source: Has the methods of a `DeviceSource`, and is used instead of what the settings name; None for that.
+        on_change: Called by the reading thread when the state changes.
 
     Raises:
         FileError: If the settings name a recording that is absent.
         MissingDependencyError: If pyrealsense2 is missing.
     """
 
-    def __init__(
-        self, config: RealSenseConfig, source: Any = None, on_change: Callable[[CameraStatus], None] | None = None
-    ) -> None:
+    def __init__(self, config: RealSenseConfig, source: Any, on_change: Callable[[CameraStatus], None]) -> None:
         self.config = config
-        self._on_change = on_change or _log
+        self._on_change = on_change
         self._source = DeviceSource(config) if source is None else source
         self._device: Any = None
         self._stream: FrameStream | None = None
@@ -85,16 +79,15 @@ class RealSenseCamera:
         self._last_number: int | None = None
         self.status = CameraStatus()  # the state, its reason, and the counts so far; replaced as a whole
 
-    def read(self, timeout_s: float) -> Cloud | None:
-        """Return the next image as an organised cloud (see `read_frame`)."""
-        frame = self.read_frame(timeout_s)
-        return None if frame is None else frame.cloud()
-
-    def read_frame(self, timeout_s: float) -> DepthFrame | None:
+    def read(self, timeout_s: float) -> DepthFrame | None:
         """Return the next depth image; None if there was none in time, for the reason that `status` gives.
 
-        Opening a device may take longer than `timeout_s` [s]. A `CameraError` if the camera does not offer what the settings
-        ask for, or a `FileError` if the file is not a recording.
+        Args:
+            timeout_s: Longest wait [s]; opening a device may take longer.
+
+        Raises:
+            CameraError: If the camera does not offer what the settings ask for.
+            FileError: If the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
         while self.status.state not in {"ended", "closed"}:
@@ -107,23 +100,11 @@ class RealSenseCamera:
                 break
         return None
 
-    def __iter__(self) -> Iterator[Cloud]:
-        """Iterate over clouds until the recording ends or the camera is closed."""
-        while self.status.state not in {"ended", "closed"}:
-            if (cloud := self.read(_SLICE_S)) is not None:
-                yield cloud
-
     def close(self) -> None:
         """Release the device; afterwards nothing can be read."""
         self._release()
         if self.status.state != "ended":
             self._set_state("closed", "")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
 
     def _try_to_open(self, timeout_s: float) -> None:
         """Open the device if the pause since the last attempt is over; else wait."""
@@ -210,7 +191,3 @@ class RealSenseCamera:
         self._update(state=state, reason=reason, failures=self._failures)
         if changed:
             self._on_change(self.status)
-
-
-def _log(status: CameraStatus) -> None:
-    logging.getLogger(__name__).log(logging.INFO if status.is_ok else logging.WARNING, "%s", status)

@@ -7,7 +7,6 @@ pace) never ends.
 """
 
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from foretouch.bounded_queue import BoundedQueue
-from foretouch.camera.config import FILTERS, RealSenseConfig
+from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
 from foretouch.types import AnyArray, Cloud
@@ -26,7 +25,7 @@ from foretouch.types.camera import CameraModel
 class DepthFrame:
     """A depth image and its camera."""
 
-    depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 where there is none
+    depth: AnyArray  # (H, W) uint16, distance along the optical axis; 0 without depth
     scale_m: float  # metres per unit of it
     camera: CameraModel
     frame_id: str  # optical frame of the camera
@@ -40,18 +39,22 @@ class DepthFrame:
 class FrameStream:
     """The depth stream of a device.
 
-    The `pyrealsense2.device` is not streaming yet. A `CameraError` if it has no such stream, or a `RuntimeError` of the
-    library if it cannot be opened.
+    Args:
+        device: A `pyrealsense2.device` that is not streaming yet.
+        config: What to open, and how frames are processed.
+
+    Raises:
+        CameraError: If it has no such stream.
+        RuntimeError: Of the library, if it cannot be opened.
     """
 
     def __init__(self, device: Any, config: RealSenseConfig) -> None:
         self._config = config
-        self._filters = filter_blocks(config.filters)
-        self._camera: tuple[str, CameraModel] | None = None
         waits = device.is_playback() and not config.real_time
         # Unlimited until the stream has started: the library must not wait while it starts.
         queue = self._queue = BoundedQueue[Any](None, when_full="wait" if waits else "drop_oldest")
         self._sensor, profile = _find_profile(device, None if device.is_playback() else config)
+        self._camera = library_camera(profile.as_video_stream_profile().get_intrinsics())
         self._device = device  # or the library would end a recording
         try:
             self._sensor.open(profile)
@@ -68,13 +71,10 @@ class FrameStream:
         return self._queue.get(timeout_s)
 
     def frame(self, depth: Any) -> DepthFrame:
-        """Filter a depth frame, and copy it out of the library's memory."""
-        stamp_ns = self._stamp_ns(depth, time.time_ns())
-        for block in self._filters:
-            depth = block.process(depth)
-        image = depth.as_depth_frame()
-        pixels, camera = np.array(image.get_data()), self._camera_of(image)
-        return DepthFrame(pixels, image.get_units(), camera, self._config.optical_frame, stamp_ns)
+        """Copy a depth frame out of the library's memory."""
+        stamp_ns, image = self._stamp_ns(depth, time.time_ns()), depth.as_depth_frame()
+        pixels = np.array(image.get_data())
+        return DepthFrame(pixels, image.get_units(), self._camera, self._config.optical_frame, stamp_ns)
 
     def close(self) -> None:
         """Stop and release the device; errors of one that was unplugged are ignored."""
@@ -83,35 +83,11 @@ class FrameStream:
             with suppress(RuntimeError):  # never started, or unplugged: it is closed anyway
                 step()
 
-    def _camera_of(self, depth: Any) -> CameraModel:
-        intrinsics = depth.get_profile().as_video_stream_profile().get_intrinsics()
-        key = repr(intrinsics)
-        if self._camera is None or self._camera[0] != key:
-            self._camera = (key, library_camera(intrinsics))
-        return self._camera[1]
-
     def _stamp_ns(self, depth: Any, arrived_ns: int) -> int:
         """Hardware clocks count from when the camera was plugged in, so that they are not used by default."""
         is_hardware = depth.get_frame_timestamp_domain() == realsense().timestamp_domain.hardware_clock
         use_arrival = {"frame": False, "arrival": True, "auto": is_hardware}[self._config.stamp]
         return arrived_ns if use_arrival else round(depth.get_timestamp() * 1e6)  # the library has ms
-
-
-def filter_blocks(names: Sequence[str]) -> list[Any]:
-    """Return the library's filters of these names with its defaults, in the order that it recommends.
-
-    The spatial and temporal filters work on disparity, where noise is uniform. The temporal filter stores earlier frames,
-    so that each stream needs blocks of its own.
-    """
-    rs = realsense()
-    blocks: list[Any] = [getattr(rs, f"{name}_filter")() for name in FILTERS if name in names]
-    smoothing = [
-        k for k, name in enumerate(block for block in FILTERS if block in names) if name in ("spatial", "temporal")
-    ]
-    if smoothing:
-        blocks.insert(smoothing[-1] + 1, rs.disparity_transform(False))
-        blocks.insert(smoothing[0], rs.disparity_transform(True))
-    return blocks
 
 
 def library_camera(intrinsics: Any) -> CameraModel:

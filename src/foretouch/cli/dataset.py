@@ -212,20 +212,16 @@ def _show(arguments: argparse.Namespace) -> int:
     require_writable(arguments.out, *PICTURE_SUFFIXES)
     samples = open_samples(arguments.source)
     count = min(arguments.count, len(samples))
-    selected = [samples.record(k * len(samples) // count) for k in range(count)]
+    selected = [samples.read(k * len(samples) // count) for k in range(count)]
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     sensor = sensor_of_samples(samples)
-    if any(has_points(selection.sample) for selection in selected):
-        save_contact_sheet(arguments.out, [only_finite(selection.sample) for selection in selected], sensor)
+    if any(has_points(sample) for sample in selected):
+        save_contact_sheet(arguments.out, [only_finite(sample) for sample in selected], sensor)
     else:
         title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
         save_series_sheet(arguments.out, selected, title, sensor)
-    record = {
-        "out": str(arguments.out),
-        "samples": [selection.sample.id for selection in selected],
-        "dead_taxels": sensor.dead,
-    }
+    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected], "dead_taxels": sensor.dead}
     return print_result("drawn", record, as_json=arguments.json)
 
 

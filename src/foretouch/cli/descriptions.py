@@ -19,7 +19,7 @@ class Descriptions:
     """A kind of descriptions, with its command.
 
     Args:
-        name: Of one, such as `hand`; that of several ends with s.
+        name: Name of a description, such as `hand`; the plural ends with s.
         show: What `show` draws, as an imperative.
         title: Of the table.
         columns: Of the table.

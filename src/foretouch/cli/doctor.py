@@ -26,7 +26,7 @@ from foretouch.errors import CameraError, ForetouchError, MissingDependencyError
 from foretouch.processes import ONE_THREAD
 from foretouch.ros.runtime.environment import FAST_DDS, large_clouds
 
-_PATIENCE_S = 120.0  # of one check in a process of its own; the longest takes 6 s on an idle machine
+_PATIENCE_S = 120.0  # of one check in its own process; the longest takes 6 s on an idle machine
 _EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
 _REINSTALL = "pip install --force-reinstall foretouch"
 _LIBUSB = "from foretouch.camera.device import ensure_libusb; ensure_libusb()"

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from math import dist
 from typing import TYPE_CHECKING
@@ -52,8 +51,9 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
         if dropped:
             parts.append(Text(f"{_short(name)} dropped in total: {dropped}"))
     parts += [
-        Text(f"{count} x {_with_numbers(reason, view.numbers.get(reason, ()))}", "yellow")
-        for reason, count in view.reasons.most_common(3)
+        Text(f"{count} x {f'last: {last}' if count > 1 else last}", "yellow")
+        for kind, count in view.reasons.most_common(3)
+        for last in [view.last_reasons.get(kind, kind)]
     ]
     return titled(title, parts)
 
@@ -66,7 +66,7 @@ def titled(title: str, parts: Sequence[RenderableType]) -> Panel:
 
 
 def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> Table:
-    more = f", the first {_SHOWN} of {len(rows)}" * (len(rows) > _SHOWN)
+    more = f", the first {_SHOWN} of {len(rows)}" if len(rows) > _SHOWN else ""
     return make_table(columns, rows[:_SHOWN], title + more, live=True)
 
 
@@ -124,7 +124,7 @@ def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequenc
     from foretouch.ros.messages.conversions import prediction_from_msg
 
     decoded = prediction_from_msg(prediction, sensor)
-    value, lower, upper = decoded.value.values, decoded.lower.values, decoded.upper.values
+    value, lower, upper = (end.values for end in (decoded.value, decoded.lower, decoded.upper))
     columns = [(sensor.channels.columns([name]), sensor.channels.channel_of[name].text) for name in modalities]
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
@@ -164,12 +164,6 @@ def _rounded(number: str) -> str:
     except ValueError:
         return number
     return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}"
-
-
-def _with_numbers(kind: str, ranges: Sequence[tuple[float, float]]) -> str:
-    """Write a kind of reason with its numbers, or their ranges, in place of each #."""
-    numbers = iter([f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ranges])
-    return "".join(next(numbers, part) if part == "#" else part for part in re.split("(#)", kind))
 
 
 def _short(name: str) -> str:

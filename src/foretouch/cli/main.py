@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch COMMAND`: run the command's module, and report known errors in one line with exit status 1.
 
-A command is a module `foretouch.cli.<name>`, or `foretouch_lab.cli.<name>` for those of the laboratory, with `add_arguments(parser)` and `run(arguments) -> int`.
+A command is a module `foretouch.cli.<name>`, or `foretouch_lab.cli.<name>` for commands of the laboratory, with `add_arguments(parser)` and `run(arguments) -> int`.
 Heavy libraries are imported inside `run`, so that `--help` is fast.
 """
 

@@ -170,7 +170,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if not live:
         source = open_source(arguments.source, arguments.topic, camera=depth_camera(arguments))
         if not any("late_after_s" in parameters for parameters in given):
-            perception["late_after_s"] = 0.0  # the stamps are those of the recording
+            perception["late_after_s"] = 0.0  # the recording's stamps are old
         perception["input"] = "objects" if cloud_is_object(source) else "depth" if source.info_topic else "points"
         if source.info_topic:
             arguments.remapped = ["-r", f"perception:depth/image:={source.topic}"]
@@ -324,7 +324,8 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 def _source_state(graph: Graph) -> str:
     """Return what the source does, or what keeps it from sending."""
     source = graph.nodes[next(name for name in ("replay", "camera", "perception") if name in graph.nodes)]
-    return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}"
+    received_nothing = ", and has received nothing" if source.get_name() == "perception" else ""
+    return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}{received_nothing}"
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
@@ -335,7 +336,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     conflicts = graph.conflicts()
     if arguments.json:
         counts = {"played": played, "answered": answered, "conflicts": conflicts}
-        counts |= {"answers": view.answers, "reasons": view.reasons, "reason_numbers": view.numbers}
+        counts |= {"answers": view.answers, "reasons": view.reasons}
         if "hand" in graph.nodes:
             counts["executed"] = cast("Any", graph.nodes["hand"]).executed
         _print_end(arguments.lines, counts)
@@ -350,9 +351,14 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
         source = "scene" if "hand" in graph.nodes else "camera" if "camera" in graph.nodes else arguments.source
-        warn(f"no cloud came from the {source}: {getattr(arguments, 'state', _source_state(graph))}")
+        state = getattr(arguments, "state", _source_state(graph))
+        cure = (
+            "; of a camera that is no RealSense, give the topic of its driver as --source" if source == "camera" else ""
+        )
+        warn(f"no cloud came from the {source}: {state}{cure}")
         return 3
-    if untouched := at_rest(view.executed and view.executed[1]):
+    untouched = at_rest(view.executed and view.executed[1])
+    if untouched:
         warn("the last executed grasp touched nothing: its readings are those at rest")
     if fault := replay_fault(graph.replay):
         warn(f"{arguments.source}: {fault}")
@@ -382,7 +388,7 @@ def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
     prediction = prediction_from_msg(message, sensor)
     title = f"object {target.id}"
     if prediction.ok:
-        first = ["before the first touch"] * (readings is not None and not message.touches)
+        first = ["before the first touch"] if readings is not None and not message.touches else []
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"

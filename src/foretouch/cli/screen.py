@@ -24,7 +24,7 @@ _STDERR = 2
 
 
 def terminal(*, stderr: bool = False) -> Console:
-    """Return the terminal as rich draws on it, or the stream in its place; a closed pipe raises as it does for `print`."""
+    """Return the terminal as rich draws on it, or the stream in its place; a closed pipe raises a `BrokenPipeError`, as for `print`."""
     return _Terminal(stderr=stderr)
 
 

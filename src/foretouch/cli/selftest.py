@@ -70,7 +70,7 @@ def _answers(name: str) -> dict[str, Any]:
 def check_ros() -> None:
     """Ask a running node over DDS for two grasps, one of them 1e160 m wide; a `ConfigError` names what fails.
 
-    It talks on this machine only, in a domain and a namespace of its own, so that a running robot is not disturbed.
+    It talks on this machine only, in its own domain and namespace, so that a running robot is not disturbed.
     """
     from foretouch.ros.graph import Graph, call_service
 

@@ -16,7 +16,6 @@ from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.output import progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.formats import is_sample_set, open_samples
-from foretouch.dataset.record import DISCARDED, readings
 from foretouch.dataset.samples import SampleSet, has_points, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
@@ -25,7 +24,7 @@ from foretouch.pipeline import Object, Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.tactile.description import require_same
-from foretouch.types import Grasp, Sample, Touch
+from foretouch.types import DISCARDED, Grasp, Sample, Touch
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -51,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     is_set = arguments.topic is None and is_sample_set(path)
     samples, refused = open_samples(path, unfinished=True) if is_set else None, list[str]()
     sensor = pipeline.model.sensor if samples is None else samples.sensor
-    if samples is not None and len(samples) and not has_points(samples.record(0).sample):
+    if samples is not None and len(samples) and not has_points(samples.read(0)):
         sensor, steps = sensor_of_samples(samples), _readings(samples)
     else:
         require_same(pipeline.model.sensor.channels, sensor.channels, f"model {pipeline.model.name}")
@@ -73,15 +72,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _readings(samples: SampleSet) -> Iterator[ViewStep]:
     """Iterate over the readings of all samples of a recording without a camera, with what became of their grasp."""
-    for record in samples.records():
-        series, tare, name = readings(record), record.sample.tare, f"{record.sample.id}: {record.outcome}"
+    for sample in samples:
+        series, tare, name = sample.readings, sample.tare, f"{sample.id}: {sample.outcome}"
         for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
             read = Touch(counts.astype(np.float64), samples.sensor.channels)
             yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")
 
 
 class _View(NamedTuple):
-    """What steps are made with; inputs are as those of `predict`."""
+    """What steps are made with; `predict` takes the same inputs."""
 
     arguments: argparse.Namespace
     pipeline: Pipeline
@@ -113,12 +112,11 @@ def _steps(view: _View, samples: SampleSet | None, refused: list[str]) -> Iterat
 
 def _of_sample(view: _View, samples: SampleSet, number: int) -> ViewStep | None:
     """Return the step of a sample; None if the operator has discarded it."""
-    record = samples.record(number)
-    if DISCARDED in record.flags:
+    sample = samples.read(number)
+    if DISCARDED in sample.flags:
         return None
-    sample = record.sample
     target = inputs.only_object(sample.cloud, view.arguments)
-    shown: dict[str, Any] = {"cloud": sample.cloud, "table": target.plane, "candidates": record.candidates}
+    shown: dict[str, Any] = {"cloud": sample.cloud, "table": target.plane, "candidates": sample.candidates}
     shown |= {"stamp_ns": sample.stamp_ns, "read": sample.touch, "tare": sample.tare}
     return ViewStep(name=sample.id, **shown, **_predicted(view, target, sample.grasp, sample))
 

@@ -4,7 +4,7 @@
 `object_cloud` holds the points of all target objects, one object after the other, best first. Beside x, y, z (and
 rgb) each point carries `label` (UINT32, id of the object) and, where the cloud was cut from an image, `row` and
 `column` (UINT16, its pixel). A cloud without these fields is one object without an image. Decoders of grasps are
-in `foretouch.grasp.messages`, those of tactile messages in `foretouch.tactile.messages`.
+in `foretouch.grasp.messages`, tactile messages in `foretouch.tactile.messages`.
 
 CDR as ROS 2 uses it: four bytes of encapsulation, whose second gives the byte order, then the fields. A header is
 int32 seconds, uint32 nanoseconds, uint32 length of the frame with its final zero, the frame.
@@ -62,7 +62,7 @@ def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
 
 
 def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
-    """Return the fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
+    """Return the fields of a `sensor_msgs/PointCloud2`; a `DatasetError` for a stamp that a message cannot hold."""
     header = header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name)
     return SimpleNamespace(header=header, **vars(encode(cloud)))
 

@@ -160,7 +160,7 @@ class Recording:
         )
 
     def first_info(self, topic: str) -> CameraInfos:
-        """Read the first camera info of a topic of depth images, which is for the images before it; of clouds there are none."""
+        """Read the first camera info of a topic of depth images, which is for the images before it; clouds have no camera info."""
         infos, beside = CameraInfos(topic), self.info_topic(topic)
         for message in islice(self.messages([beside]), 1) if beside else ():
             infos.add(self.content(message), message.bag_time_ns * 1e-9)
@@ -169,7 +169,7 @@ class Recording:
     def clouds(self, topic: str) -> Iterator[tuple[Message, Callable[[], Cloud]]]:
         """Read the messages of a topic of clouds or depth images, each with what decodes it.
 
-        A depth image has the camera of the last info before it, the first ones that of the first info. What decodes a
+        A depth image has the camera of the last info before it, the first ones the camera of the first info. What decodes a
         message raises a `FileError` if it is damaged or has no camera; the iteration as `messages`.
         """
         beside, infos = self.info_topic(topic), self.first_info(topic)
@@ -416,7 +416,7 @@ def _loose_files(path: Path) -> list[Path]:
 
 @contextmanager
 def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
-    """Turn the parsers' exceptions into one line; damaged bytes make them raise those of any library and of Python."""
+    """Turn the parsers' exceptions into one line; damaged bytes make them raise exceptions of any library and of Python."""
     try:
         yield
     except FileError:

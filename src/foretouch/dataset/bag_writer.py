@@ -68,19 +68,19 @@ class BagWriter:
         return self._connections[topic]
 
     def write(self, topic: str, type_name: str, bag_time_ns: int, data: bytes | memoryview) -> None:
-        """Append a message, CDR with encapsulation header, that was received at a time [ns] (raises as `add_topic`)."""
+        """Append a message, CDR with encapsulation header, that was received at a time [ns]; a `DatasetError` if its type is unknown."""
         if bag_time_ns < 0:
             raise DatasetError(f"{self.path}: {topic}: time {bag_time_ns} ns is before 1970")
         self._writer.write(self.add_topic(topic, type_name), bag_time_ns, data)
 
     def write_cloud(self, cloud: Cloud, topic: str = _CLOUD_TOPIC, *, bag_time_ns: int | None = None) -> None:
-        """Append a cloud as `sensor_msgs/PointCloud2`, by default at the time of its stamp [ns] (raises as `write`)."""
+        """Append a cloud as `sensor_msgs/PointCloud2`, by default at the time of its stamp [ns]."""
         time_ns = cloud.stamp_ns if bag_time_ns is None else bag_time_ns
         self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
 
 
 def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOPIC) -> int:
-    """Write clouds as a recording of one topic, and return their number (raises as `BagWriter`)."""
+    """Write clouds as a recording of one topic, and return their number; a `FileError` if it cannot be written."""
     count = 0
     with BagWriter(path) as writer:
         writer.add_topic(topic, POINT_CLOUD_TYPE)
@@ -91,13 +91,13 @@ def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOP
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
+    """Write samples in this format (arguments: `export` in `foretouch.dataset.formats`)."""
     with BagWriter(out) as writer:
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
-        for record in samples.records(discarded=True):
+        for sample in samples.with_discarded():
             progress()
-            stamp_ns = record.sample.stamp_ns
-            data = encode_sample(record, samples.identity, samples.sensor)
+            stamp_ns = sample.stamp_ns
+            data = encode_sample(sample, samples.identity, samples.sensor)
             writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, data)
-            writer.write_cloud(record.sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
+            writer.write_cloud(sample.cloud, "/foretouch/object_cloud", bag_time_ns=stamp_ns)
             result.samples += 1

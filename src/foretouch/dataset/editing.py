@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from foretouch.dataset.record import check_name, renamed_id
+from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recording.folder import is_dataset, lock
 from foretouch.dataset.recording.reader import RecordedDataset
@@ -29,7 +29,7 @@ def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
 
 
 def merge(path: str | Path, label: str, into: str) -> int:
-    """Merge two objects: all samples of `label` become samples of `into` (raises as `relabel`)."""
+    """Merge two objects: all samples of `label` become samples of `into`. A `DatasetError` or `FileError`, as of `relabel`."""
     check_name(into, "object")
     with _locked(Path(path)) as now:
         ids = [name for name in now if name.partition("/")[0] == label]
@@ -39,13 +39,13 @@ def merge(path: str | Path, label: str, into: str) -> int:
 
 
 def drop(path: str | Path, ids: Sequence[str]) -> int:
-    """Discard samples: they stay in the recording, but builds and exports leave them out (raises as `relabel`)."""
+    """Discard samples: they stay in the recording, but builds and exports leave them out. A `DatasetError` if one does not exist."""
     with _locked(Path(path)) as now:
         return append_edit(Path(path), Edit(action="drop", ids=_recorded(now, ids)))
 
 
 def undo(path: str | Path) -> int:
-    """Undo the latest edit that is in force, and return its number; a `DatasetError` if there is none."""
+    """Undo the latest edit that is in force, and return its number; a `DatasetError` if no edit is in force."""
     with _locked(Path(path)):
         in_force = read_edits(Path(path)).in_force()
         undone = max((number for number, edit in in_force.items() if edit.ids), default=0)
@@ -62,7 +62,7 @@ def _locked(path: Path) -> Iterator[dict[str, str]]:
         raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     with lock(path):
         dataset = RecordedDataset(path)
-        yield {dataset[k].record.sample.id: dataset.as_recorded(k).record.sample.id for k in range(len(dataset))}
+        yield {dataset[k].sample.id: dataset.as_recorded(k).sample.id for k in range(len(dataset))}
 
 
 def _recorded(now: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:

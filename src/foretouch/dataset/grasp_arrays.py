@@ -8,20 +8,37 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.dataset.identity import check_id
 from foretouch.dataset.pairing.matcher import SETTLE_NS
-from foretouch.dataset.record import APPROACH, HOLD, REST, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.errors import DatasetError, none_of
 from foretouch.tactile.contact_detector import RELEASE_LEVEL, contact_scores, find_contact
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.readings import rest_of
-from foretouch.types import NO_CLOUD, NO_GRASP, SECOND_NS, AnyArray, Bool, Cloud, Float64, Grasp, Int64, Sample, Touch
+from foretouch.types import (
+    APPROACH,
+    HOLD,
+    NO_CLOUD,
+    NO_GRASP,
+    REST,
+    SECOND_NS,
+    AnyArray,
+    Bool,
+    Cloud,
+    Float64,
+    Grasp,
+    Int64,
+    Outcome,
+    Sample,
+    Touch,
+    TouchSeries,
+)
 from foretouch.types.channels import Channels
 
 Missing = Literal["refuse", "hold", "mask"]
 Remarks = dict[str, list[str]]  # the samples to look at, by what is remarkable
 
 _OUTCOMES: Final[dict[Any, Outcome]] = {True: "success", False: "failure", None: "unknown"}
-_FACTOR: Final = 2.0  # between the rate of the stamps and that of the sensor's description
+_FACTOR: Final = 2.0  # between the rate of the stamps and the rate in the sensor's description
 _GAP: Final = 5.0  # usual steps from a reading to the next
 
 
@@ -74,8 +91,8 @@ class GraspArrays:
         if not np.isfinite(self.start_s):
             raise DatasetError(f"start_s: {self.start_s} is not finite")
 
-    def record(self, sensor: Sensor, missing: Missing, remarks: Remarks) -> SampleRecord:
-        """Make the record of the grasp.
+    def sample(self, sensor: Sensor, missing: Missing, remarks: Remarks) -> Sample:
+        """Make the sample of the grasp.
 
         Args:
             sensor: The sensor that was read.
@@ -102,18 +119,28 @@ class GraspArrays:
         if self.rate_hz is not None:
             flags.append("stamped_by_rate")
         tare = None if self.tare is None else Touch(_joined(self.tare, channels, "tare").reshape(-1), channels)
-        sample = Sample(id=name, object=label, cloud=self.cloud, grasp=self.grasp, tare=tare, stamp_ns=int(stamps[0]))
-        record = SampleRecord(sample=sample, outcome=_outcome(self.outcome), note=str(self.note), flags=tuple(flags))
+        sample = Sample(
+            id=name,
+            object=label,
+            cloud=self.cloud,
+            grasp=self.grasp,
+            tare=tare,
+            stamp_ns=int(stamps[0]),
+            outcome=_outcome(self.outcome),
+            note=str(self.note),
+            flags=tuple(flags),
+        )
         if counts.ndim == 1:
             extra = {key: float(column[0]) for key, column in others.items()}
-            return replace(record, sample=replace(sample, touch=Touch(rows[0], channels), extra=extra))
+            return replace(sample, touch=Touch(rows[0], channels), extra=extra)
         touch, rested, phases, contact_ns = _cut(stamps, rows, whole, self.rest, channels)
         if self.rest and touch is None:
             remark = f"{name or label}: none found after {self.rest} readings at rest, so no touch"
             remarks.setdefault("no_contact", []).append(remark)
         return replace(
-            record,
-            sample=replace(sample, touch=touch, tare=rested if tare is None else tare),
+            sample,
+            touch=touch,
+            tare=rested if tare is None else tare,
             series=TouchSeries(stamps, rows.astype(np.float32), phases, others),
             contact_ns=contact_ns,
             detector="" if contact_ns is None else "contact_detector",
@@ -217,7 +244,8 @@ def _joined(values: Mapping[str, npt.ArrayLike], channels: Channels, what: str) 
         raise DatasetError(f"{what}: give a mapping of {', '.join(channels.modalities)} to their arrays")
     if unknown := [key for key in values if key not in channels.modalities]:
         raise DatasetError(f"{what}: {none_of(unknown[0], channels.modalities)}")
-    if absent := [key for key in channels.modalities if key not in values]:
+    absent = [key for key in channels.modalities if key not in values]
+    if absent:
         raise DatasetError(f"{what}: {', '.join(absent)} of {channels.sensor} are missing")
     parts: list[Float64] = []
     for key in channels.modalities:

@@ -23,11 +23,11 @@ from foretouch.cloud.messages import header_fields
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
-from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPES, StoredSample, decode_sample
 from foretouch.dataset.writing import WriteResult, write_records
 from foretouch.errors import DatasetError, FileError, TactileError
@@ -36,7 +36,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
-from foretouch.types import Cloud, stamp_ns
+from foretouch.types import Cloud, Sample, stamp_ns
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
@@ -53,7 +53,7 @@ class BagTopics:
     executed: str = full_name(EXECUTED_TOPIC)  # `foretouch_msgs/ExecutedGrasp`
     tactile: str = TACTILE_TOPIC  # tactile messages of a type in `TACTILE_TYPES`
     object: str = "unknown"  # label of the object on the table
-    tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by that of the topic
+    tactile_config: TactileConfig = TactileConfig()  # names of the fingers; its type is replaced by the topic's type
 
     def roles(self) -> dict[str, Role]:
         """Return the role of each topic."""
@@ -82,7 +82,7 @@ def import_samples(
     with ExitStack() as stack:
         if is_sample_set(source):
             samples = open_samples(source)
-            stated, records, sensor = samples.identity, samples.records(discarded=True), samples.sensor
+            stated, records, sensor = samples.identity, samples.with_discarded(), samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
             result.notes = tuple(bag.notes)
@@ -113,7 +113,7 @@ def _not_imported(source: Path) -> str:
     return "holds no samples and is not a recording"
 
 
-def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Iterator[SampleRecord], Sensor]:
+def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Iterator[Sample], Sensor]:
     """Read hand, camera and sensor of the first sample of foretouch on some topics of a bag, and all samples."""
 
     def _stored() -> Iterator[StoredSample]:
@@ -125,10 +125,10 @@ def _own_samples(bag: Recording, topics: Sequence[str]) -> tuple[Identity, Itera
 
     first = next(_stored(), None)
     identity, sensor = (Identity(), BIOTAC_SP) if first is None else first[1:]
-    return identity, (stored.record for stored in _stored()), sensor
+    return identity, (stored.sample for stored in _stored()), sensor
 
 
-def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: WriteResult) -> Iterator[SampleRecord]:
+def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: WriteResult) -> Iterator[Sample]:
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
     roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(
@@ -159,7 +159,7 @@ def _assemble(bag: Recording, topics: BagTopics, reader: TactileReader, result: 
 
 
 def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
-    """Return the topics, with that of the depth images of a bag without object clouds."""
+    """Return the topics, with the topic of the depth images of a bag without object clouds."""
     if topics.clouds != BagTopics().clouds or any(topic.name == topics.clouds for topic in bag.topics):
         return topics
     with suppress(FileError):
@@ -181,12 +181,12 @@ def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNa
     return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
 
 
-def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResult) -> Iterator[SampleRecord]:
+def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResult) -> Iterator[Sample]:
     for made in assembled:
         if isinstance(made, RejectedGrasp):
             result.left_out[made.reason] += 1
         else:
-            yield made.record
+            yield made.sample
 
 
 def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:

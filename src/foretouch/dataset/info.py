@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import DISCARDED
+from foretouch.types import DISCARDED
 
 #: Bin edges of the histogram of pairing errors [ms].
 PAIRING_EDGES_MS: Final = (0.0, 5.0, 10.0, 20.0, 50.0, 100.0, float("inf"))
@@ -24,16 +24,15 @@ def describe(path: str | Path) -> dict[str, Any]:
     sensor, channels = samples.sensor, samples.sensor.channels
     objects, outcomes, flags = Counter[str](), Counter[str](), Counter[str]()
     touches, sizes, stamps, errors, tared = [], [], [], [], 0
-    for record in samples.records(discarded=True):
-        sample = record.sample
+    for sample in samples.with_discarded():
         objects[sample.object] += 1
-        outcomes[record.outcome] += 1
-        flags.update(record.flags)
+        outcomes[sample.outcome] += 1
+        flags.update(sample.flags)
         tared += sample.tare is not None
         sizes.append(sample.cloud.size)
         stamps.append(sample.stamp_ns)
-        if record.pairing_error_ns is not None:
-            errors.append(record.pairing_error_ns * 1e-6)
+        if sample.pairing_error_ns is not None:
+            errors.append(sample.pairing_error_ns * 1e-6)
         if sample.touch is not None:
             touches.append(sample.touch.values)
     values = {name: np.stack(touches)[:, columns] for name, columns in channels.modality_columns.items() if touches}

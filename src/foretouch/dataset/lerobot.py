@@ -2,14 +2,14 @@
 """Export to LeRobotDataset v3, written with pyarrow alone; every executed grasp is an episode, every reading a frame.
 
 The frames hold what policies train on: both fingers, the grasp as the action, and the cloud with a fixed number of points. Each channel
-of a finger is also a feature of its own, `observation.tactile.FINGER.CHANNEL`, taxels x axes, whose `info` states where the taxels are and
-what their numbers mean (`_described`). At a chosen rate, such as that of a camera, a frame holds a window: the newest readings at its time,
+of a finger is also its own feature, `observation.tactile.FINGER.CHANNEL`, taxels x axes, whose `info` states where the taxels are and
+what their numbers mean (`_described`). At a chosen rate, such as a camera's, a frame holds a window: the newest readings at its time,
 oldest first, with their stamps. Clouds that are images are depth maps in millimetres, with their intrinsics.
 LeRobot assumes a constant rate, so that `timestamp` is frame_index / fps, and `stamp_ns` is the sensor's own time. What the
 tables cannot hold (all points, colours, candidates, notes, samples without a touch) is in the folder `foretouch` beside them,
 a recorded dataset, from which an export is imported again.
 
-Statistics are as LeRobot combines them: those of the whole dataset follow from those of the episodes, quantiles as their
+Statistics are as LeRobot combines them: statistics of the whole dataset follow from the episodes', quantiles as their
 means weighted by frames.
 """
 
@@ -25,14 +25,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from foretouch.dataset.record import DISCARDED, SampleRecord, readings
 from foretouch.dataset.recording import reader
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import ExportResult, SampleSet, has_points
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Float32, Index, Int64, Sample
+from foretouch.types import DISCARDED, SECOND_NS, AnyArray, Cloud, Float32, Index, Int64, Sample
 
 _SAMPLES: Final = "foretouch"  # folder of the recorded dataset
 _POINTS: Final = 1024  # of each cloud
@@ -55,7 +54,7 @@ _ACTION: Final = [f"{contact}_{axis}" for contact in ("g1", "g2") for axis in "x
 def export(
     samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None], fps: int | None = None
 ) -> None:
-    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`.
+    """Write samples in this format (arguments: `export` in `foretouch.dataset.formats`).
 
     With `fps`, frames hold windows of readings.
     """
@@ -63,24 +62,24 @@ def export(
     tables = _Tables(out, samples, fps)
     config = RecordingConfig(fsync_samples=0, min_free_mb=0.0)
     with RecordingWriter(out / _SAMPLES, samples.identity, config, sensor=samples.sensor) as writer, closing(tables):
-        for record in samples.records(discarded=True):
+        for sample in samples.with_discarded():
             progress()
-            writer.append(record)
-            if reason := _no_episode(record, tables.seen):
+            writer.append(sample)
+            if reason := _no_episode(sample, tables.seen):
                 result.left_out[reason] += 1
             else:
-                tables.add(record)
+                tables.add(sample)
                 result.samples += 1
     if not result.samples:
         raise FileError(samples.path, "holds no executed grasp with a touch to export")
     tables.finish(samples.identity.hand.get("model", ""))
 
 
-def _no_episode(record: SampleRecord, seen: bool) -> str:
+def _no_episode(sample: Sample, seen: bool) -> str:
     """Return why a sample is not an episode, or "" if it is one."""
-    if DISCARDED in record.flags or record.sample.touch is None:
-        return "discarded" if DISCARDED in record.flags else "unlabelled"
-    return "" if has_points(record.sample) or not seen else "no points"
+    if DISCARDED in sample.flags or sample.touch is None:
+        return "discarded" if DISCARDED in sample.flags else "unlabelled"
+    return "" if has_points(sample) or not seen else "no points"
 
 
 def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
@@ -88,15 +87,15 @@ def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
     others: list[set[str]] = []
     periods: list[float] = []
     shapes: set[tuple[int, ...]] = set()
-    for record in samples.records():
-        if (series := readings(record)) is None:
+    for sample in samples:
+        if (series := sample.readings) is None:
             continue
         suffixes = [f"_{finger}" for finger in samples.sensor.channels.fingers]
         both = [{name.removesuffix(suffix) for name in series.others if name.endswith(suffix)} for suffix in suffixes]
         others = [set.intersection(*both, *others)]
         periods += np.diff(series.stamps_ns)[:100].tolist()
-        if has_points(record.sample):
-            shapes.add(record.sample.cloud.xyz.shape[:-1])
+        if has_points(sample):
+            shapes.add(sample.cloud.xyz.shape[:-1])
     period_ns = float(np.median(periods or [0]))
     rate = max(1, round(SECOND_NS / period_ns)) if period_ns else 1
     return sorted(set().union(*others)), rate, shapes
@@ -135,13 +134,12 @@ class _Tables:
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far
-        self._writers: dict[str, pq.ParquetWriter] = {}  # of the one file of frames, and that of episodes
+        self._writers: dict[str, pq.ParquetWriter] = {}  # of the one file of frames, and of the file of episodes
 
-    def add(self, record: SampleRecord) -> None:
+    def add(self, sample: Sample) -> None:
         """Write the frames of a grasp that has a touch."""
-        sample = record.sample
         task = f"grasp the {sample.object}"
-        frames = self._frames_of(record, self._tasks.setdefault(task, len(self._tasks)))
+        frames = self._frames_of(sample, self._tasks.setdefault(task, len(self._tasks)))
         count, stats = len(frames["index"]), {}
         for name, values in frames.items():
             feature = {"dtype": values.dtype.name, "shape": [*values.shape[1:]] or [1], "names": None}
@@ -164,7 +162,7 @@ class _Tables:
             "dataset_from_index": self._frames,
             "dataset_to_index": self._frames + count,
             "sample_id": sample.id,
-            "outcome": record.outcome,
+            "outcome": sample.outcome,
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
             **{f"stats/{name}/{what}": value.tolist() for name, own in stats.items() for what, value in own.items()},
@@ -173,9 +171,9 @@ class _Tables:
         self._frames += count
         self._episodes += 1
 
-    def _frames_of(self, record: SampleRecord, task: int) -> dict[str, AnyArray]:
+    def _frames_of(self, sample: Sample, task: int) -> dict[str, AnyArray]:
         """Return the columns of a grasp's frames by feature, without its depth image."""
-        series, sample = readings(record), record.sample
+        series = sample.readings
         assert series is not None  # noqa: S101  it has a touch
         newest, window = _frames(series.stamps_ns, self._fps, self._window)
         count = len(newest)

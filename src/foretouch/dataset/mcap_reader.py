@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads MCAP files with any of their optional parts, also cut off or damaged ones, without trusting any length in them.
 
-`mcap` parses the records; its readers, like those of `rosbags`, require a complete file with particular indexes. Only
+`mcap` parses the records; its readers, like the readers of `rosbags`, require a complete file with particular indexes. Only
 requested bytes are read. No length in the file can make the reader allocate more memory than the size of the file, or of
 a chunk that really unpacks to so much.
 """
@@ -96,7 +96,7 @@ class RecordedMessage(NamedTuple):
 
     @property
     def offset(self) -> int:
-        """Its position in the file, or that of its chunk [bytes]."""
+        """Position of the message in the file, or of its chunk [bytes]."""
         return self.start if self.chunk is None else self.chunk.offset
 
 
@@ -119,9 +119,9 @@ class McapReader:
         channels, schemas: What is declared, by number; later declarations replace earlier ones.
         metadata: The last one of each name.
         extras: Attachments and metadata in order.
-        statistics: Counts in the index; None if there are none.
+        statistics: Counts in the index; None without them.
         compression: Of the latest chunk.
-        finished: Whether it was closed, so that its end is that of an MCAP file.
+        finished: Whether it was closed, so that it ends as an MCAP file does.
     """
 
     def __init__(self, path: Path) -> None:
@@ -190,7 +190,7 @@ class McapReader:
         return source[message.start : message.end]
 
     def next_chunk(self, start: int) -> int:
-        """Return the offset of the first intact chunk from `start` on; the size of the file if there is none."""
+        """Return the offset of the first intact chunk from `start` on; the size of the file without one."""
         for at in self.data.find_all(_CHUNK_START, 64, start, len(self.data)):
             record = next(self._records(self.data, at, len(self.data), _IN_DATA))
             if isinstance(record, Record):

@@ -10,7 +10,7 @@ import numpy as np
 
 from foretouch.cloud.io.files import archived_cloud, read_arrays
 from foretouch.cloud.messages import cloud_fields, header_fields
-from foretouch.dataset.record import Identity, SampleRecord, check_id
+from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.recording.sample_codec import OUTCOMES, StoredSample, sample_fields, stored_sample
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError, none_of
@@ -28,27 +28,27 @@ _NAMES: Final = {
     "other_names": "series_names",
     "others": "series_others",
 }
-"""Names of arrays that are not those of the fields of a `foretouch_msgs/GraspSample`."""
+"""Names of arrays that differ from the fields of a `foretouch_msgs/GraspSample`."""
 _NESTED: Final = ("header", "cloud", "grasp", "candidates", "score", "sha256")
 _TEXTS: Final = ("other_names", "flags", "extra_names")
 _GRASP: Final = {"g1": (3,), "g2": (3,), "rotation": (3, 3), "score": (), "grasp_id": (), "object_id": ()}
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
+    """Write samples in this format (arguments: `export` in `foretouch.dataset.formats`)."""
     out.mkdir(parents=True)
-    for record in samples.records():
+    for sample in samples:
         progress()
-        arrays = _arrays(record, samples.identity, samples.sensor)
-        file = out / f"{record.sample.id}.npz"
+        arrays = _arrays(sample, samples.identity, samples.sensor)
+        file = out / f"{sample.id}.npz"
         file.parent.mkdir(exist_ok=True)
         np.savez(file, allow_pickle=False, **arrays)
         result.samples += 1
 
 
-def _arrays(record: SampleRecord, identity: Identity, sensor: Sensor) -> dict[str, Any]:
-    sample, cloud = record.sample, record.sample.cloud
-    fields = vars(sample_fields(record, identity, sensor)).items()
+def _arrays(sample: Sample, identity: Identity, sensor: Sensor) -> dict[str, Any]:
+    cloud = sample.cloud
+    fields = vars(sample_fields(sample, identity, sensor)).items()
     arrays = {
         _NAMES.get(name, name): np.array(value, np.str_ if name in _TEXTS else None)
         for name, value in fields
@@ -60,13 +60,13 @@ def _arrays(record: SampleRecord, identity: Identity, sensor: Sensor) -> dict[st
     return {
         **arrays,
         **colours,
-        "outcome": record.outcome,
+        "outcome": sample.outcome,
         "xyz": cloud.xyz,
         "frame_id": cloud.frame_id,
         "stamp_ns": np.int64(cloud.stamp_ns),
         "sample_stamp_ns": np.int64(sample.stamp_ns),
         **{name: values[0] for name, values in _grasps([sample.grasp]).items()},
-        **{f"candidates_{name}": values for name, values in _grasps(record.candidates).items()},
+        **{f"candidates_{name}": values for name, values in _grasps(sample.candidates).items()},
     }
 
 
@@ -86,7 +86,7 @@ def _read(path: Path) -> StoredSample:
     arrays = read_arrays(path, _REQUIRED)
     try:
         cloud = archived_cloud(path, arrays)
-        default = SampleRecord(sample=Sample(id="a/1", object="a"))
+        default = Sample(id="a/1", object="a")
         fields = vars(sample_fields(default, Identity(), BIOTAC_SP))
         for name in fields.keys() - _NESTED:
             if (array := arrays.get(_NAMES.get(name, name))) is not None:
@@ -137,7 +137,7 @@ def open_set(path: Path, _: bool) -> SampleSet:
     files = _files(path)
     first = _read(files[0])
 
-    def record(k: int) -> SampleRecord:
+    def read(k: int) -> Sample:
         stored, own, other = _read(files[k])
         if own != first.identity or other.sha256 != first.sensor.sha256:
             raise FileError(files[k], f"is of another hand, camera or sensor than {files[0]}")
@@ -147,7 +147,7 @@ def open_set(path: Path, _: bool) -> SampleSet:
         path=path,
         kind="npz",
         size=len(files),
-        record=record,
+        read=read,
         name=lambda k: str(files[k]),
         identity=first.identity,
         sensor=first.sensor,

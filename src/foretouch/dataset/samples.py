@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.record import DISCARDED, Identity, SampleRecord, readings
+from foretouch.dataset.identity import Identity
 from foretouch.errors import DatasetError
 from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Grasps, Sample
+from foretouch.types import DISCARDED, AnyArray, Grasps, Sample
 
 _SHOWN: Final = 64  # readings of a grasp by which dead taxels are found
 
@@ -27,7 +27,7 @@ class SampleSet:
     path: Path  # the dataset
     kind: str  # name of its format
     size: int  # number of samples, including discarded ones
-    record: Callable[[int], SampleRecord]  # reads one sample by its number; raises `FileError` with file and position
+    read: Callable[[int], Sample]  # reads one sample by its number; raises `FileError` with file and position
     name: Callable[[int], str]  # where a sample is stored, for messages
     identity: Identity = field(default_factory=Identity)  # hand and camera, as far as they are known
     unfinished: tuple[Path, ...] = ()  # recordings that were cut off, if those may be read
@@ -40,7 +40,7 @@ class SampleSet:
 
     def __iter__(self) -> Iterator[Sample]:
         """Return the samples in order, without those that the operator discarded."""
-        return (record.sample for record in self.records())
+        return (sample for sample in self.with_discarded() if DISCARDED not in sample.flags)
 
     def to_arrays(self) -> dict[str, AnyArray]:
         """Return all labelled samples as columns, one row for each; clouds, whose sizes differ, are left out.
@@ -90,8 +90,8 @@ class SampleSet:
         """
         with needs_laboratory("split"):
             from foretouch_lab.learning.data.folds import make_folds
-        labelled = [k for k in range(self.size) if _is_labelled(self.record(k))]
-        folds = make_folds([self.record(k).sample for k in labelled], kind, seed)
+        labelled = [k for k in range(self.size) if _is_labelled(self.read(k))]
+        folds = make_folds([self.read(k) for k in labelled], kind, seed)
         return [
             (self.subset([labelled[k] for k in fold.train]), self.subset([labelled[k] for k in fold.test]))
             for fold in folds
@@ -99,19 +99,16 @@ class SampleSet:
 
     def subset(self, numbers: Sequence[int]) -> "SampleSet":
         """Return some samples by their numbers, in this order."""
-        kept, record, name = list(numbers), self.record, self.name
-        return replace(self, size=len(kept), record=lambda k: record(kept[k]), name=lambda k: name(kept[k]))
+        kept, read, name = list(numbers), self.read, self.name
+        return replace(self, size=len(kept), read=lambda k: read(kept[k]), name=lambda k: name(kept[k]))
 
-    def records(self, *, discarded: bool = False) -> Iterator[SampleRecord]:
-        """Iterate over the samples in order, optionally with those that the operator discarded."""
-        for k in range(self.size):
-            record = self.record(k)
-            if discarded or DISCARDED not in record.flags:
-                yield record
+    def with_discarded(self) -> Iterator[Sample]:
+        """Return the samples in order, also those that the operator discarded."""
+        return (self.read(k) for k in range(self.size))
 
 
-def _is_labelled(record: SampleRecord) -> bool:
-    return record.sample.touch is not None and DISCARDED not in record.flags
+def _is_labelled(sample: Sample) -> bool:
+    return sample.touch is not None and DISCARDED not in sample.flags
 
 
 @dataclass(kw_only=True)
@@ -124,12 +121,8 @@ class ExportResult:
 
 
 def sensor_of_samples(samples: SampleSet) -> Sensor:
-    """Return the sensor of a dataset, with those of its taxels declared dead, too, that all readings show to be."""
-    rows = [
-        series.counts[:: max(1, len(series.counts) // _SHOWN)]
-        for record in samples.records()
-        if (series := readings(record))
-    ]
+    """Return the sensor of a dataset, with the taxels declared dead that all readings show to be dead."""
+    rows = [series.counts[:: max(1, len(series.counts) // _SHOWN)] for sample in samples if (series := sample.readings)]
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
 
 

@@ -7,11 +7,10 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import REST, TouchSeries, readings
 from foretouch.errors import TactileError
 from foretouch.tactile.dead_taxels import dead_taxels
 from foretouch.tactile.description import Sensor
-from foretouch.types import SECOND_NS, Bool, Float64, Index
+from foretouch.types import REST, SECOND_NS, Bool, Float64, Index, TouchSeries
 
 _STILL: Final = 20  # readings without change, through which a working taxel shows its noise
 _SATURATED: Final = 0.01  # of a taxel's readings at an end of its range
@@ -59,7 +58,7 @@ class _Tally:
 
 
 def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
-    """Measure ranges, noise, drift, rate and failed taxels of a dataset, beside those of a description, in plain types.
+    """Measure ranges, noise, drift, rate and failed taxels of a dataset beside what a description states, in plain types.
 
     Dead taxels are those that training would mask (see `foretouch.tactile.dead_taxels`), stuck ones did not change through at least one grasp.
     Noise is the standard deviation at rest, drift the change of the rest level from a grasp to the next (medians over taxels).
@@ -70,11 +69,11 @@ def compare_sensor(sensor: Sensor, path: Path) -> dict[str, Any]:
         TactileError: If its readings have another number of values, or it holds none.
     """
     tally, channels = _Tally(sensor), sensor.channels
-    for record in open_samples(path).records():
-        if (series := readings(record)) is not None and len(series.counts):
+    for sample in open_samples(path):
+        if (series := sample.readings) is not None and len(series.counts):
             if series.counts.shape[1] != channels.size:
                 rule = f"{series.counts.shape[1]} values in a reading, and {channels.size} of {channels.sensor}"
-                raise TactileError(f"{path}: {record.sample.id}: {rule}")
+                raise TactileError(f"{path}: {sample.id}: {rule}")
             tally.add(series)
     if not tally.grasps:
         raise TactileError(f"{path}: holds no readings")

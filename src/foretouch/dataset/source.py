@@ -39,12 +39,12 @@ class SourceItem:
 
     @property
     def cloud(self) -> Cloud:
-        """The cloud, or that of the sample; a `ForetouchError` if it cannot be read."""
+        """The cloud, or the cloud of the sample; a `ForetouchError` if it cannot be read."""
         return self._value.cloud if isinstance(self._value, Sample) else self._value
 
     @property
     def sample(self) -> Sample | None:
-        """The sample; None for a cloud alone (raises as `cloud`)."""
+        """The sample; None for a cloud alone. A `ForetouchError` if it cannot be read."""
         return self._value if isinstance(self._value, Sample) else None
 
 
@@ -142,7 +142,7 @@ def open_source(
 
 
 def _sample(samples: SampleSet, number: int) -> Sample:
-    return samples.record(number).sample
+    return samples.read(number)
 
 
 def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:

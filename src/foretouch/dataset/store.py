@@ -26,7 +26,7 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch.dataset.files import read_manifest
-from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
 from foretouch.files import COUNT, file_sha256, open_regular, parse_json, require_schema
@@ -99,7 +99,7 @@ class Store(Sequence[Sample]):
     batches are kept in memory.
 
     Raises:
-        FileError: If there is none, it is of another version, or files and manifest disagree.
+        FileError: If no store is there, it is of another version, or files and manifest disagree.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -271,7 +271,8 @@ def _sample(batch: Any, row: int, channels: Channels) -> Sample:
 
     names = ("id", "object", "frame_id", "extra", "stamp_ns", "score")
     plain = {name: batch.column(name)[row].as_py() for name in names}
-    rgb = None if (values := vector("rgb")) is None else values.reshape(-1, 3)
+    colours = vector("rgb")
+    rgb = None if colours is None else colours.reshape(-1, 3)
     g1, g2, rotation = (vector(name).copy() for name in ("g1", "g2", "rotation"))
     return Sample(
         id=plain["id"],
@@ -299,14 +300,14 @@ recognise = is_store
 
 
 def open_set(path: Path, _: bool) -> SampleSet:
-    """Return the samples of a store (raises as `Store`)."""
+    """Return the samples of a store; a `FileError` if files and manifest disagree."""
     store = Store(path)
     about = store.manifest.get("about", {})
     return SampleSet(
         path=path,
         kind="store",
         size=len(store),
-        record=lambda k: SampleRecord(sample=store[k]),
+        read=lambda k: store[k],
         name=lambda k: f"{path}[{k}]",
         identity=Identity(hand=about.get("hand", {}), camera=about.get("camera", {})),
         sensor=store.sensor,

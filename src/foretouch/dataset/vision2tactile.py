@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from foretouch.cloud.io.files import read_cloud, write_cloud
-from foretouch.dataset.record import Identity, SampleRecord, check_id
+from foretouch.dataset.identity import Identity, check_id
 from foretouch.dataset.samples import ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, FileError, GraspError
 from foretouch.files import read_bytes
@@ -144,20 +144,19 @@ def open_set(path: Path, _: bool) -> SampleSet:
         path=path,
         kind="vision2tactile",
         size=len(folders),
-        record=lambda k: SampleRecord(sample=_read_sample(folders[k])),
+        read=lambda k: _read_sample(folders[k]),
         name=lambda k: str(folders[k]),
         identity=_IDENTITY,
     )
 
 
 def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    """Write samples in this format; its arguments are those of `export` in `foretouch.dataset.formats`."""
+    """Write samples in this format (arguments: `export` in `foretouch.dataset.formats`)."""
     require_same(samples.sensor.channels, BIOTAC, str(samples.path))
     out.mkdir(parents=True)
     exported = {f"{name}_{finger}" for name in _EXTRA for finger in ("MF", "TH")}
-    for record in samples.records():
+    for sample in map(only_finite, samples):
         progress()
-        sample = only_finite(record.sample)
         check_id(sample.id, sample.object)
         if sample.touch is None:
             result.left_out["unlabelled"] += 1
@@ -170,7 +169,7 @@ def export(samples: SampleSet, out: Path, result: ExportResult, progress: Callab
         (folder / TOUCH_FILE).write_text("," + _as_text(_fingers(sample, sample.touch)), encoding="ascii")
         result.samples += 1
         result.lost["tare"] += sample.tare is not None
-        result.lost["series"] += record.series is not None
+        result.lost["series"] += sample.series is not None
         result.lost["extra"] += bool(sample.extra.keys() - exported)
         result.lost["id"] += folder.name != sample.id.partition("/")[2]
 

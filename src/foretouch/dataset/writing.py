@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write samples of any source to a recorded dataset: `foretouch.write`.
 
-A sample is a `SampleRecord`, as a dataset gives it, or a mapping with the arrays of a grasp, as pandas or h5py read them.
+A sample is a `Sample`, as a dataset gives it, or a mapping with the arrays of a grasp, as pandas or h5py read them.
 Stamps and missing numbers are checked here, whatever the source.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 
 from foretouch.dataset.files import new_folder
 from foretouch.dataset.grasp_arrays import GraspArrays, Missing, Remarks, stamp_faults
-from foretouch.dataset.record import Identity, SampleRecord, readings
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, ForetouchError
@@ -37,7 +37,7 @@ class WriteResult:
 
 def write(
     path: str | Path,
-    samples: "SampleSet | Iterable[SampleRecord | Sample | Mapping[str, Any]]",
+    samples: "SampleSet | Iterable[Sample | Mapping[str, Any]]",
     sensor: str | Path | Sensor = "biotac_sp",
     *,
     missing: Missing = "refuse",
@@ -48,7 +48,7 @@ def write(
 
     Args:
         path: Folder of the dataset. A new one appears as a whole or not at all.
-        samples: A dataset, or samples of any source: `Sample`, `SampleRecord`, or mappings with the fields of `GraspArrays`, such as
+        samples: A dataset, or samples of any source: `Sample`, or mappings with the fields of `GraspArrays`, such as
             `{"object": "mug", "values": {"P_left": (T, M), "P_right": (T, M)}, "stamps_s": (T,), "rest": 40}`.
         sensor: Name or file of the description of the sensor. A dataset brings its own.
         missing: What becomes of numbers that are not finite in mappings. "refuse" refuses them by name; "hold" takes the
@@ -63,9 +63,9 @@ def write(
         DatasetError: If a sample breaks a rule. The message names the sample, the field, the rule, and what to do.
         FileError: If the dataset is of another hand, camera or sensor, or cannot be written.
     """
-    records: Iterable[SampleRecord | Sample | Mapping[str, Any]]
+    records: Iterable[Sample | Mapping[str, Any]]
     if isinstance(samples, SampleSet):
-        own, facts, records = samples.sensor, samples.identity, samples.records()
+        own, facts, records = samples.sensor, samples.identity, samples
     else:
         own, facts, records = sensor if isinstance(sensor, Sensor) else load_sensor(sensor), Identity(), samples
     identity = Identity(
@@ -73,18 +73,18 @@ def write(
     )
     result, remarks = WriteResult(), Remarks()
 
-    def made() -> Iterable[SampleRecord]:
-        for number, record in enumerate(records):
-            if isinstance(record, SampleRecord | Sample):
-                yield record if isinstance(record, SampleRecord) else SampleRecord(sample=record)
+    def made() -> Iterable[Sample]:
+        for number, sample in enumerate(records):
+            if isinstance(sample, Sample):
+                yield sample
                 continue
             try:
-                yield GraspArrays(**record).record(own, missing, remarks)
+                yield GraspArrays(**sample).sample(own, missing, remarks)
             except (TypeError, ValueError, AttributeError, ForetouchError) as err:  # of keys and values of other types
                 name = (
-                    f"{record.get('object')}/{record.get('id') or number}"
-                    if isinstance(record, Mapping)
-                    else type(record).__name__
+                    f"{sample.get('object')}/{sample.get('id') or number}"
+                    if isinstance(sample, Mapping)
+                    else type(sample).__name__
                 )
                 raise DatasetError(
                     f"sample {number} ({name}): {str(err).removeprefix('GraspArrays.__init__() ')}"
@@ -98,29 +98,39 @@ def write(
 
 def write_records(
     path: Path,
-    records: Iterable[SampleRecord],
+    records: Iterable[Sample],
     identity: Identity,
     sensor: Sensor,
     result: WriteResult,
     progress: Callable[[], None] = lambda: None,
     remarks: Remarks | None = None,
 ) -> None:
-    """Write the records to a dataset and add to the result; their stamps are held against the rate of the sensor; see `write`."""
+    """Write the records to a dataset and add to the result; their stamps are compared with the rate of the sensor.
+
+    Args:
+        path: Folder of the dataset, which is created if it does not exist.
+        records: The samples.
+        identity: Hand and camera.
+        sensor: The sensor that was read.
+        result: Gets the counts and notes.
+        progress: Called once a sample.
+        remarks: Gets names of samples by flag, for the notes.
+    """
     remarks = {} if remarks is None else remarks
     with ExitStack() as stack:
         folder = path if path.exists() else stack.enter_context(new_folder(path))
         config = RecordingConfig(fsync_samples=0)  # synchronised once, at the end
         with system_errors(path), RecordingWriter(folder, identity, config, sensor=sensor) as writer:
-            for record in records:
-                series = readings(record)
+            for sample in records:
+                series = sample.readings
                 faults = (
-                    {} if record.series is None else stamp_faults(record.series.stamps_ns, sensor.config.update_rate)
+                    {} if sample.series is None else stamp_faults(sample.series.stamps_ns, sensor.config.update_rate)
                 )
-                name = writer.append(record)
+                name = writer.append(sample)
                 for flag, text in faults.items():
                     remarks.setdefault(flag, []).append(f"{name}: {text}")
                 result.samples += 1
-                result.labelled += record.sample.touch is not None
+                result.labelled += sample.touch is not None
                 result.readings += 0 if series is None else len(series.stamps_ns)
                 progress()
     result.notes += tuple(f"{kind}: {len(texts)} samples, first {texts[0]}" for kind, texts in remarks.items())

@@ -4,7 +4,7 @@
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.completed import Obstacles
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig, SceneGeoGraspConfig
-from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
+from foretouch.grasp.geograsp import GraspPlan, PlanOptions, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
 from foretouch.grasp.pose import closing_faults, hand_rotation, quaternion_xyzw
 
@@ -16,6 +16,7 @@ __all__ = [
     "HandConfig",
     "HeldGrasp",
     "Obstacles",
+    "PlanOptions",
     "PlanStatus",
     "SceneGeoGraspConfig",
     "closing_faults",

@@ -23,6 +23,7 @@ from typing import Literal, Self
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.geometry.pcl_filters import cell_means, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import HandConfig
@@ -174,7 +175,7 @@ class CompletedObject:
     def _seen(self) -> tuple[Float64, Float32, Float32]:
         """A grid over the object's image: column, row and pitch; and as `outline` finds them, `nearest` [m] and `inside`."""
         x, y, z = self._points.xyz.T.copy()  # reductions along rows of three are slow
-        pitch = max(_PITCH, _SPACINGS * float(np.median(self._spacing / z)))
+        pitch = max(_PITCH, _SPACINGS * median(self._spacing / z))
         columns, rows = x / z, y / z
         grid = np.array([columns.min() - 4.0 * pitch, rows.min() - 4.0 * pitch, pitch])
         shape = int((rows.max() - grid[1]) / pitch) + 5, int((columns.max() - grid[0]) / pitch) + 5
@@ -193,10 +194,7 @@ class CompletedObject:
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
         """Return (A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
-        hand, obstacles = self._hand, self._obstacles
-        others = np.empty((0, 3))
-        if obstacles is not None:
-            others = np.ascontiguousarray((obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
+        hand, others = self._hand, self._others
         floor_m, way_m = hand.tip_radius + hand.clearance_m, hand.approach_m + hand.tip_radius
         settings = np.array([_STEP_M, hand.tip_radius, floor_m, _END_SHARE, self._horizontal, self._shift_m, way_m])
         palm = hand.hand.palm if self.has_palm else np.zeros(2)
@@ -290,14 +288,17 @@ class CompletedObject:
         return _in_image_order(ends, along)
 
     @cached_property
-    def _around(self) -> tuple[Float64, Float64]:
-        """Points of the object, and of what stands around, in the table's frame."""
+    def _own(self) -> Float64:
+        """(N, 3) points of the object, thinned, in the table's frame."""
         points = self._xyz[self._weights > 0.5].astype(np.float32)
-        own = cell_means(points, voxel_grid(points, _CELL_M)) if len(points) else np.empty((0, 3))
-        others = np.empty((0, 3))
-        if self._obstacles is not None:
-            others = np.asarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
-        return own, others
+        return cell_means(points, voxel_grid(points, _CELL_M)) if len(points) else np.empty((0, 3))
+
+    @cached_property
+    def _others(self) -> Float64:
+        """(M, 3) points of what stands around, in the table's frame."""
+        if self._obstacles is None:
+            return np.empty((0, 3))
+        return np.ascontiguousarray((self._obstacles.xyz.astype(np.float64) - self._foot) @ self._basis.T)
 
     def way_in(self, g1: Float64, g2: Float64) -> tuple[WayIn | None, bool]:
         """Find how the hand comes to a grasp.
@@ -316,7 +317,7 @@ class CompletedObject:
         frame = np.array([[across[0], across[1], 0.0], [-across[1], across[0], 0.0], [0.0, 0.0, width]]) / width
         clearances, behind = np.full((2, len(TILTS)), UNLIMITED_M), np.zeros(len(TILTS))
         if self.has_palm:
-            own, others = ((points - middle) @ frame.T for points in self._around)
+            own, others = ((points - middle) @ frame.T for points in (self._own, self._others))
             clearances, behind = hand.clearance(width, own, others, float(middle[2]))
             clearances = clearances[::-1]
         allowed = clearances >= _LEAST_M

@@ -56,7 +56,7 @@ class GeoGraspConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SceneGeoGraspConfig(GeoGraspConfig):
-    """Settings of the grasp planner of simulated samples: as that of the recorded ones, it drops no flying points."""
+    """Settings of the grasp planner of simulated samples, which drops no flying points: neither did the planner of the recorded ones."""
 
     flying_share: float = setting(1.0, _FLYING, bounds=(0.0, 1.0))
 

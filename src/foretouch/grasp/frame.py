@@ -3,13 +3,14 @@
 
 GeoGrasp (Zapata-Impata et al. 2019) decides by hard limits whether a point is an outlier, and the sign of the axis by the
 camera's frame. Here outliers fade out around the limit of the filter, points weigh by the area that they cover, and the
-sign of the axis is that of the object's own asymmetry.
+sign of the axis follows the object's own asymmetry.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import cross
@@ -58,7 +59,7 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
         config: Settings.
     """
     d = neighbour_distance.astype(np.float64)
-    isolated = d > _ISOLATED * max(float(np.median(d)), _EPSILON)
+    isolated = d > _ISOLATED * max(median(d) if len(d) else 0.0, _EPSILON)
     near = d[~isolated] if isolated.any() else d
     spread = float(near.std(ddof=1)) if len(near) > 1 else 0.0
     limit = float(near.mean()) + config.outlier_deviations * spread

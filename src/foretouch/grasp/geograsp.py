@@ -12,7 +12,7 @@ are more of them than in any recorded cloud (`GeoGraspConfig.flying_share`).
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -67,21 +67,23 @@ class GraspPlan:
     ms: dict[str, float] = field(default_factory=dict)  # wall time of each stage and their `total` [ms]
 
 
-def plan_grasps(
-    cloud: Cloud,
-    plane: Plane,
-    config: GeoGraspConfig,
-    *,
-    slide_m: float = 0.0,
-    rng: np.random.Generator | None = None,
-    pixels: Integer | None = None,
-    image_shape: tuple[int, int] | None = None,
-    limits: ObjectLimits = DEFAULT_LIMITS,
-    held: HeldGrasp | None = None,
-    hold: float = 0.0,
-    hand: HandConfig = DEFAULT_HAND,
-    obstacles: Obstacles | None = None,
-) -> GraspPlan:
+class PlanOptions(TypedDict, total=False):
+    """What a plan takes besides the object, by name; each may be absent."""
+
+    slide_m: float  # shift of the grasp plane along the object's axis [m] (variety as in P2); by default 0
+    rng: np.random.Generator | None  # draws `slide_m` from a part of the object's extent (`slide_fraction`) instead
+    pixels: Integer | None  # (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it
+    image_shape: tuple[int, int] | None  # (H, W) of that image
+    limits: ObjectLimits  # range and size of objects; others have no grasp
+    # Best grasp of this object in the previous cloud of a stream. Method "completed" returns it again unless another one is
+    # better by more than `hold`, on three clouds in a row.
+    held: HeldGrasp | None
+    hold: float  # in units of the score; by default 0
+    hand: HandConfig  # what the hand can execute; method "completed" only
+    obstacles: Obstacles | None  # what stands around the object; method "completed" only
+
+
+def plan_grasps(cloud: Cloud, plane: Plane, config: GeoGraspConfig, **options: Unpack[PlanOptions]) -> GraspPlan:
     """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
 
     The same cloud results in the same plan, whether its pixels are known or not.
@@ -90,16 +92,7 @@ def plan_grasps(
         cloud: The object's points, organised or not, with the sensor at the origin; those not finite are counted.
         plane: The table, in the cloud's frame.
         config: Settings; at most `config.count` grasps are returned.
-        slide_m: Shift of the grasp plane along the object's axis [m] (variety as in P2).
-        rng: Draws `slide_m` from a part of the object's extent (`config.slide_fraction`) instead.
-        pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
-        image_shape: (H, W) of that image.
-        limits: Range and size of objects; others have no grasp.
-        held: Best grasp of this object in the previous cloud of a stream; method "completed" returns it again unless
-            another one is better by more than `hold`, on three clouds in a row.
-        hold: In units of the score.
-        hand: What the hand can execute; method "completed" only.
-        obstacles: What stands around the object; method "completed" only.
+        options: See `PlanOptions`, such as `hand=HandConfig(name="franka_hand")`.
 
     Returns:
         The plan. Without a grasp it has the reason and the status "no_grasp", or "unknown_frame" off an optical frame.
@@ -108,17 +101,19 @@ def plan_grasps(
         CloudError: If `pixels` do not belong to the cloud.
         GraspError: If `slide_m` is not finite, or is given together with `rng`.
     """
+    slide_m, rng = options.get("slide_m", 0.0), options.get("rng")
     if not math.isfinite(slide_m):
         raise GraspError(f"slide_m: {slide_m} is not finite")
     if rng is not None and slide_m != 0.0:
         raise GraspError(f"slide_m, rng: a slide of {slide_m} m and a random one exclude each other")
-    points = finite_points(cloud, pixels, image_shape)
+    points = finite_points(cloud, options.get("pixels"), options.get("image_shape"))
     plan = GraspPlan(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
+    limits = options.get("limits", DEFAULT_LIMITS)
     try:
         check_object(points.xyz, limits)
         check_table(plane, limits)
         if config.method == "completed":
-            _plan_completed(plan, points, plane, config, rng, held and (held, hold), hand, obstacles)
+            _plan_completed(plan, points, plane, config, options)
         else:
             _plan_original(plan, points, plane, config, rng)
     except CloudError as err:
@@ -190,17 +185,11 @@ def _best_grasps(
 
 
 def _plan_completed(
-    plan: GraspPlan,
-    points: FinitePoints,
-    plane: Plane,
-    config: GeoGraspConfig,
-    rng: np.random.Generator | None,
-    held: tuple[HeldGrasp, float] | None,
-    hand: HandConfig,
-    obstacles: Obstacles | None,
+    plan: GraspPlan, points: FinitePoints, plane: Plane, config: GeoGraspConfig, options: PlanOptions
 ) -> None:
-    """Plan by the method `completed` (see `foretouch.grasp.completed`), with the held grasp and the margin that keeps it."""
-    counts = plan.counts
+    """Plan by the method of `foretouch.grasp.completed`."""
+    counts, rng, held = plan.counts, options.get("rng"), options.get("held")
+    hand, obstacles = options.get("hand", DEFAULT_HAND), options.get("obstacles")
     with timed(plan.ms, "outliers"):
         downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))
         xyz = downsampled.without_flying(config, counts).xyz
@@ -229,12 +218,11 @@ def _plan_completed(
             [Grasp(g1, g2, hand_rotation(g1, g2, axis), SCORE_OF_NONE - cost, way=way) for (g1, g2), way, cost in best]
         )
         if held is not None and plan.grasps:
-            last, margin = held
-            cost = float(lines.cost[completed.nearest_line(last[0])])
-            if completed.way_in(*as_in_image(last[0]))[0] is None:
+            cost = float(lines.cost[completed.nearest_line(held[0])])
+            if completed.way_in(*as_in_image(held[0]))[0] is None:
                 cost = np.inf
             held_score = SCORE_OF_NONE - min(cost, 2.0 * SCORE_OF_NONE)  # finite, also where it is refused now
-            first, plan.outdone = held_or_new(last, held_score, plan.grasps[0], margin)
+            first, plan.outdone = held_or_new(held, held_score, plan.grasps[0], options.get("hold", 0.0))
             plan.grasps = Grasps.of([first, *plan.grasps[1:]])
     if plan.grasps:
         plan.initial_points = np.stack([plan.grasps[0].g1, plan.grasps[0].g2])

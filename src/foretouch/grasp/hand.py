@@ -134,9 +134,9 @@ class HandDescription(Settings):
                     limits = f"{joint.lower:g} to {joint.upper:g} rad"
                     raise ConfigError(f"{where}.angles: {joint.name} {angle:g} is outside of its limits, {limits}")
             if [box.name for box in posture.boxes] != [box.name for box in self.postures[0].boxes]:
-                raise ConfigError(f"{where}.boxes: are not those of postures[0], in their order")
+                raise ConfigError(f"{where}.boxes: differ from postures[0] in name or order")
         if any(box.part != PALM for box in self.boxes):
-            raise ConfigError("boxes: hold the palm; those of fingers stand in `postures`")
+            raise ConfigError("boxes: hold the palm; boxes of fingers stand in `postures`")
         twice = [joint.name for joint in self.joints]
         if len(set(twice)) < len(twice):
             raise ConfigError(f"joints: {max(twice, key=twice.count)} occurs twice")
@@ -146,7 +146,7 @@ class HandAt(NamedTuple):
     """The hand at one width of a grasp."""
 
     depth_m: float  # free between line and palm [m]
-    tool: Float64  # (4, 4) float64, the tool's frame in that of the grasp
+    tool: Float64  # (4, 4) float64, the tool's frame in the frame of the grasp
     corners: Float64  # (B, 8, 3) float64 [m], of its boxes, closed, in the frame of the grasp
     posture: Float64  # (J,) float64 [rad]
 

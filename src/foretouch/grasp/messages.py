@@ -82,7 +82,7 @@ def decode_grasp(message: Any, rotation: Float64 | None = None) -> Grasp:
 
     Args:
         message: With a matrix, a quaternion, or both; nine zeros as matrix mean that only the quaternion counts.
-        rotation: (3, 3) float64, instead of that of the message.
+        rotation: (3, 3) float64, instead of the message's rotation.
 
     Raises:
         GraspError: If a number is not finite, the contacts are one point, matrix and quaternion are absent or
@@ -108,7 +108,7 @@ def _way_of(message: Any) -> WayIn | None:
     if arrays["approaches"].size != 2 * len(TILTS):
         raise GraspError(f"approaches: {arrays['approaches'].size} numbers are not 2 x {len(TILTS)}")
     if len(message.joints) != len(message.posture):
-        raise GraspError(f"posture: {len(message.posture)} angles are not those of {len(message.joints)} joints")
+        raise GraspError(f"posture: {len(message.posture)} angles do not fit {len(message.joints)} joints")
     if message.thumb_at not in ("g1", "g2"):
         raise GraspError(f"thumb_at: {message.thumb_at!r} is neither g1 nor g2")
     pose[:3, :3] = rotation_from_quaternion(np.array([turn.x, turn.y, turn.z, turn.w], np.float64))
@@ -129,10 +129,10 @@ def decode_predictions(message: Any, channels: Channels | None = None) -> Predic
 
     Args:
         message: Any object with the fields of one of these. A batch holds no contacts, which are then NaN.
-        channels: Of its sensor, whose names must be those of the message; by default made of these names, without units.
+        channels: Channels of its sensor, whose names the message must have; by default made of the message's names, without units.
 
     Raises:
-        TactileError: If the number of values is not that of the names, or a name is missing.
+        TactileError: If the number of values does not fit the names, or a name is missing.
     """
     if hasattr(message, "predictions"):
         rows = [decode_predictions(part, channels) for part in message.predictions]
@@ -230,7 +230,7 @@ def _rotation_of(message: Any) -> Float64:
         return rotation_from_quaternion(quaternion)
     check_rotation(matrix)
     if np.any(quaternion) and np.abs(rotation_from_quaternion(quaternion) - matrix).max() > _AGREEMENT:
-        raise GraspError("rotation: is not that of pose.orientation")
+        raise GraspError("rotation: differs from pose.orientation")
     return matrix
 
 

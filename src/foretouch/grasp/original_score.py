@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The original GeoGrasp's score of any two contacts, at full resolution and in the scales of its own candidates."""
+"""The original GeoGrasp's score of any two contacts, at full resolution and in the scales of its candidates."""
 
 import numpy as np
 

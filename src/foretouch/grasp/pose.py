@@ -126,7 +126,7 @@ def closing_faults(grasps: Grasps) -> list[str]:
 
 
 def joined_faults(*parts: list[str]) -> list[str]:
-    """Return the first fault of each of K grasps in several lists of K; "" if there is none."""
+    """Return the first fault of each of K grasps in several lists of K; "" without a fault."""
     faulty = [part for part in parts if any(part)]
     return [next(filter(None, row), "") for row in zip(*faulty, strict=True)] if faulty else parts[0]
 

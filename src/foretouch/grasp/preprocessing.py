@@ -70,7 +70,7 @@ class FinitePoints:
             raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_MAX_COORDINATE_M:g} m; is it in metres?")
 
     def every_kth_pixel(self, most: int) -> "FinitePoints":
-        """Return at most about `most` points: those of a lattice of pixels, so that small changes of the cloud keep the choice.
+        """Return at most about `most` points on a lattice of pixels, so that small changes of the cloud keep the choice.
 
         Up to four times as many, evenly distributed over their order, if that image cannot be recovered. In canonical order; raises as
         `downsampled`.

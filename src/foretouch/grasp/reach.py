@@ -16,7 +16,7 @@ _TOGETHER = 16  # of them at a time, for many grasps
 
 @dataclass(frozen=True, kw_only=True)
 class ReachConfig(Settings):
-    """The hand's reach. The defaults are those of a Shadow Hand, thumb and middle finger."""
+    """The hand's reach. By default, of a Shadow Hand with thumb and middle finger."""
 
     max_width_m: float = setting(0.2, "Grasps whose contacts are farther apart are refused", bounds=(0.001, 10.0))
     max_distance_m: float = setting(
@@ -28,7 +28,13 @@ DEFAULT_REACH = ReachConfig()
 
 
 def check_reach(grasp: Grasp, cloud_xyz: Floating, max_width_m: float, max_distance_m: float) -> None:
-    """Check one grasp, as `reach_faults`.
+    """Refuse a grasp that `reach_faults` names.
+
+    Args:
+        grasp: The grasp.
+        cloud_xyz: (N, 3) points of the object [m].
+        max_width_m: Largest distance of the contacts [m].
+        max_distance_m: Largest distance of a contact from the object [m].
 
     Raises:
         GraspError: Names the measure and its limit.

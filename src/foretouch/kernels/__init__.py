@@ -40,6 +40,7 @@ _POINTERS: Final = {
     )
 }
 
+_TYPES: Final = {pointer.item.cname: (dtype, pointer) for dtype, pointer in _POINTERS.items()}
 _KEPT: Final = WeakKeyDictionary[Any, Any]()  # what structs point to
 
 
@@ -87,6 +88,13 @@ class Kernel:
     def __init__(self, name: str) -> None:
         self._name = name
         self._call = getattr(lib, name)
+        kinds = ffi.typeof(self._call).args
+        self._count = len(kinds)
+        self._arrays = [  # place among the arguments, type of the numbers, and pointer to them
+            (place, *_TYPES[kind.item.cname])
+            for place, kind in enumerate(kinds)
+            if kind.kind == "pointer" and kind.item.kind == "primitive"
+        ]
 
     def __call__(self, *arguments: Any) -> None:
         """Call the function.
@@ -97,14 +105,14 @@ class Kernel:
         Raises:
             TypeError: If an array has another dtype or is not contiguous, or a number is of another type.
         """
+        values = list(arguments)
         try:
-            self._call(
-                *[
-                    _from_buffer(_POINTERS[value.dtype], value) if isinstance(value, np.ndarray) else value
-                    for value in arguments
-                ]
-            )
-        except KeyError as err:
-            raise TypeError(f"{self._name}: no kernel takes an array of {err}") from None
-        except (TypeError, ValueError) as err:
+            if len(values) != self._count:
+                raise TypeError(f"{len(values)} arguments, not {self._count}")
+            for place, dtype, pointer in self._arrays:
+                if values[place].dtype != dtype:
+                    raise TypeError(f"argument {place} is an array of {values[place].dtype!r}, not of {dtype!r}")
+                values[place] = _from_buffer(pointer, values[place])
+            self._call(*values)
+        except (AttributeError, TypeError, ValueError) as err:
             raise TypeError(f"{self._name}: {err}") from err

@@ -7,8 +7,6 @@
 #include "eigen.h"
 #include "sets.h"
 
-enum { PLANE, LEVEL = 4, NOISE, BELOW, BORDER, FLOOR, FLAT }; /* of `settings`: the table, its height [m], and divided by depth^2 [1/m],
-    the depth from which on the world is below it [m], share of an outline at the border, height of a foot, thickness of a wall [m] */
 enum { STANDS, ENTERS, BEYOND, FLOATS, WALL }; /* reasons; STANDS is none */
 enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 
@@ -22,9 +20,11 @@ enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 #define FURTHER 0.3f /* of the width of the view: so far goes a table on that is cut off by the image */
 #define CLOSE 0.02f  /* difference in depth of cells that are connected [m] */
 #define MANY 30      /* cells of a wall */
+#define BLOCK 32     /* cells without a label that are passed at once */
 
 typedef struct {
     double sum[9];
+    int64_t first, last; /* cells */
     int32_t cells, low, inside, ring, border, raised, table, touching, reason; /* ring: edges around it, and those at the border of the
         image, also without the low ones, beside the table, and at its depth */
 } part;
@@ -34,33 +34,42 @@ typedef struct {
 } ray;
 
 typedef struct {
+    int32_t row, first, end;
+} run; /* of cells of a row */
+
+typedef struct {
+    int64_t ends, beyond;
+} ray_counts;
+
+typedef struct {
     int64_t h, w, first[2], last[2]; /* rows and columns in view */
-    const float *p;
+    const Parts *of;
     float *height;
     uint8_t *kind;
-    int32_t *piece, *link;
-    const int32_t *labels;
-    const double *s;
 } board;
-
-static int before(const void *a, const void *b) {
-    const ray *one = a, *other = b;
-    return one->u != other->u ? (one->u > other->u) - (one->u < other->u) : (one->v > other->v) - (one->v < other->v);
-}
 
 INLINE float side_of(const ray *a, const ray *b, float u, float v) { return (b->u - a->u) * (v - a->v) - (b->v - a->v) * (u - a->u); }
 
-/* The convex hull of n rays, sorted by this, counter-clockwise; hull: (2 n). Returns its size (Andrew 1979). */
-static int64_t hull_of(ray *some, int64_t n, ray *hull) {
+INLINE int is_before(const ray *a, const ray *b) { return a->v < b->v || (a->v == b->v && a->u > b->u); }
+
+/* The convex hull of n rays, counter-clockwise; hull: (2 n). Sorts them, which are nearly sorted by v. Returns its size (Andrew 1979). */
+INLINE int64_t hull_of(ray *rays, int64_t n, ray *hull) {
     int64_t count = 0, least = 2;
-    qsort(some, (size_t)n, sizeof *some, before);
+    for (int64_t k = 1; k < n; k++) {
+        const ray moved = rays[k];
+        int64_t to = k;
+        for (; to && is_before(&moved, rays + to - 1); to--) {
+            rays[to] = rays[to - 1];
+        }
+        rays[to] = moved;
+    }
     for (int64_t k = 0; k < 2 * n; k++) {
-        const ray *one = some + (k < n ? k : 2 * n - 1 - k);
+        const ray *next = rays + (k < n ? k : 2 * n - 1 - k);
         least = k == n ? count + 1 : least;
-        while (count >= least && side_of(hull + count - 2, hull + count - 1, one->u, one->v) <= 0.0f) {
+        while (count >= least && side_of(hull + count - 2, hull + count - 1, next->u, next->v) <= 0.0f) {
             count--;
         }
-        hull[count++] = *one;
+        hull[count++] = *next;
     }
     return count > 1 ? count - 1 : count;
 }
@@ -74,108 +83,121 @@ INLINE int is_within(const ray *hull, int64_t n, float u, float v) {
     return n > 2;
 }
 
-/* Connects neighbours that are of a kind, or, if `but`, that are not; a neighbour that is connected by another one already is left out. */
-INLINE void connect(const board *g, int32_t *parent, int kind, int but) {
+/* Heights and kinds of the cells, and the rows and columns in view. filled: (w), zeros. */
+INLINE void read_cells(board *g, int32_t *filled) {
+    const Parts *of = g->of;
+    const float a = (float)of->plane[0], b = (float)of->plane[1], c = (float)of->plane[2], d = (float)of->plane[3];
+    const float least = (float)of->level, noise = (float)of->noise, below = -(float)of->below;
     for (int64_t y = 0; y < g->h; y++) {
-        for (int64_t x = 0; x < g->w; x++) {
-            const int64_t i = y * g->w + x, up = i - g->w;
-            if ((g->kind[i] == kind) == but) {
-                parent[i] = (int32_t)i;
-                continue;
-            }
-            const int left = x && (g->kind[i - 1] == kind) != but, above = y && (g->kind[up] == kind) != but;
-            const int before = x && y && (g->kind[up - 1] == kind) != but, after = y && x + 1 < g->w && (g->kind[up + 1] == kind) != but;
-            parent[i] = left ? parent[i - 1] : above ? parent[up] : before ? parent[up - 1] : after ? parent[up + 1] : (int32_t)i;
-            if (left && above && !before) {
-                join(parent, (int32_t)i, (int32_t)up);
-            }
-            if ((left || before) && after && !above) {
-                join(parent, (int32_t)i, (int32_t)up + 1);
-            }
-        }
-    }
-}
-
-/* Heights and kinds of the cells, the rows and columns in view, and the connected sets of the table, and of all but the world below. */
-INLINE void read_cells(board *g) {
-    const float a = (float)g->s[PLANE], b = (float)g->s[PLANE + 1], c = (float)g->s[PLANE + 2], d = (float)g->s[PLANE + 3];
-    int32_t *filled = calloc((size_t)g->w, sizeof(int32_t));
-    for (int64_t y = 0; y < g->h; y++) {
-        const float *p = g->p + 3 * y * g->w;
+        const float *p = of->grid + 3 * y * g->w;
+        const int32_t *label = of->labels + y * g->w;
         float *height = g->height + y * g->w;
+        uint8_t *kind = g->kind + y * g->w;
         for (int64_t x = 0; x < g->w; x++) {
-            height[x] = p[3 * x] * a + p[3 * x + 1] * b + p[3 * x + 2] * c + d;
-        }
-        for (int64_t x = 0; x < g->w; x++) {
-            const float z = p[3 * x + 2], noise = z * z * (float)g->s[NOISE], level = noise > (float)g->s[LEVEL] ? noise : (float)g->s[LEVEL];
-            const int32_t other = height[x] < -(float)g->s[BELOW] ? UNDER : fabsf(height[x]) <= level ? TABLE : OVER;
-            g->kind[y * g->w + x] = (uint8_t)(height[x] != height[x] ? HOLE : g->labels[y * g->w + x] ? OVER : other);
-        }
-        for (int64_t x = 0; x < g->w && filled; x++) {
-            filled[x] += g->kind[y * g->w + x] != HOLE;
+            const float z = p[3 * x + 2], up = p[3 * x] * a + p[3 * x + 1] * b + z * c + d, level = z * z * noise;
+            const int32_t is_table = fabsf(up) <= (level > least ? level : least), is_hole = up != up, is_under = up < below;
+            const int32_t other = is_under ? UNDER : is_table ? TABLE : OVER;
+            height[x] = up;
+            kind[x] = (uint8_t)(is_hole ? HOLE : label[x] ? OVER : other);
+            filled[x] += !is_hole;
         }
     }
-    connect(g, g->piece, TABLE, 0);
     int64_t first = 0, last = g->w - 1;
-    while (filled && first < last && EMPTY * filled[first] < g->h) {
+    while (first < last && EMPTY * filled[first] < g->h) {
         first++;
     }
-    while (filled && last > first && EMPTY * filled[last] < g->h) {
+    while (last > first && EMPTY * filled[last] < g->h) {
         last--;
     }
-    const int enough = filled && first + NEXT < last;
+    const int enough = first + NEXT < last;
     g->first[0] = 0, g->last[0] = g->h - 1;
     g->first[1] = enough && MARGIN * first < g->w && FILLED * filled[first + NEXT] >= g->h ? first : 0;
     g->last[1] = enough && MARGIN * (g->w - 1 - last) < g->w && FILLED * filled[last - NEXT] >= g->h ? last : g->w - 1;
-    free(filled);
 }
 
-/* Keeps as TABLE the cells of the pieces that belong together; size: (h w), zeros. */
-INLINE void gather_table(board *g, int32_t *size) {
-    int32_t largest = -1;
-    for (int64_t i = 0; i < g->h * g->w; i++) {
-        if (g->kind[i] == TABLE) {
-            const int32_t root = g->piece[i] = g->piece[g->piece[i]]; /* those before are numbered with their roots already */
-            size[root]++;
-            largest = largest < 0 || size[root] > size[largest] ? root : largest;
+/* Runs of cells of a kind, or, if `but`, of any other, and the connected sets of them; diagonal neighbours are connected.
+ * Returns the number of runs; root: the first run of the set of each. */
+INLINE int32_t connect_runs(const board *g, int kind, int but, run *runs, int32_t *root) {
+    int32_t n = 0, above = 0, own = 0; /* first runs of the row above, from the one beside the next run on, and of this row */
+    for (int32_t y = 0; y < g->h; y++) {
+        const uint8_t *row = g->kind + y * g->w;
+        above = own, own = n;
+        for (int32_t x = 0; x < g->w; n++) {
+            while (x < g->w && (row[x] == kind) == but) {
+                x++;
+            }
+            if (x == g->w) {
+                break;
+            }
+            runs[n] = (run){y, x, x}, root[n] = n;
+            while (x < g->w && (row[x] == kind) != but) {
+                x++;
+            }
+            runs[n].end = x;
+            while (above < own && runs[above].end < runs[n].first) {
+                above++;
+            }
+            for (int32_t k = above; k < own && runs[k].first <= x; k++) {
+                join(root, n, k);
+            }
         }
     }
-    int several = 0;
-    for (int64_t i = 0; i < g->h * g->w; i++) {
-        if (g->kind[i] == TABLE && g->piece[i] != largest) {
-            const int kept = PIECE * size[g->piece[i]] >= size[largest];
-            g->kind[i] = kept ? TABLE : OVER, several |= kept;
-        }
+    for (int32_t k = 0; k < n; k++) {
+        root[k] = root[root[k]]; /* those before are numbered with their roots already */
     }
-    if (several) {
-        connect(g, g->link, UNDER, 1);
-        const int32_t whole = root_of(g->link, largest);
-        for (int64_t i = 0; i < g->h * g->w; i++) {
-            g->kind[i] = g->kind[i] == TABLE && root_of(g->link, (int32_t)i) != whole ? OVER : g->kind[i];
+    return n;
+}
+
+/* Keeps as TABLE the cells of the pieces that belong together. runs, roots: of two sets of runs each; size: of as many, zeros. */
+INLINE void gather_table(board *g, run *runs[2], int32_t *roots[2], int32_t *size) {
+    const int32_t n = connect_runs(g, TABLE, 0, runs[0], roots[0]), *root = roots[0];
+    int32_t largest = 0, several = 0;
+    for (int32_t k = 0; k < n; k++) {
+        size[root[k]] += runs[0][k].end - runs[0][k].first;
+        largest = size[root[k]] > size[largest] ? root[k] : largest;
+    }
+    for (int32_t k = 0; k < n; k++) {
+        const int kept = PIECE * size[root[k]] >= size[largest];
+        several |= kept && root[k] != largest;
+        memset(g->kind + runs[0][k].row * g->w + runs[0][k].first, kept ? TABLE : OVER, (size_t)(runs[0][k].end - runs[0][k].first));
+    }
+    if (!several) {
+        return;
+    }
+    connect_runs(g, UNDER, 1, runs[1], roots[1]);
+    int32_t *whole = size; /* the set of all but the world below that a run of the table is in */
+    for (int32_t k = 0, j = 0; k < n; k++) {
+        while (runs[1][j].row < runs[0][k].row || runs[1][j].end <= runs[0][k].first) {
+            j++;
+        }
+        whole[k] = roots[1][j];
+    }
+    for (int32_t k = 0; k < n; k++) {
+        if (whole[k] != whole[largest]) {
+            memset(g->kind + runs[0][k].row * g->w + runs[0][k].first, OVER, (size_t)(runs[0][k].end - runs[0][k].first));
         }
     }
 }
 
-/* The ends of each row of the table, and where the image cuts it off and `further` is positive, points so far beyond. */
-INLINE int64_t ends_of(const board *g, float further, ray *some) {
-    int64_t n = 0;
+/* The ends of each row of the table, and, where the image cuts it off, points `further` beyond. Returns the numbers of both. */
+INLINE ray_counts ends_of(const board *g, float further, ray *ends, ray *beyond) {
+    ray_counts n = {0, 0};
     for (int64_t y = g->first[0]; y <= g->last[0]; y++) {
         const uint8_t *kind = g->kind + y * g->w;
-        int64_t ends[2] = {g->first[1], g->last[1]};
-        while (ends[0] <= ends[1] && kind[ends[0]] != TABLE) {
-            ends[0]++;
+        int64_t at[2] = {g->first[1], g->last[1]};
+        while (at[0] <= at[1] && kind[at[0]] != TABLE) {
+            at[0]++;
         }
-        while (ends[1] > ends[0] && kind[ends[1]] != TABLE) {
-            ends[1]--;
+        while (at[1] > at[0] && kind[at[1]] != TABLE) {
+            at[1]--;
         }
-        for (int k = 0; k < 2 && ends[0] <= ends[1]; k++) {
-            const float *p = g->p + 3 * (y * g->w + ends[k]);
-            const float aside = (float)((ends[k] == g->last[1]) - (ends[k] == g->first[1]));
+        for (int k = 0; k < 2 && at[0] <= at[1]; k++) {
+            const float *p = g->of->grid + 3 * (y * g->w + at[k]);
+            const float aside = (float)((at[k] == g->last[1]) - (at[k] == g->first[1]));
             const float along = (float)((y == g->last[0]) - (y == g->first[0]));
-            some[n++] = (ray){p[0] / p[2], p[1] / p[2]};
-            if (further > 0.0f && (aside != 0.0f || along != 0.0f)) {
-                some[n] = (ray){some[n - 1].u + aside * further, some[n - 1].v + along * further};
-                n++;
+            const ray end = ends[n.ends++] = (ray){p[0] / p[2], p[1] / p[2]};
+            if (aside != 0.0f || along != 0.0f) {
+                beyond[n.beyond++] = (ray){end.u + aside * further, end.v + along * further};
             }
         }
     }
@@ -184,39 +206,53 @@ INLINE int64_t ends_of(const board *g, float further, ray *some) {
 
 /* One edge between a cell of a part and what is beside it: another cell, or nothing at the border of the image. near: (n, n, 2), edges
  * between parts that are close, and all. */
-INLINE void add_edge(const board *g, part *parts, int32_t *near, int64_t n, int64_t i, int64_t other, int at_border) {
-    part *one = parts + g->labels[i];
-    one->ring++, one->border += at_border, one->raised += at_border && g->height[i] > (float)g->s[FLOOR];
+INLINE void add_edge(const board *g, part *parts, int32_t *near, int64_t i, int64_t other, int at_border) {
+    const int32_t *labels = g->of->labels;
+    part *own = parts + labels[i];
+    own->ring++, own->border += at_border, own->raised += at_border && g->height[i] > (float)g->of->foot;
     if (!at_border) {
-        const int close = fabsf(g->p[3 * other + 2] - g->p[3 * i + 2]) < CLOSE;
-        one->table += g->kind[other] == TABLE, one->touching += close && g->kind[other] == TABLE;
-        near[(g->labels[i] * n + g->labels[other]) * 2] += close && g->labels[other];
-        near[(g->labels[i] * n + g->labels[other]) * 2 + 1] += g->labels[other] != 0;
+        const int close = fabsf(g->of->grid[3 * other + 2] - g->of->grid[3 * i + 2]) < CLOSE;
+        int32_t *edges = near + (labels[i] * g->of->n + labels[other]) * 2;
+        own->table += g->kind[other] == TABLE, own->touching += close && g->kind[other] == TABLE;
+        edges[0] += close && labels[other], edges[1] += labels[other] != 0;
     }
 }
 
-static void measure(const board *g, const ray *hull, int64_t n_hull, part *parts, int32_t *near, int64_t n) {
-    const float *t = (const float[3]){(float)g->s[PLANE], (float)g->s[PLANE + 1], (float)g->s[PLANE + 2]};
+/* Adds a cell to its part. */
+INLINE void add_cell(const board *g, const ray *hull, int64_t n_hull, part *parts, int32_t *near, int64_t y, int64_t x) {
+    const int64_t i = y * g->w + x, around[4] = {i - 1, i + 1, i - g->w, i + g->w};
+    const int ends[4] = {x == g->first[1], x == g->last[1], y == g->first[0], y == g->last[0]};
+    const float *p = g->of->grid + 3 * i, up = g->height[i];
+    const float foot[3] = {p[0] - up * (float)g->of->plane[0], p[1] - up * (float)g->of->plane[1], p[2] - up * (float)g->of->plane[2]};
+    part *own = parts + g->of->labels[i];
+    own->first = own->cells ? own->first : i, own->last = i;
+    own->cells++, own->low += up < (float)g->of->foot;
+    own->inside += foot[2] > 0.0f && is_within(hull, n_hull, foot[0] / foot[2], foot[1] / foot[2]);
+    for (int k = 0, at = 3; k < 3; k++) {
+        own->sum[k] += (double)p[k];
+        for (int l = k; l < 3; l++) {
+            own->sum[at++] += (double)p[k] * (double)p[l];
+        }
+    }
+    for (int k = 0; k < 4; k++) {
+        if (ends[k] || g->of->labels[around[k]] != g->of->labels[i]) {
+            add_edge(g, parts, near, i, around[k], ends[k]);
+        }
+    }
+}
+
+INLINE void measure(const board *g, const ray *hull, int64_t n_hull, part *parts, int32_t *near) {
     for (int64_t y = g->first[0]; y <= g->last[0]; y++) {
-        for (int64_t x = g->first[1]; x <= g->last[1]; x++) {
-            const int64_t i = y * g->w + x, around[4] = {i - 1, i + 1, i - g->w, i + g->w};
-            const int ends[4] = {x == g->first[1], x == g->last[1], y == g->first[0], y == g->last[0]};
-            if (!g->labels[i] || g->kind[i] == HOLE) {
-                continue;
+        const int32_t *label = g->of->labels + y * g->w;
+        for (int64_t x = g->first[1]; x <= g->last[1]; x += BLOCK) {
+            const int64_t end = x + BLOCK <= g->last[1] ? x + BLOCK : g->last[1] + 1;
+            int32_t any = 0;
+            for (int64_t k = x; k < end; k++) {
+                any |= label[k];
             }
-            part *one = parts + g->labels[i];
-            const float *p = g->p + 3 * i, up = g->height[i], z = p[2] - up * t[2];
-            one->cells++, one->low += up < (float)g->s[FLOOR];
-            one->inside += z > 0.0f && is_within(hull, n_hull, (p[0] - up * t[0]) / z, (p[1] - up * t[1]) / z);
-            for (int k = 0, at = 3; k < 3; k++) {
-                one->sum[k] += (double)p[k];
-                for (int l = k; l < 3; l++) {
-                    one->sum[at++] += (double)p[k] * (double)p[l];
-                }
-            }
-            for (int k = 0; k < 4; k++) {
-                if (ends[k] || g->labels[around[k]] != g->labels[i]) {
-                    add_edge(g, parts, near, n, i, around[k], ends[k]);
+            for (int64_t k = x; k < end && any; k++) {
+                if (label[k] && g->kind[y * g->w + k] != HOLE) {
+                    add_cell(g, hull, n_hull, parts, near, y, k);
                 }
             }
         }
@@ -224,13 +260,13 @@ static void measure(const board *g, const ray *hull, int64_t n_hull, part *parts
 }
 
 /* The reason of each part by itself; FLOATS also where it may rest on another one. */
-static void judge(part *parts, int64_t n, const double *s) {
-    for (part *one = parts + 1; one < parts + n; one++) {
-        const int inside = 2 * one->inside >= one->cells;
-        const int hovers = ABROAD * one->border >= one->ring && 10 * one->raised >= 9 * one->border && CONTACT * one->touching < one->ring;
-        const int cut = hovers || (double)one->border >= s[BORDER] * (double)one->ring;
-        const int rests = CONTACT * one->table >= one->ring || CONTACT * one->low >= one->cells;
-        one->reason = !one->cells ? STANDS : cut ? (inside ? ENTERS : BEYOND) : !inside ? BEYOND : rests ? STANDS : FLOATS;
+static void judge(part *parts, int64_t n, double border) {
+    for (part *own = parts + 1; own < parts + n; own++) {
+        const int inside = 2 * own->inside >= own->cells;
+        const int hovers = ABROAD * own->border >= own->ring && 10 * own->raised >= 9 * own->border && CONTACT * own->touching < own->ring;
+        const int cut = hovers || (double)own->border >= border * (double)own->ring;
+        const int rests = CONTACT * own->table >= own->ring || CONTACT * own->low >= own->cells;
+        own->reason = !own->cells ? STANDS : cut ? (inside ? ENTERS : BEYOND) : !inside ? BEYOND : rests ? STANDS : FLOATS;
     }
 }
 
@@ -253,7 +289,8 @@ static void spread(part *parts, const int32_t *near, int64_t n) {
 }
 
 /* A part that lies in the plane of one beyond the table beside it is a piece of the same wall. */
-static void continue_walls(const board *g, part *parts, const int32_t *near, int64_t n) {
+static void continue_walls(const board *g, part *parts, const int32_t *near) {
+    const int64_t n = g->of->n;
     for (int64_t j = 1; j < n; j++) {
         if (parts[j].reason != BEYOND || parts[j].cells < MANY) {
             continue;
@@ -266,42 +303,58 @@ static void continue_walls(const board *g, part *parts, const int32_t *near, int
             }
         }
         eigen3(spread, values, normal);
-        for (int64_t i = 1; i < n && values[0] < g->s[FLAT] * g->s[FLAT]; i++) {
+        const double flat = g->of->flat;
+        for (int64_t i = 1; i < n && values[0] < flat * flat; i++) {
             int32_t within = 0;
-            for (int64_t c = 0; c < g->h * g->w && parts[i].reason == STANDS && near[2 * (i * n + j)]; c++) {
-                const float *p = g->p + 3 * c;
-                within += g->labels[c] == i && fabs((p[0] - middle[0]) * normal[0] + (p[1] - middle[1]) * normal[1] + (p[2] - middle[2]) * normal[2]) < 2.0 * g->s[FLAT];
+            if (parts[i].reason != STANDS || !near[2 * (i * n + j)]) {
+                continue;
+            }
+            for (int64_t c = parts[i].first; c <= parts[i].last; c++) {
+                const float *p = g->of->grid + 3 * c;
+                const double apart = (p[0] - middle[0]) * normal[0] + (p[1] - middle[1]) * normal[1] + (p[2] - middle[2]) * normal[2];
+                within += g->of->labels[c] == i && fabs(apart) < 2.0 * flat;
             }
             parts[i].reason = 5 * within > 4 * parts[i].cells ? WALL : parts[i].reason;
         }
     }
 }
 
-/* Why each part of a coarse grid (h, w, 3) is background.
- *
- * labels: (h, w), from 1 to n - 1. pitch: of the grid, lateral distance per depth. reasons: (n). outline: (4 h + 2, 2), the ends of the hull of the
- * table as x / z and y / z; found: (1), how many, -1 without memory. */
-VECTORISED void find_background(const float *grid, int64_t h, int64_t w, const int32_t *labels, int64_t n, double pitch, const double *settings, int64_t *reasons,
-                     float *outline, int64_t *found) {
-    const size_t cells = (size_t)(h * w), some = (size_t)(4 * h + 2);
-    board g = {.h = h, .w = w, .p = grid, .labels = labels, .s = settings};
-    part *parts = calloc(1, (size_t)n * sizeof(part) + (size_t)(2 * n * n) * sizeof(int32_t) + 3 * some * sizeof(ray) + cells * (4 * sizeof(int32_t) + 1));
+/* Why each part is background. reasons: (n). outline: (4 h + 2, 3), the corners of the hull of the table [m]; found: (1), how many,
+ * -1 without memory. */
+VECTORISED void find_background(const Parts *of, int64_t *reasons, double *outline, int64_t *found) {
+    const int64_t h = of->h, w = of->w, n = of->n, most = h * (w / 2 + 1), some = 4 * h + 2;
+    const size_t zeros = (size_t)n * sizeof(part) + (size_t)(2 * n * n + w + most) * sizeof(int32_t);
+    const size_t rest = (size_t)(3 * some) * sizeof(ray) + (size_t)(2 * most) * (sizeof(run) + sizeof(int32_t)) + (size_t)(h * w) * (sizeof(float) + 1);
+    part *parts = malloc(zeros + rest);
     *found = -1;
     if (!parts) {
         return;
     }
-    int32_t *near = (int32_t *)(parts + n), *size;
-    ray *ends = (ray *)(near + 2 * n * n), *hull = ends + some;
-    size = (int32_t *)(hull + 2 * some), g.piece = size + cells, g.link = g.piece + cells, g.height = (float *)(g.link + cells), g.kind = (uint8_t *)(g.height + cells);
-    read_cells(&g);
-    gather_table(&g, size);
-    *found = hull_of(ends, ends_of(&g, 0.0f, ends), hull);
-    memcpy(outline, hull, (size_t)*found * sizeof(ray));
-    const int64_t n_hull = hull_of(ends, ends_of(&g, FURTHER * (float)pitch * (float)(h > w ? h : w), ends), hull);
-    measure(&g, hull, n_hull, parts, near, n);
-    judge(parts, n, settings);
+    memset(parts, 0, zeros);
+    int32_t *near = (int32_t *)(parts + n), *filled = near + 2 * n * n, *size = filled + w;
+    ray *ends = (ray *)(size + most), *hull = ends + some;
+    run *runs[2] = {(run *)(hull + 2 * some), (run *)(hull + 2 * some) + most};
+    int32_t *roots[2] = {(int32_t *)(runs[1] + most), (int32_t *)(runs[1] + most) + most};
+    board g = {.h = h, .w = w, .of = of, .height = (float *)(roots[1] + most)};
+    g.kind = (uint8_t *)(g.height + h * w);
+    read_cells(&g, filled);
+    gather_table(&g, runs, roots, size);
+    ray *beyond = ends + 2 * h;
+    const ray_counts count = ends_of(&g, FURTHER * (float)of->pitch * (float)(h > w ? h : w), ends, beyond);
+    int64_t n_hull = *found = hull_of(ends, count.ends, hull);
+    for (int64_t k = 0; k < n_hull; k++) {
+        const double u = (double)hull[k].u, v = (double)hull[k].v, *t = of->plane, z = -t[3] / (u * t[0] + v * t[1] + t[2]);
+        outline[3 * k] = u * z, outline[3 * k + 1] = v * z, outline[3 * k + 2] = z;
+    }
+    if (count.beyond) { /* the hull is that of its own corners, and of the points beyond */
+        memcpy(ends, hull, (size_t)n_hull * sizeof(ray));
+        memmove(ends + n_hull, beyond, (size_t)count.beyond * sizeof(ray));
+        n_hull = hull_of(ends, n_hull + count.beyond, hull);
+    }
+    measure(&g, hull, n_hull, parts, near);
+    judge(parts, n, of->border);
     spread(parts, near, n);
-    continue_walls(&g, parts, near, n);
+    continue_walls(&g, parts, near);
     for (int64_t i = 0; i < n; i++) {
         reasons[i] = parts[i].reason;
     }

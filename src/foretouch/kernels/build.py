@@ -26,6 +26,7 @@ builder.set_source(
         "-ffp-contract=off",
         "-fno-math-errno",
         "-fno-trapping-math",
+        "-fno-wrapv",
         "-Wno-psabi",
     ],
     libraries=["m"],

@@ -7,8 +7,7 @@
 
 /* Points of every `step`-th pixel of every `step`-th row, h x w of them, from the first pixel on; NaN in all three without a point.
  *
- * depth: its rows have `across` pixels; `scale`: metres of its unit. x: of each column, y: of each row; or both of each pixel where
- * `each`. xyz: from the first point on, with rows of `line` points. */
+ * depth: its rows have `across` pixels. xyz: from the first point on, with rows of `line` points. */
 #define DEPROJECT(name, type)                                                                                       \
     INLINE void name##_by(const type *depth, int64_t across, int64_t h, int64_t w, int64_t step, float metres,      \
                           const float *x, const float *y, int64_t each, float *xyz, int64_t line) {                 \
@@ -25,12 +24,12 @@
             }                                                                                                       \
         }                                                                                                           \
     }                                                                                                               \
-    VECTORISED void name(const type *depth, int64_t across, int64_t h, int64_t w, int64_t step, double scale,       \
-                         const float *x, const float *y, int64_t each, float *xyz, int64_t line) {                  \
+    VECTORISED void name(const type *depth, int64_t across, int64_t h, int64_t w, int64_t step, const Rays *rays,   \
+                         float *xyz, int64_t line) {                                                                \
         if (step == 1) {                                                                                            \
-            name##_by(depth, across, h, w, 1, (float)scale, x, y, each, xyz, line);                                 \
+            name##_by(depth, across, h, w, 1, (float)rays->scale, rays->x, rays->y, rays->each, xyz, line);         \
         } else {                                                                                                    \
-            name##_by(depth, across, h, w, step, (float)scale, x, y, each, xyz, line);                              \
+            name##_by(depth, across, h, w, step, (float)rays->scale, rays->x, rays->y, rays->each, xyz, line);      \
         }                                                                                                           \
     }
 
@@ -48,10 +47,10 @@ static int32_t first_above(float metres, float low) {
     return first;
 }
 
-/* Number of points of n pixels, and of those between low and high; rays are given where `each`. counts: (2). */
-void count_single(const float *depth, int64_t n, double scale, double low, double high, const float *x, const float *y, int64_t each,
-                  int64_t *counts) {
-    const float metres = (float)scale, near = (float)low, far = (float)high;
+/* Number of points of n pixels, and of those between low and high. counts: (2). */
+void count_single(const float *depth, int64_t n, const Rays *rays, double low, double high, int64_t *counts) {
+    const float metres = (float)rays->scale, near = (float)low, far = (float)high, *x = rays->x, *y = rays->y;
+    const int64_t each = rays->each;
     counts[0] = counts[1] = 0;
     for (int64_t i = 0; i < n; i++) {
         const float z = depth[i] * metres;
@@ -61,9 +60,9 @@ void count_single(const float *depth, int64_t n, double scale, double low, doubl
 }
 
 /* As count_single, of whole numbers: by what they are compared with, in place of their depths. */
-VECTORISED void count_whole(const uint16_t *depth, int64_t n, double scale, double low, double high, const float *x, const float *y,
-                            int64_t each, int64_t *counts) {
-    const float metres = (float)scale;
+VECTORISED void count_whole(const uint16_t *depth, int64_t n, const Rays *rays, double low, double high, int64_t *counts) {
+    const float metres = (float)rays->scale, *x = rays->x, *y = rays->y;
+    const int64_t each = rays->each;
     const uint16_t least = (uint16_t)(first_above(metres, FLT_TRUE_MIN) - 1), most = (uint16_t)(first_above(metres, INFINITY) - 1);
     const uint16_t near = (uint16_t)(first_above(metres, (float)low) - 1), far = (uint16_t)(first_above(metres, nextafterf((float)high, INFINITY)) - 1);
     counts[0] = counts[1] = 0;

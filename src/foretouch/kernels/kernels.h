@@ -10,8 +10,20 @@
 #include "common.h"
 
 /* background.c */
-void find_background(const float *grid, int64_t h, int64_t w, const int32_t *labels, int64_t n, double pitch,
-    const double *settings, int64_t *reasons, float *outline, int64_t *found);
+typedef struct {
+    const float *grid;     /* (h, w, 3) points of a coarse grid of pixels */
+    const int32_t *labels; /* (h, w) their parts, from 1 to n - 1; 0 is none */
+    int64_t h, w, n;
+    double pitch;        /* of the grid, lateral distance per depth */
+    const double *plane; /* (4) the table, its normal towards the camera */
+    double level;        /* height [m], */
+    double noise;        /* and height divided by depth^2 [1/m], up to which a cell belongs to the table */
+    double below;        /* depth from which on the world is below the table [m] */
+    double border;       /* share of an outline at the border of the image, from which on a part may be cut off */
+    double foot;         /* height of a foot [m] */
+    double flat;         /* thickness of a wall [m] */
+} Parts;
+void find_background(const Parts *of, int64_t *reasons, double *outline, int64_t *found);
 
 /* closing.c */
 void outline(const double *points, int64_t n, const double *grid, int64_t rows, int64_t columns, float *nearest,
@@ -68,14 +80,18 @@ const char *sources(void);
 void count_range(const float *xyz, int64_t n, double low, double high, int64_t *counts);
 
 /* deproject.c */
-void deproject_whole(const uint16_t *depth, int64_t across, int64_t h, int64_t w, int64_t step, double scale,
-    const float *x, const float *y, int64_t each, float *xyz, int64_t line);
-void deproject_single(const float *depth, int64_t across, int64_t h, int64_t w, int64_t step, double scale,
-    const float *x, const float *y, int64_t each, float *xyz, int64_t line);
-void count_whole(const uint16_t *depth, int64_t n, double scale, double low, double high, const float *x,
-    const float *y, int64_t each, int64_t *counts);
-void count_single(const float *depth, int64_t n, double scale, double low, double high, const float *x,
-    const float *y, int64_t each, int64_t *counts);
+typedef struct {
+    double scale;   /* metres of the unit of depth */
+    const float *x; /* x / z of each column, or of each pixel */
+    const float *y; /* y / z of each row, or of each pixel */
+    int64_t each;   /* 1 where each pixel has its own */
+} Rays;
+void deproject_whole(const uint16_t *depth, int64_t across, int64_t h, int64_t w, int64_t step, const Rays *rays,
+    float *xyz, int64_t line);
+void deproject_single(const float *depth, int64_t across, int64_t h, int64_t w, int64_t step, const Rays *rays,
+    float *xyz, int64_t line);
+void count_whole(const uint16_t *depth, int64_t n, const Rays *rays, double low, double high, int64_t *counts);
+void count_single(const float *depth, int64_t n, const Rays *rays, double low, double high, int64_t *counts);
 
 /* flying.c */
 void flying_points(const float *xyz, int64_t n, const double *settings, uint8_t *flying, double *radius);
@@ -98,10 +114,22 @@ void hand_clearance(const double *points, int64_t n, int64_t own, const double *
     const float *fronts, int64_t cells, const double *sizes, double *clear, double *behind);
 
 /* lattice.c */
-void ray_cells(const float *xyz, int64_t n, double low, double high, double tangent, double tolerance,
-    const double *fit, int32_t *cells, int64_t *result);
-void fill_image(const float *xyz, int64_t n, double low, double high, const int32_t *cells, int64_t column, int64_t row,
-    int64_t height, int64_t width, float *image, int32_t *place, int64_t *result);
+typedef struct {
+    double low;        /* least depth */
+    double high;       /* largest depth */
+    double tangent;    /* largest |x / z| and |y / z| */
+    double tolerance;  /* largest distance from a whole number, in pixels */
+    const double *fit; /* (2, 3) for x / z, then y / z: the middle, one divided by the pitch, the index of the middle */
+} Lattice;
+typedef struct {
+    int64_t column; /* first */
+    int64_t row;    /* first */
+    int64_t height;
+    int64_t width;
+} Window;
+void ray_cells(const float *xyz, int64_t n, const Lattice *lattice, int32_t *cells, int64_t *result);
+void fill_image(const float *xyz, int64_t n, const Lattice *lattice, const int32_t *cells, const Window *window,
+    float *image, int32_t *place, int64_t *result);
 
 /* layer.c */
 typedef struct {

@@ -1,13 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "kernels.h"
 
-/* Column and row of the points (n, 3) on a lattice of rays. fit: for x / z, then y / z, the middle, one divided by the pitch, and the
- * index of the middle; a point whose position is farther than `tolerance` from a whole number, or whose |x / z| or |y / z| is above
- * `tangent`, ends the search. Points out of the range from low to high, or not finite, are no part of it: -1.
+/* Column and row of the points (n, 3) on a lattice of rays. A point whose position is farther than `tolerance` from a whole number,
+ * or whose |x / z| or |y / z| is above `tangent`, ends the search. Points out of the range from low to high, or not finite, are no
+ * part of it: -1.
  * cells: (n, 2), column and row; result: (6) how many are part of it or -1, the smallest and largest column and row. */
-VECTORISED void ray_cells(const float *xyz, int64_t n, double low, double high, double tangent, double tolerance, const double *fit,
-               int32_t *cells, int64_t *result) {
-    const float near = (float)low, far = (float)high, widest = (float)tangent;
+VECTORISED void ray_cells(const float *xyz, int64_t n, const Lattice *lattice, int32_t *cells, int64_t *result) {
+    const float near = (float)lattice->low, far = (float)lattice->high, widest = (float)lattice->tangent;
+    const double *fit = lattice->fit, tolerance = lattice->tolerance;
     int64_t count = 0, first[2] = {INT64_MAX, INT64_MAX}, last[2] = {INT64_MIN, INT64_MIN};
     result[0] = -1;
     for (int64_t i = 0; i < n; i++, xyz += 3, cells += 2) {
@@ -36,10 +36,11 @@ VECTORISED void ray_cells(const float *xyz, int64_t n, double low, double high, 
 
 /* Put those points of a list (n, 3) that `ray_cells` gave a cell into the image of them (height, width, 3), NaN elsewhere, and
  * their number in the list into `place` (height, width), -1 elsewhere. result: (2) how many have a right neighbour, and whether
- * two points share a pixel. low, high: as given to `ray_cells`, whose first column and row are `column` and `row`. */
-VECTORISED void fill_image(const float *xyz, int64_t n, double low, double high, const int32_t *cells, int64_t column, int64_t row,
-                int64_t height, int64_t width, float *image, int32_t *place, int64_t *result) {
-    const float near = (float)low, far = (float)high;
+ * two points share a pixel. */
+VECTORISED void fill_image(const float *xyz, int64_t n, const Lattice *lattice, const int32_t *cells, const Window *window, float *image,
+                int32_t *place, int64_t *result) {
+    const float near = (float)lattice->low, far = (float)lattice->high;
+    const int64_t column = window->column, row = window->row, height = window->height, width = window->width;
     for (int64_t k = 0; k < height * width; k++) place[k] = -1;
     for (int64_t k = 0; k < 3 * height * width; k++) image[k] = NAN;
     result[0] = result[1] = 0;

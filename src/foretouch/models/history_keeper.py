@@ -62,7 +62,7 @@ class HistoryKeeper:
         age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
         values = {"history.readings": str(read.readings), "history.age_s": age}
         values |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
-        kept = self.fault or "none: hand is empty, so that readings are forgotten when the node ends"
+        kept = self.fault or "none: hand_name is empty, so that readings are forgotten when the node ends"
         values["history.file"] = str(self._file.path) if self._file else kept
         return values | ({"history.fault": self.fault} if self.fault else {})
 

@@ -71,7 +71,7 @@ class ViewStep:
 def write_view(path: Path, steps: Iterable[ViewStep], title: str, sensor: Sensor = BIOTAC_SP) -> int:
     """Write a Rerun recording (`.rrd`) with a layout, which appears when it is complete; returns the number of steps.
 
-    All touches are of one sensor. Each step is written before the next one is asked for. A `ForetouchError` if there is none, the
+    All touches are of one sensor. Each step is written before the next one is asked for. A `ForetouchError` if there is no step, the
     file cannot be written, or Rerun is not installed.
     """
     try:
@@ -309,7 +309,7 @@ def _layout(view: TaxelView, *, with_scene: bool) -> Any:
         curves = [
             rrb.TimeSeriesView(
                 origin=f"/touch/{channel.name}_{name}",
-                name=f"{finger}: {'mean of ' * (channel is view.channel)}{channel.name} [{channel.unit}]",
+                name=f"{finger}: {'mean of ' if channel is view.channel else ''}{channel.name} [{channel.unit}]",
                 plot_legend=rrb.PlotLegend(visible=number == 0 and place == 0),
             )
             for place, channel in enumerate((*view.sensor.scalar_channels, view.channel))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show a Rerun recording in a window, or draw it to a picture.
 
-Rerun is started with its usage statistics turned off, in a configuration folder of its own, and listens on 127.0.0.1 alone.
+Rerun is started with its usage statistics turned off, in its own configuration folder, and listens on 127.0.0.1 alone.
 """
 
 import os

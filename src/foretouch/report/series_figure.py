@@ -8,27 +8,32 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.dataset.record import REST, SampleRecord, TouchSeries, readings
 from foretouch.report.panels import new_figure, save
 from foretouch.report.touch_figure import draw_taxels, taxel_colours, taxel_label
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import SECOND_NS, Float64, Touch
+from foretouch.types import REST, SECOND_NS, Float64, Sample, Touch, TouchSeries
 
 _OUTCOMES: Final = {"success": "#1a7f37", "failure": "#c9252d", "unknown": "#404040"}
 _ROW_INCH: Final = 2.4  # height of a grasp
 
 
-def save_series_sheet(path: str | Path, records: Sequence[SampleRecord], title: str, sensor: Sensor) -> Path:
+def save_series_sheet(path: str | Path, records: Sequence[Sample], title: str, sensor: Sensor) -> Path:
     """Write one PNG with a row for each grasp that was read: what became of it, its taxels over time, and its pads.
 
-    Of a grasp of several readings, the pads are those of the reading that moved the taxels most. Dead taxels are left white over time, and
+    Of a grasp of several readings, the pads show the reading that moved the taxels most. Dead taxels are left white over time, and
     are hollow on the pads.
+
+    Args:
+        path: File to write.
+        records: Samples; those without a reading are left out.
+        title: Line above the figure.
+        sensor: The sensor that was read.
     """
     view = TaxelView(sensor)
     grasps = [
-        (record, series, _rest(record, series, view)) for record in records if (series := readings(record)) is not None
+        (sample, series, _rest(sample, series, view)) for sample in records if (series := sample.readings) is not None
     ]
     levels = [_levels(series, rest, view) for _, series, rest in grasps]
     strongest = [int(np.nanargmax(np.nanmax(np.abs(level), axis=(0, 2)))) for level in levels]
@@ -43,26 +48,24 @@ def save_series_sheet(path: str | Path, records: Sequence[SampleRecord], title: 
     figure.suptitle(title)
     widths = [2.0] * fingers + [1.0] * fingers
     grid = figure.subplots(len(grasps), 2 * fingers, squeeze=False, width_ratios=widths)
-    for row, (record, series, _), strongest_of, k, pad in zip(grid, grasps, levels, strongest, pads, strict=True):
+    for row, (sample, series, _), strongest_of, k, pad in zip(grid, grasps, levels, strongest, pads, strict=True):
         for finger, name in enumerate(view.fingers):
-            _draw_over_time(row[finger], record, series, strongest_of[finger], k, colours)
+            _draw_over_time(row[finger], sample, series, strongest_of[finger], k, colours)
             row[finger].set_ylabel(f"{name}, taxel", fontsize=8)
             drawn: Any = draw_taxels(row[fingers + finger], view, finger, pad[finger], None, colours)
             row[fingers + finger].set_title(name, fontsize=8)
-        row[0].set_title(
-            f"{record.sample.id}: {record.outcome}", color=_OUTCOMES[record.outcome], fontsize=9, loc="left"
-        )
+        row[0].set_title(f"{sample.id}: {sample.outcome}", color=_OUTCOMES[sample.outcome], fontsize=9, loc="left")
     label = taxel_label(view, tared=tared)
     figure.colorbar(drawn, label=label, ax=list(grid.flat), location="bottom", shrink=0.5, aspect=50)
     return save(figure, Path(path), dpi=100)
 
 
-def _rest(record: SampleRecord, series: TouchSeries, view: TaxelView) -> Touch | None:
+def _rest(sample: Sample, series: TouchSeries, view: TaxelView) -> Touch | None:
     """Return the tare, else the median of the readings at rest; None without either."""
     at_rest = series.counts[series.phases == REST]
-    if record.sample.tare is None and len(at_rest):
+    if sample.tare is None and len(at_rest):
         return Touch(np.median(at_rest, axis=0).astype(np.float64), view.sensor.channels)
-    return record.sample.tare
+    return sample.tare
 
 
 def _levels(series: TouchSeries, rest: Touch | None, view: TaxelView) -> Float64:
@@ -72,15 +75,15 @@ def _levels(series: TouchSeries, rest: Touch | None, view: TaxelView) -> Float64
 
 
 def _draw_over_time(
-    axes: Axes, record: SampleRecord, series: TouchSeries, levels: Float64, strongest: int, colours: Mapping[str, Any]
+    axes: Axes, sample: Sample, series: TouchSeries, levels: Float64, strongest: int, colours: Mapping[str, Any]
 ) -> None:
     """Draw (T, N) levels by time from the first contact, or from the first reading, which the strongest reading divides."""
-    zero = record.contact_ns or series.stamps_ns[0]
+    zero = sample.contact_ns or series.stamps_ns[0]
     seconds = (series.stamps_ns - zero) / SECOND_NS
     if len(seconds) == 1:
         seconds, levels = seconds + np.array([0.0, 1.0]), np.repeat(levels, 2, axis=0)
         axes.set_xticks([])
     axes.pcolormesh(seconds, np.arange(levels.shape[1]), np.ma.masked_invalid(levels.T), shading="nearest", **colours)
     axes.axvline(seconds[strongest], color="black", linewidth=0.7, linestyle=":")
-    axes.set_xlabel("time from contact [s]" if record.contact_ns else "time [s]", fontsize=8)
+    axes.set_xlabel("time from contact [s]" if sample.contact_ns else "time [s]", fontsize=8)
     axes.tick_params(labelsize=7)

@@ -13,15 +13,20 @@ from functools import partial
 
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts
-from foretouch.ros.graph import Graph, node_class
+from foretouch.ros.graph import Graph
+from foretouch.ros.nodes import NODES
 from foretouch.ros.runtime.environment import prepare_environment
 
 
 def run(*names: str, args: Sequence[str] | None = None) -> int:
-    """Start nodes by name in this process and serve until Ctrl-C, shutdown, or until each has ended by itself.
+    """Start nodes in this process and serve until Ctrl-C, shutdown, or until each has ended by itself.
 
-    Exit status 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed. `args` is the
-    command line with ROS arguments, by default `sys.argv`.
+    Args:
+        names: Of the nodes.
+        args: The command line with ROS arguments; by default `sys.argv`.
+
+    Returns:
+        Exit status 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed.
     """
     arguments = list(sys.argv if args is None else args)
     _parser(names).parse_args(arguments[1:])
@@ -29,7 +34,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     prepare_environment()
     try:
         for name in names:
-            node_class(name)
+            NODES[name]()
         raise_interrupts()
         graph = Graph({name: {} for name in names}, arguments=arguments, monitor=None)
         with suppress(KeyboardInterrupt), graph:

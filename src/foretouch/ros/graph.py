@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several nodes in one process: those of an executable, or of the commands `run`, `replay` and `record`.
+"""Several nodes in one process, of an executable or of the commands `run`, `replay` and `record`.
 
 Threads: the executor spins in the background, so that the caller's thread is free to draw and to handle Ctrl-C.
 """
@@ -9,14 +9,13 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.interrupts import uninterrupted
-from foretouch.laboratory import needs_laboratory
+from foretouch.ros.nodes import NODES
 from foretouch.ros.runtime.environment import prepare_environment, stale_bytes, start_rclpy
 from foretouch.ros.runtime.parameter_files import check_parameters
 from foretouch.topics import NAMESPACE
@@ -68,7 +67,10 @@ class Graph:
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
-        begin(self._arguments, list(self._parameters), **self._namespace)
+        prepare_environment()
+        stale_bytes(free=True)
+        check_parameters(self._arguments, NODES, list(self._parameters), **self._namespace)
+        start_rclpy(self._arguments)
         try:
             self._start()
         except BaseException:
@@ -101,7 +103,7 @@ class Graph:
                 served.append(self.monitor)
         for name, parameters in self._parameters.items():
             with uninterrupted():
-                node = node_class(name)(parameter_overrides=_parameters(parameters), **self._namespace)
+                node = NODES[name]()(parameter_overrides=_parameters(parameters), **self._namespace)
                 self._closed.callback(node.destroy_node)
                 self.nodes[name] = node
                 served.append(node)
@@ -158,14 +160,16 @@ class Graph:
         return self._last_played or self.nodes["perception"].statistics.summary().received
 
     def stop_source(self) -> None:
-        """Publish no more clouds; count no more of a topic of others."""
+        """Publish no more clouds; of a topic of others, count no more clouds and answers."""
+        own = [self.nodes[name] for name in _SOURCES if name in self.nodes]
+        if not own:
+            self.monitor.close_view()
         self._last_played = self.played()
-        for name in _SOURCES:
-            if name in self.nodes:
-                self.nodes[name].stop()
+        for node in own:
+            node.stop()
 
     def wait_for_hand(self, timeout_s: float) -> bool:
-        """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
+        """Let the simulated hand finish its grasp and start no other; False if it takes longer than a time [s]."""
         hand, end = cast("Any", self.nodes.get("hand")), time.monotonic() + timeout_s
         if hand is not None:
             hand.set_parameters(list(_parameters({"automatic": False})))
@@ -191,53 +195,15 @@ class Graph:
         return True
 
 
-def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameters of a command line, and start rclpy.
-
-    Args:
-        arguments: The command line.
-        names: Of the nodes of this process.
-        namespace: Of these nodes.
-
-    Raises:
-        ConfigError: If the command line is malformed.
-    """
-    prepare_environment()
-    stale_bytes(free=True)
-    check_parameters(arguments, NODES, names, namespace)
-    start_rclpy(arguments)
-
-
-def node_class(name: str) -> "type[ForetouchNode[Any]]":
-    """Return the class of a node, which is imported now.
-
-    To make a node of it, `rclpy.init` must have been called; a `ConfigError` if a parameter breaks a rule. It is not configured yet.
-
-    Raises:
-        MissingDependencyError: If it is of the laboratory, which is not installed.
-        KeyError: If there is no such node.
-    """
-    with needs_laboratory(f"node {name}"):
-        if name == "hand":
-            from foretouch_lab.ros.hand import HandNode
-
-            return HandNode
-        from foretouch.ros.nodes import NODE_CLASSES
-
-        return NODE_CLASSES[name]
-
-
-_NAMES: Final = "camera perception segmentation grasp touch_predictor replay hand recorder bridge"
-NODES: Final = {name: partial(node_class, name) for name in _NAMES.split()}
-"""What gives the class of each node, by name."""
-
-
 def input_of(topic: str, wait_s: float) -> str:
-    """Find out what a topic of a camera is for `perception`: `depth` or `points`; a `ConfigError` if it is nothing of both.
+    """Find out what a topic of a camera is for `perception`: `depth` or `points`.
 
     Args:
         topic: Full name.
-        wait_s: Longest wait until somebody publishes it [s].
+        wait_s: Longest wait until a node publishes it [s].
+
+    Raises:
+        ConfigError: If no node publishes it, or it is neither images nor clouds.
     """
     start_rclpy([])
     import rclpy
@@ -253,16 +219,27 @@ def input_of(topic: str, wait_s: float) -> str:
     for kind in kinds.get(topic, ()):
         if kind in _INPUTS:
             return _INPUTS[kind]
-    there = [name for name, types in kinds.items() if any(kind in _INPUTS for kind in types)]
-    rule = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"nobody publishes it within {wait_s:g} s"
-    seen = f"; there are {', '.join(sorted(there))}" if there else "; there is no topic of images or clouds"
-    raise ConfigError(f"{topic}: {rule}, not an image of depth or a cloud{seen}")
+    usable = sorted(name for name, types in kinds.items() if any(kind in _INPUTS for kind in types))
+    fault = f"is a {' and a '.join(kinds[topic])}" if topic in kinds else f"no node published it within {wait_s:g} s"
+    cure = "no images or clouds are published here: start the driver of the camera, with the same ROS_DOMAIN_ID"
+    if usable:
+        cure = f"images and clouds are published on {', '.join(usable)}"
+    raise ConfigError(f"{topic}: {fault}; {cure}")
 
 
 def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bool, str]:
-    """Call a service without arguments of a graph that runs elsewhere; returns whether it succeeded, and its message.
+    """Call a service without arguments of a graph that runs elsewhere.
 
-    A `ForetouchError` as `call_service`.
+    Args:
+        service: Name in the namespace.
+        namespace: Of the graph; None for `/foretouch`.
+        wait_s: Longest wait for the service, and then for its answer [s].
+
+    Returns:
+        Whether it succeeded, and its message.
+
+    Raises:
+        ForetouchError: If there is no such service, or no answer within the time.
     """
     namespace = _checked(namespace or NAMESPACE)
     start_rclpy([])
@@ -277,7 +254,13 @@ def call_trigger(service: str, namespace: str | None, wait_s: float) -> tuple[bo
 
 
 def call_service(kind: Any, name: str, request: Any, wait_s: float) -> Any:
-    """Call a service, and return its answer; rclpy is started.
+    """Call a service, and return its answer; rclpy must have been started.
+
+    Args:
+        kind: Type of the service.
+        name: Full name of the service.
+        request: Of this type.
+        wait_s: Longest wait for the service, and then for its answer [s].
 
     Raises:
         ForetouchError: If there is no such service, or no answer within the time.

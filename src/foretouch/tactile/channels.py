@@ -29,7 +29,7 @@ FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
 
 
 def finger_label(finger: str) -> str:
-    """Return the name of a finger for people: that of its sensor's description where there is no other."""
+    """Return the name of a finger for people; without one, its name in the sensor's description."""
     return FINGER_NAMES.get(finger, finger)
 
 

@@ -172,7 +172,14 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channel
 def find_contact(
     stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channels = BIOTAC
 ) -> tuple[int | None, ...]:
-    """Find the first contact of each finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
+    """Find the stamp of the first contact of each finger, None without one, by `contact_scores`.
+
+    Args:
+        stamps_ns: (T,) stamps [ns].
+        counts: (T, D) readings.
+        rest: (R, D) readings at rest.
+        channels: What the D values are.
+    """
     onsets: list[int | None] = []
     for above in (contact_scores(counts, rest, channels) > 1.0).T:
         run = (

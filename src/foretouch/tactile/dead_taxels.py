@@ -47,7 +47,7 @@ def dead_taxels(sensor: Sensor, readings: Float64) -> Bool:
 
 
 def with_dead_taxels(sensor: Sensor, readings: Float64) -> Sensor:
-    """Return the sensor, with those of its taxels declared dead, too, that (S, D) readings show to be."""
+    """Return the sensor, with the taxels declared dead that (S, D) readings show to be dead."""
     dead = dead_taxels(sensor, readings)
     return sensor.with_dead(dead) if (dead & sensor.valid).any() else sensor
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Descriptions of taxel sensors: a YAML file, with a CSV file where the taxels form no array.
 
-The names are those of `urdf_tactile` (ubi-agni/tactile_toolbox); besides, a description states what the numbers mean: unit,
+Names are taken from `urdf_tactile` (ubi-agni/tactile_toolbox); besides, a description states what the numbers mean: unit,
 range, sign and validity. All fingers of a description carry the same taxels.
 """
 
@@ -65,7 +65,7 @@ class ChannelConfig(Settings):
     unit: str = setting("counts", "Unit of the number", choices=_UNITS)
     dtype: str = setting("float32", "Type of the number in the message", choices=_DTYPES)
     range: tuple[float, ...] = setting(
-        (), "Lowest and highest number of a working sensor; others are invalid. By default those of the type"
+        (), "Lowest and highest number of a working sensor; others are invalid. By default the limits of the type"
     )
     saturation: tuple[float, ...] = setting((), "Lowest and highest number that still follows the contact")
     contact: str = setting("both", "What the number does in contact", choices=("rise", "fall", "both", "none"))
@@ -221,7 +221,7 @@ class Sensor:
 
     @cached_property
     def channels(self) -> Channels:
-        """The values of a touch: of the whole finger first, then those of its taxels.
+        """The values of a touch: first of the whole finger, then of its taxels.
 
         Raises:
             ConfigError: If there is only one finger.
@@ -239,7 +239,7 @@ class Sensor:
 
     @property
     def is_biotac(self) -> bool:
-        """Whether its numbers are those of the BioTac SP, which has messages and files of its own."""
+        """Whether it is the BioTac SP, which has its own messages and files."""
         return self.sha256 == packaged_sensor("biotac_sp").sha256
 
     @property
@@ -382,12 +382,12 @@ def _layout_of(taxels: list[Any], where: str) -> Layout:
 
 
 def sensor_in(facts: Mapping[str, Any], where: str | Path) -> Sensor:
-    """Return the sensor of a manifest or a card by its key `sensor`: that of `with_sensor`; the BioTac SP where there is none."""
+    """Return the sensor of a manifest or a card by its key `sensor`, which `with_sensor` wrote; without one, the BioTac SP."""
     return sensor_of(facts["sensor"], f"{shown(where)}: sensor") if "sensor" in facts else packaged_sensor("biotac_sp")
 
 
 def with_sensor(facts: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
-    """Return the facts of a manifest or a card with the description of the sensor; those of the BioTac SP have none, unless taxels are dead."""
+    """Return the facts of a manifest or a card with the description of the sensor; the BioTac SP gets none, unless taxels are dead."""
     return facts if sensor.is_biotac and sensor.valid.all() else {**facts, "sensor": sensor.to_mapping()}
 
 

@@ -64,7 +64,7 @@ class Layout:
 
 @lru_cache(maxsize=64)
 def _nearest_valid(layout: Layout, valid: bytes) -> list[tuple[int, Index]]:
-    """Return the index of each taxel that is not valid, with those of the nearest valid ones."""
+    """Return the index of each taxel that is not valid, with the indices of the nearest valid ones."""
     mask = np.frombuffer(valid, np.bool_)
     usable, pairs = np.flatnonzero(mask), []
     for index in np.flatnonzero(~mask).tolist():

@@ -36,7 +36,7 @@ class LiveTare:
     def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
         """Add a reading (D,), as `Touch.values`, whose stamp [ns] the `TouchBuffer` has accepted.
 
-        `now_s` is that of a clock that never goes back [s].
+        `now_s` is the time of a clock that never goes back [s].
         """
         self._detector.update(stamp_ns, counts)
         touching = [finger.touching for finger in self._detector.fingers.values()]

@@ -5,7 +5,7 @@ Hands report a finger without a sensor as 24 zeros, and a dead one as a PDC that
 that a 12-bit converter cannot produce. Those are faults.
 
 The BioTac SP is not temperature-compensated and drifts with temperature, inflation and wear, so counts are comparable
-only with those of the same finger at rest shortly before: the tare.
+only with readings of the same finger at rest shortly before: the tare.
 """
 
 import math
@@ -52,7 +52,7 @@ def _fault(name: str, channel: Channel, values: Float64) -> str:
 
 
 def make_tare(readings: Sequence[Touch]) -> Touch:
-    """Return the median of readings without contact; a `TactileError` if there is none, or one is not valid."""
+    """Return the median of readings without contact; a `TactileError` without readings, or if one is not valid."""
     if not readings:
         raise TactileError("tare: no reading")
     for i, reading in enumerate(readings):
@@ -72,7 +72,7 @@ def tdc_of(values: Mapping[str, float], channels: Channels, prefix: str = "") ->
     Args:
         values: As `Sample.extra`.
         channels: Of the touch, for the names of its fingers.
-        prefix: Before the names: `tare_` for those of the tare.
+        prefix: Before the names: `tare_` for the temperatures of the tare.
     """
     tdc = np.array([values.get(f"{prefix}TDC_{finger}", np.nan) for finger in channels.fingers], np.float64)
     return np.where(is_tdc(tdc), tdc, np.nan)

@@ -89,7 +89,7 @@ class TaxelView:
     def pressures(self, values: Float64, rest: Touch | None, ranges: Ranges) -> Float64:
         """Return (..., F) float64: how hard each finger presses, 0 lowest, 1 highest of the range, of (..., D) values of touches.
 
-        By the first scalar that contact raises or lowers; where there is none, by the mean of the shares of the valid taxels.
+        By the first scalar that contact raises or lowers; without one, by the mean of the shares of the valid taxels.
         """
         for k, channel in enumerate(self.sensor.scalar_channels):
             if channel.contact:
@@ -103,7 +103,7 @@ class TaxelView:
         return np.stack([share.mean(axis=-1) if share.shape[-1] else none for share in shares], axis=-1)
 
     def scalars(self, finger: int, value: Touch, around: Prediction | None = None) -> str:
-        """Return the scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" if there are none."""
+        """Return the scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" without scalars."""
         texts = []
         for channel, column in zip(self.sensor.scalar_channels, self.sensor.scalar_columns[finger], strict=True):
             half = ""

@@ -5,8 +5,6 @@ All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile va
 everything derived from them are in the camera's optical frame (x right, y down, z forward) unless `frame_id` differs.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from foretouch.types.arrays import (
@@ -37,13 +35,18 @@ from foretouch.types.predictions import (
     Reference,
     Touch,
 )
+from foretouch.types.samples import APPROACH, DISCARDED, HOLD, REST, Outcome, Sample, TouchSeries
 
 __all__ = [
+    "APPROACH",
     "ASSUMED_TABLE",
+    "DISCARDED",
+    "HOLD",
     "LATE",
     "NO_CLOUD",
     "NO_GRASP",
     "NO_GRASPS",
+    "REST",
     "SECOND_NS",
     "SQUARABLE",
     "UNKNOWN_FRAME",
@@ -63,6 +66,7 @@ __all__ = [
     "Int64",
     "Integer",
     "Objects",
+    "Outcome",
     "Plane",
     "Predicted",
     "Prediction",
@@ -71,6 +75,7 @@ __all__ = [
     "Rows",
     "Sample",
     "Touch",
+    "TouchSeries",
     "UInt8",
     "WayIn",
     "assumed_table",
@@ -84,18 +89,3 @@ SECOND_NS = 1_000_000_000
 def stamp_ns(stamp: Any) -> int:
     """Convert a `builtin_interfaces/Time` or `Duration` to whole nanoseconds."""
     return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>)."""
-
-    id: str  # `<object>/<source id>`
-    object: str  # label of the object
-    # By factories, since subclasses read their cloud when it is asked for, and must not find a default in the class.
-    cloud: Cloud = field(default_factory=lambda: NO_CLOUD)  # the object's cloud on which the grasp was planned
-    grasp: Grasp = field(default_factory=lambda: NO_GRASP)
-    touch: Touch | None = None  # reading in contact; None for an unlabelled sample
-    tare: Touch | None = None  # reading without contact; None if there is none
-    stamp_ns: int = 0  # time of recording [ns]
-    extra: Mapping[str, float] = field(default_factory=dict)  # further values of the source, by name

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError, quoted
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 
 _Float32 = npt.NDArray[np.float32]
 _Float64 = npt.NDArray[np.float64]
@@ -199,15 +199,22 @@ class DepthImage:
         return xyz
 
     def write_points(self, xyz: _Float32, top: int, bottom: int, left: int, right: int) -> None:
-        """Write the points of some rows and columns to their places in (H, W, 3) float32 [m]."""
+        """Write the points of some rows and columns to their places in an image.
+
+        Args:
+            xyz: (H, W, 3) float32 [m], of which the points are written.
+            top: First row.
+            bottom: Row after the last.
+            left: First column.
+            right: Column after the last.
+        """
         first = top * self.camera.width + left
         self._write(xyz.reshape(-1, 3)[first:], self.camera.width, top, left, bottom - top, right - left, 1)
 
     def count(self, low_m: float, high_m: float) -> tuple[int, int]:
         """Count the pixels with a point, and those with a depth between two [m], both included."""
-        counts, (x, y) = np.empty(2, np.int64), self._rays
-        flat = self._depth.reshape(-1)
-        _COUNT[self._kind](flat, flat.size, self._scale, low_m, high_m, x, y, self._each, counts)
+        counts, flat = np.empty(2, np.int64), self._depth.reshape(-1)
+        _COUNT[self._kind](flat, flat.size, self._c_rays(*self._rays), low_m, high_m, counts)
         return int(counts[0]), int(counts[1])
 
     @property
@@ -226,8 +233,11 @@ class DepthImage:
         first = top * across + left
         x, y = (rays.reshape(-1) for rays in self._rays)
         x, y = (x[first:], y[first:]) if self._each else (x[left:], y[top:])
-        size = (height, width, step, self._scale)
-        _DEPROJECT[self._kind](self._depth.reshape(-1)[first:], across, *size, x, y, self._each, xyz, line)
+        rays = self._c_rays(x, y)
+        _DEPROJECT[self._kind](self._depth.reshape(-1)[first:], across, height, width, step, rays, xyz, line)
+
+    def _c_rays(self, x: _Float32, y: _Float32) -> Any:
+        return struct("Rays", scale=self._scale, x=x, y=y, each=self._each)
 
 
 def as_number(name: str, value: Any) -> float:

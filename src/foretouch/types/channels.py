@@ -2,7 +2,7 @@
 """The values of a touch: what each number of a tactile sensor is, in the order in which models predict them.
 
 A modality is one channel of one finger, such as `PDC_TH` (one value) or `E_MF` (24 electrodes). The values of a touch are
-modalities one after the other: by channel, first those of the whole finger, then those of its taxels; in a channel by finger.
+modalities one after the other: by channel, first channels of the whole finger, then channels of its taxels; in a channel by finger.
 """
 
 from collections.abc import Mapping, Sequence
@@ -122,7 +122,7 @@ class Channels:
             Of a channel (..., F, N), or (..., F) if it has one value a finger; of a modality (..., M).
 
         Raises:
-            TactileError: If there is none of that name.
+            TactileError: If no channel has that name.
         """
         if name in self.modality_columns:
             return values[..., self.modality_columns[name]]

@@ -43,7 +43,7 @@ class Cloud:
             if not isinstance(self.rgb, np.ndarray):
                 object.__setattr__(self, "rgb", np.asarray(self.rgb))
             if self.rgb.shape != self.xyz.shape:
-                raise CloudError(f"rgb: shape {self.rgb.shape} is not that of xyz, {self.xyz.shape}")
+                raise CloudError(f"rgb: shape {self.rgb.shape} differs from xyz, {self.xyz.shape}")
             if self.rgb.dtype != np.uint8:
                 raise CloudError(f"rgb: dtype {self.rgb.dtype} is not uint8")
         if self.camera is not None and self.camera.shape != self.xyz.shape[:-1]:
@@ -118,7 +118,14 @@ class DepthCloud(Cloud):
 
     @classmethod
     def of(cls, image: DepthImage, rgb: UInt8 | None, frame_id: str, stamp_ns: int) -> Self:
-        """Make the cloud of an image (see `Cloud`)."""
+        """Make the cloud of an image.
+
+        Args:
+            image: The depth image.
+            rgb: (H, W, 3) colours, if there are any.
+            frame_id: Frame of the camera.
+            stamp_ns: Time of the image [ns].
+        """
         no_points = np.broadcast_to(np.float32(np.nan), (*image.shape, 3))
         fields = vars(Cloud(no_points, rgb, frame_id, stamp_ns, image.camera))
         cloud = cls.__new__(cls)

@@ -13,7 +13,7 @@ from foretouch.types.arrays import Bool, Columns, Float64, Objects, Rows, column
 
 @dataclass(frozen=True, eq=False)
 class WayIn:
-    """How a described hand comes to a grasp; see `foretouch.grasp.hand`."""
+    """How a described hand comes to a grasp (`foretouch.grasp.hand` finds it)."""
 
     approach: (
         Float64  # (3,) float64, unit length, from the palm to the middle of the contacts, perpendicular to their line
@@ -51,7 +51,8 @@ class Grasp:
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
-            if (given := getattr(self, name).shape) != shape:
+            given = getattr(self, name).shape
+            if given != shape:
                 raise GraspError(f"{name}: shape {given} is not {shape}")
         if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
             raise GraspError(fault)

@@ -18,7 +18,7 @@ LATE: Final = "late"
 """Flag of a prediction of an old cloud."""
 
 UNKNOWN_FRAME: Final = "unknown_frame"
-"""Flag of the answer to a request in a frame that is not that of the graph's clouds, where no transform is known."""
+"""Flag of the answer to a request in another frame than the graph's clouds, where no transform is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Touch:
     def __getitem__(self, name: str) -> Float64:
         """Return values of a channel, such as E: (F, N), or (F,) of a scalar; or of a modality, such as E_TH: (M,).
 
-        A `TactileError` if there is none of that name.
+        A `TactileError` if no channel or modality has that name.
         """
         return self.channels.part(self.values, name)
 

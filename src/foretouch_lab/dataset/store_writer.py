@@ -20,7 +20,7 @@ import pyarrow as pa
 from foretouch import __version__
 from foretouch.dataset.files import new_folder, sealed
 from foretouch.dataset.formats import open_samples
-from foretouch.dataset.record import DISCARDED, id_number, numbered_id
+from foretouch.dataset.identity import id_number, numbered_id
 from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA_VERSION, SEAL, sample_digest, schema_of
 from foretouch.errors import DatasetError
@@ -28,7 +28,7 @@ from foretouch.files import file_sha256
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, with_sensor
-from foretouch.types import Sample
+from foretouch.types import DISCARDED, Sample
 
 _BATCH_ROWS = 64
 _SHARD_ROWS = 1024
@@ -37,7 +37,7 @@ _SHARD_ROWS = 1024
 class StoreWriter:
     """Collects samples; the store appears at the path when the `with` block ends without an error.
 
-    `about` are facts for the manifest: what made the samples, from which sources, with which seed. `sensor` is that of the
+    `about` are facts for the manifest: what made the samples, from which sources, with which seed. `sensor` is the sensor of the
     readings, by default the BioTac SP; it may be set before the first sample.
 
     Raises:
@@ -167,7 +167,7 @@ def build_store(
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
-    A sample whose id is that of a sample of a source before gets the number after the highest so far, as in a
+    A sample whose id a sample of an earlier source has gets the number after the highest so far, as in a
     recording that is continued; `about.sources` in the manifest lists the new ids by the old ones. `attach` makes text
     files to add to the store, such as splits, by name, from the samples.
 
@@ -188,14 +188,14 @@ def build_store(
             require_same(samples.sensor.channels, writer.sensor.channels, str(source))
             identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
             origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
-            for record in samples.records(discarded=True):
+            for sample in samples.with_discarded():
                 progress()
-                if DISCARDED in record.flags:
+                if DISCARDED in sample.flags:
                     result.left_out[DISCARDED] += 1
                     continue
-                sample = ids.with_own_id(number, only_finite(record.sample), renumbered)
-                writer.write(sample)
-                result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, sample.touch is not None))
+                stored = ids.with_own_id(number, only_finite(sample), renumbered)
+                writer.write(stored)
+                result.samples.append(SampleFacts(stored.id, stored.object, stored.stamp_ns, stored.touch is not None))
             if renumbered:
                 origins[-1]["renumbered"] = renumbered
                 result.renumbered += len(renumbered)
@@ -219,7 +219,7 @@ class _UniqueIds:
         self._last = 0
 
     def with_own_id(self, number: int, sample: Sample, renumbered: dict[str, str]) -> Sample:
-        """Return a sample of a source with an id of its own, which is added to `renumbered` if it is new.
+        """Return a sample of a source with its own id, which is added to `renumbered` if it is new.
 
         Raises a `DatasetError` if a source before holds the sample, whatever the ids.
         """

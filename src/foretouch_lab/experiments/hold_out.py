@@ -34,7 +34,7 @@ from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, error_row
 
 _OBJECT: Final = "object"  # the split that is tested after touches, too
 SHRINKAGE: Final = 2.0
-"""Variance of a single residual over that of the objects' offsets, in touches."""
+"""Variance of a single residual over the variance of the objects' offsets, in touches."""
 _CORRECTION: Final = f"after n touches, predictors without adaptation add n / (n + {SHRINKAGE:g}) of their mean residual, as does the mean"
 
 

@@ -72,7 +72,7 @@ class P1Settings(Settings):
     """Settings of `p1_as_published`."""
 
     modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
-    epochs: int | None = setting(None, "Number of epochs; by default those of the recipe, 50", bounds=(1, 100_000))
+    epochs: int | None = setting(None, "Number of epochs; by default the recipe's, 50", bounds=(1, 100_000))
 
 
 def _tables(samples: Sequence[Sample]) -> dict[str, list[Fold]]:

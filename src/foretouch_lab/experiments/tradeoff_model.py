@@ -192,7 +192,7 @@ def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -
 def _scene(data: Dataset, count: int) -> tuple[Sample, list[Grasp]]:
     """Return a sample whose cloud is of median size, with its grasp and others.
 
-    The others are between random points of the cloud, with the hand of its own grasp.
+    The others are between random points of the cloud, with the hand of the cloud's grasp.
     """
     samples = sorted(labelled(data), key=lambda sample: sample.cloud.size)
     sample = samples[len(samples) // 2]
@@ -240,7 +240,7 @@ EXPERIMENT = make_area(
             Panel(
                 "time",
                 count,
-                f"Known objects (blocks of time), {count} grasp{'s' * (count > 1)}",
+                f"Known objects (blocks of time), {count} grasp{'' if count == 1 else 's'}",
                 "mean skill, blocks of time",
             )
             for count in (1, 100, 1000)

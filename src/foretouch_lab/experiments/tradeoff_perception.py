@@ -2,7 +2,7 @@
 """Area `perception`: masks and contacts against the time of segmentation and GeoGrasp on a cloud.
 
 Scenes of three objects are generated, and the masks of a segmentation are compared with the true ones. The grasps are
-those of method `original`, whose settings these are, on the objects as the shipped segmentation finds them; the best one
+grasps of method `original`, whose settings these are, on the objects as the shipped segmentation finds them; the best one
 of each is scored by its own score at full resolution. How many grasps of method `completed` hold in how much time is
 measured in physics, by `benchmarks/grasp_physics`.
 """

@@ -29,8 +29,8 @@ class TimedReadings:
     objects: npt.NDArray[np.str_]  # (S,) names; another object begins wherever the name changes
     readings: Float64  # (S, D) [counts]
     expected: Float64  # (S, D) predictions by vision, at the rest level of training [counts]
-    tares: Float64 | None = None  # (S, D) tare of each grasp minus the rest level, NaN where there is none [counts]
-    known: Bool | None = None  # (S,) whether the object is like those of training; None if none is
+    tares: Float64 | None = None  # (S, D) tare of each grasp minus the rest level, NaN without a tare [counts]
+    known: Bool | None = None  # (S,) whether the object is like the training objects; None if unknown
     tdc: Float64 | None = None  # (S, F) TDC of the fingers with the reading, NaN without [counts]
     tare_tdc: Float64 | None = None  # (S, F) the same with the tare
     where: Float64 | None = None  # (S, P) features of the grasps, by which touches of one object are compared
@@ -39,7 +39,15 @@ class TimedReadings:
     def of_samples(
         cls, samples: Sequence[Sample], labels: Float64, expected: Float64, rest: Float64, known: Bool | None = None
     ) -> Self:
-        """Take labelled samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
+        """Take labelled samples with their predictions by vision.
+
+        Args:
+            samples: Labelled samples.
+            labels: (S, D) their readings [counts].
+            expected: (S, D) predictions by vision [counts].
+            rest: (D,) level without contact [counts].
+            known: (S,) whether each object is like the training objects.
+        """
         tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
@@ -188,7 +196,7 @@ class ModelReplay:
     samples: list[Sample]  # S of them
     recording: TimedReadings  # readings of unlabelled samples are NaN
     played: Replayed
-    scored: Bool  # (S,) False for those of the history
+    scored: Bool  # (S,) False for samples of the history
 
 
 def replay_model(model: TouchModel, samples: Sequence[Sample], history: Sequence[Sample] = ()) -> ModelReplay:

@@ -3,7 +3,7 @@
 
 Tactile messages are published at 100 Hz while the node is active, at rest and during every grasp. The contact is
 computed for the pose that the object had at the stamp of the cloud that the grasp was planned on; a simulated camera
-with the same `scene` parameters shows it in that pose. The messages are those of the scene's sensor: `BiotacAll` for the BioTac SP, else
+with the same `scene` parameters shows it in that pose. It sends messages of the scene's sensor: `BiotacAll` for the BioTac SP, else
 those that the description of the sensor names.
 
 Threads: the executor's callbacks store the newest grasps; one thread publishes each message when it is due; another

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tactile messages as drivers send them: `BiotacAll`, and those of a described sensor.
+"""Tactile messages as drivers send them: `BiotacAll`, and messages of a described sensor.
 
 They are decoded in `foretouch.tactile.messages`.
 """
@@ -28,10 +28,12 @@ _ABSENT: Counts = np.zeros(1 + ELECTRODES, np.int16)
 
 
 def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds: int) -> BiotacAll:
-    """Return a message of all five fingers with a frame and a stamp [ns].
+    """Make a message of all five fingers. An absent finger sends zeros, as one without a BioTac does.
 
-    `fingers` holds (25,) int16 counts by finger, PDC then electrodes, or (29,) with PAC0, PAC1, TAC and TDC, which are
-    0 otherwise. An absent finger sends zeros, as one without a BioTac does.
+    Args:
+        fingers: (25,) int16 counts by finger, PDC then electrodes, or (29,) with PAC0, PAC1, TAC and TDC, which are 0 otherwise.
+        frame_id: Of the header.
+        nanoseconds: Stamp [ns].
     """
     # rclpy takes over an array.array of the right type as it is; it checks any other sequence element by element.
     tactiles = [

@@ -19,7 +19,13 @@ Window = tuple[slice, slice]
 
 
 def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
-    """Return (3, 3) float64 intrinsics [px] of square pixels, a centred axis and a horizontal field of view; the D415 has 65 deg."""
+    """Return (3, 3) float64 intrinsics [px] of square pixels and a centred axis.
+
+    Args:
+        width: Columns.
+        height: Rows.
+        hfov_deg: Horizontal field of view [deg]; by default of a D415.
+    """
     # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
     focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
     return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
@@ -44,7 +50,7 @@ class CameraView:
             height: [px]
             distance_m: From the origin [m].
             tilt_rad: Between its axis and the vertical; 0 looks straight down [rad].
-            hfov_deg: Horizontal field of view [deg]; by default that of a D415.
+            hfov_deg: Horizontal field of view [deg]; by default of a D415.
         """
         sine, cosine = np.sin(tilt_rad), np.cos(tilt_rad)
         forward = np.array([0.0, sine, -cosine])
@@ -101,7 +107,7 @@ def add_stereo_noise(depth: Float64, noise_m: float, rng: np.random.Generator) -
     A constant sub-pixel error s of the disparity gives sigma_z = s·z² / (f·B).
 
     Args:
-        depth: (H, W) float64 [m], inf where there is none.
+        depth: (H, W) float64 [m], inf without a surface.
         noise_m: Standard deviation at a depth of 1 m [m].
         rng: Of the noise.
 
@@ -120,7 +126,7 @@ def add_flying_pixels(depth: Float64, rng: np.random.Generator) -> Float64:
     """Give pixels on a depth edge a depth between the nearest and the farthest of their 3x3 window.
 
     Args:
-        depth: (H, W) float64 [m], inf where there is none.
+        depth: (H, W) float64 [m], inf without a surface.
         rng: Of the mixing weights.
 
     Returns:
@@ -172,7 +178,7 @@ class RenderedFrame:
     """One frame with its ground truth.
 
     Attributes:
-        depth_mm: (H, W) uint16 [mm] along the optical axis, 0 where there is none.
+        depth_mm: (H, W) uint16 [mm] along the optical axis, 0 without depth.
         rgb: (H, W, 3) uint8, in the same view as the depth.
         labels: (H, W) int32: 0 none or floor, 1 table, 2 and on the objects; exact, also where depth is noisy or
             absent.
@@ -189,7 +195,13 @@ class RenderedFrame:
     def cloud(
         self, frame_id: str = "camera_depth_optical_frame", stamp_ns: int = 0, *, with_rgb: bool = False
     ) -> Cloud:
-        """Return the frame as an organised cloud, NaN where there is no depth."""
+        """Return the frame as an organised cloud, NaN where there is no depth.
+
+        Args:
+            frame_id: Frame of the camera.
+            stamp_ns: Time of the frame [ns].
+            with_rgb: Whether the points have colours.
+        """
         rgb = self.rgb if with_rgb else None
         return Cloud.from_depth(self.depth_mm, self.K, frame_id=frame_id, stamp_ns=stamp_ns, rgb=rgb)
 
@@ -267,7 +279,7 @@ def random_scene(
         may_occlude: Whether one object may hide a part of another.
 
     Raises:
-        ConfigError: If so many objects find no place.
+        ConfigError: If the objects find no place.
     """
     tilt = 0.0 if view == "top" or (view == "any" and rng.random() < 0.25) else np.radians(rng.uniform(30.0, 55.0))
     camera = CameraView.towards_table(width, height, rng.uniform(0.8, 1.2), tilt)
@@ -291,7 +303,7 @@ def table_depth(view: CameraView, rays: Float64) -> Float64:
 
 
 def to_millimetres(depth: Float64) -> npt.NDArray[np.uint16]:
-    """Round depths [m] to whole millimetres, 0 where there is none or it does not fit."""
+    """Round depths [m] to whole millimetres, 0 without depth or where it does not fit."""
     rounded = np.rint(depth * 1000.0)
     return np.where((rounded > 0.0) & (rounded < 65536.0), rounded, 0.0).astype(np.uint16)
 

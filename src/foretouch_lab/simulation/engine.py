@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects, each one step of a sample, and the engine that runs those that a scene calls for and measures their time.
 
-Each effect has a random stream of its own: an effect that is off leaves all bit-equal that is not computed from its result.
+Each effect has its own random stream: an effect that is off leaves all bit-equal that is not computed from its result.
 Of each object of the scene, those effects run, in the order of their list, that the scene calls for. The others cost nothing.
 """
 
@@ -29,7 +29,7 @@ from foretouch_lab.simulation.world import CampaignTime, SampleKey, World, objec
 class SampleState:
     """The keys that effects read and write; none is there before an effect has written it.
 
-    Pairs are those of thumb and middle finger; T is the number of messages, N the cells along one side of a pad's window.
+    Pairs are thumb and middle finger; T is the number of messages, N the cells along one side of a pad's window.
     """
 
     bodies: list[Body]  # the object first, then the clutter
@@ -54,7 +54,7 @@ class SampleState:
     # of each fingertip: where on its skin the hand aims with, and its axes as columns in the world, (3, 3)
     pads: tuple[PadWindow, PadWindow]  # where on its skin each fingertip is touched, and the window about it
     touches: tuple[ContactFrame, ContactFrame]  # the tangent frames there, in the world
-    relief: Float64  # (2, N, N) [m], the object's surface behind each tangent plane, inf where there is none
+    relief: Float64  # (2, N, N) [m], the object's surface behind each tangent plane, inf without a surface
     contacts: tuple[ContactSolution, ContactSolution]  # solved contacts of both fingers
     campaign_time: CampaignTime  # when in the campaign the grasp is executed
     sensors: tuple[Finger, Finger]  # the fingertips that are mounted

@@ -52,7 +52,7 @@ def _at_rest(job: Job, state: SampleState) -> None:
     reading.start(state, np.arange(rows) / timeline.rate_hz, np.zeros(rows), low, low)
 
 
-# Without those of one hand on one day; touch and tare are found in the messages, and the grasp is given.
+# Without the effects of one hand on one day; touch and tare are found in the messages, and the grasp is given.
 _READING = [
     replace(effect, run={"calendar": _calendar, "drift": _drift}.get(effect.name, effect.run))
     for effect in reading.EFFECTS
@@ -134,7 +134,7 @@ class SimulatedHand:
             elapsed_s: Time since the hand was switched on, for what drifts [s].
 
         Returns:
-            The trajectory; where the grasp comes to nothing, that of a hand that closes without touching.
+            The trajectory; where the grasp comes to nothing, of a hand that closes without touching.
         """
         config, key = self.config, SampleKey(self.scene.seed, slot, 0, repeat)
         start = round(config.rest_s * config.rate_hz)
@@ -167,7 +167,7 @@ class SimulatedHand:
         return np.asarray(read_press(pressed) - pressed.rest).round().astype(np.int16)
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
-        """Return counts as in a `GraspTrajectory` while nothing touches the fingertips; its arguments are those of `execute`."""
+        """Return counts as in a `GraspTrajectory` while nothing touches the fingertips, for the arguments of `execute`."""
         key = SampleKey(self.scene.seed, 0, 0, repeat)
         return self._counts(self._resting.run(key, idle_rows=rows, elapsed_s=elapsed_s))
 

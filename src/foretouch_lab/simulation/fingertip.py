@@ -153,8 +153,8 @@ _MAX_EXPONENT: Final = 50.0  # beyond, E rounds to 0 from any rest
 class SimulatedFingerConfig(Settings):
     """Rest levels of a fingertip, which vary with inflation, wear and make.
 
-    The defaults are those of a middle finger: PDC as real ones at rest; electrodes so that in grasps their 95th
-    percentile is near that of real ones, 3600.
+    The defaults describe a middle finger: PDC as real ones at rest; electrodes so that in grasps their 95th
+    percentile is near 3600, as of real ones.
     """
 
     pdc_rest: float = setting(1676.0, "PDC without contact", unit="counts", bounds=(1.0, 4094.0))
@@ -227,7 +227,7 @@ def read_press(finger: Finger) -> Float64:
 
 
 def electrode_weights(pad: PadConfig, window: PadWindow) -> Float64:
-    """Return (24, N * N) float64, weight of each cell at each electrode; over a plane those of an electrode facing it sum to 1."""
+    """Return (24, N * N) float64, weight of each cell at each electrode; over a plane the weights of an electrode facing it sum to 1."""
     points = window.points.reshape(-1, 3)
     normals = BIOTAC_SP.layout.normals
     places = BIOTAC_SP.layout.positions + pad.layer_m * normals

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of tactile messages between the hand and its subscribers, for robustness tests: by default there are none."""
+"""Faults of tactile messages between the hand and its subscribers, for robustness tests: by default none."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class MessageFaults:
         return max(0, true_ns + shift_ns)
 
     def readings(self, fingers: Mapping[str, _T]) -> dict[str, _T]:
-        """Return the readings that a message carries, by finger: of the wrong one, or those of the first message."""
+        """Return the readings that a message carries, by finger: of the wrong finger, or of the first message."""
         sent, frozen = dict(fingers), self.config.frozen
         if frozen:
             sent[frozen] = self._first.setdefault(frozen, sent[frozen])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene as a camera: whole images of its samples, fed to librealsense's software device.
 
-From there on the code is that of a real camera.
+From there on a real camera runs the same code.
 """
 
 import logging

@@ -58,7 +58,7 @@ class Simulation:
 
         The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, targets and
         contacts of both fingers, and PAC, TAC and TDC where the scene calls for them. Where a campaign repeats a grasp,
-        slot and attempt are those of the grasp that is repeated, and `repeat` is above 0.
+        slot and attempt name the grasp that is repeated, and `repeat` is above 0.
 
         Args:
             count: How many.
@@ -172,7 +172,7 @@ def _campaign_values(state: SampleState) -> dict[str, float]:
 
 
 def _other_values(state: SampleState) -> dict[str, float]:
-    """Return PAC, TAC and TDC in contact as far as they are simulated, and those of the tare with `tare_` [counts]."""
+    """Return PAC, TAC and TDC in contact as far as they are simulated, and with `tare_` the same of the tare [counts]."""
     rows = {"": state.others[state.hold_row]}
     if state.tare is not None:
         rows["tare_"] = np.median(state.others[: int(np.argmax(state.load > 0.0))], axis=0)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A software device of librealsense, fed with frames from a program in place of a D415.
 
-Everything behind it, from the library's filters and recorder to the cloud, is the code that a real camera uses.
+Everything behind it, from the library's recorder to the cloud, is the code that a real camera uses.
 """
 
 import threading
@@ -123,8 +123,6 @@ def _software_device(frame: RenderedFrame, fps: int, serial: str) -> tuple[Any, 
     stream.bpp, stream.fmt, stream.intrinsics = _PIXEL_BYTES, rs.format.z16, _intrinsics(frame)
     profile = sensor.add_video_stream(stream).as_video_stream_profile()
     sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
-    # Of the D415 [mm]; the library's disparity filters require it.
-    sensor.add_read_only_option(rs.option.stereo_baseline, 55.0)
     device.create_matcher(rs.matchers.default)
     return device, sensor, profile
 

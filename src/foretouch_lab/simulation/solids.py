@@ -116,7 +116,7 @@ class Primitive:
             directions: (..., 3) float64, world, of any length.
 
         Returns:
-            (...) float64, t of the first hit, inf where there is none.
+            (...) float64, t of the first hit, inf without a hit.
         """
         start, along = (origin - self.position) @ self.rotation, directions.reshape(-1, 3) @ self.rotation
         half = self.size / 2.0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Taxel arrays on a flat or curved pad: from the forces on the skin to the values of the channels.
 
-The pad is that of a description (`foretouch.tactile.description`): its surface goes through the taxels, z along their mean
-normal and x along that of the sensor's frame, which points along the finger to its tip. With q the place across z,
+The pad is described (`foretouch.tactile.description`): its surface goes through the taxels, z along their mean
+normal and x along the x of the sensor's frame, which points along the finger to its tip. With q the place across z,
 
     z = -½ qᵀ K q,       K by least squares of K q = (n_x, n_y) / n_z over the taxels; 0 of a flat one
 
@@ -42,7 +42,7 @@ KELVIN_N: Final = 0.005  # standard deviation of the drift with the temperature 
 
 _AXES: Final = {**dict.fromkeys(("p", "n", "f", "normal", "force", "pressure"), 2), "x": 0, "y": 1, "z": 2}
 _LEVELS: Final = {"rise": 0.1, "fall": 0.9}  # rest level by what contact does, of the range; else 0.5
-_STEEPEST: Final = 0.2  # least part of a taxel's normal along that of the pad
+_STEEPEST: Final = 0.2  # least part of a taxel's normal along the pad's normal
 _FLAT_1_M: Final = 0.1  # curvature below which a pad is flat [1/m]
 _NEIGHBOURS: Final = 1.2  # taxels within this many times the least distance are neighbours
 
@@ -207,7 +207,7 @@ def require_channels(sensor: Sensor) -> None:
 
 
 def _each(numbers: Sequence[Any], channels: list[tuple[ChannelConfig, int]]) -> Float64:
-    """Return (V, ...) of the values, from those of the channels."""
+    """Return (V, ...) numbers of the values, from numbers of the channels."""
     return np.repeat(np.array(numbers, np.float64), [count for _, count in channels], axis=0)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all samples of a scene share (camera, fingers, the course of a campaign), and the random streams of each sample.
 
-Each effect of each sample draws from a random stream of its own, so that adding an effect, or drawing more in one,
+Each effect of each sample draws from its own random stream, so that adding an effect, or drawing more in one,
 changes the numbers of no other effect, and a sample can be generated again alone on any worker.
 
 A campaign states when each grasp is executed, which sensors are mounted, and how they drift. All of it is a function of the
@@ -118,7 +118,7 @@ class Campaign:
         return thumb, middle
 
     def kelvin(self, session: int, visit: int) -> tuple[Float64, float]:
-        """Return (2,) temperature of both fingers at power-on, and that of the object of a visit minus theirs [K]."""
+        """Return (2,) temperature of both fingers at power-on, and the temperature of a visit's object minus theirs [K]."""
         shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
         rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
         start = calendar.SESSION_KELVIN * shared + calendar.FINGER_KELVIN * np.array(own)

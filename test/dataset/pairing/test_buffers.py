@@ -7,13 +7,14 @@ import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
 from foretouch.cloud.messages import cloud_fields
-from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import CloudBuffer, SerializedCloud, TouchBuffer
+from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import Cloud
 
 
 def feed(buffer: TouchBuffer, *stamps: int) -> None:
     for stamp in stamps:
-        buffer.add(TouchReading(stamp, REST, NONE, stamp))
+        buffer.add(TactileReading(stamp, REST, NONE, stamp))
 
 
 def kept(buffer: TouchBuffer) -> list[int]:
@@ -63,7 +64,7 @@ def test_wrong_stamps_are_left_out_a_clock_set_back_forgets_and_accepted_reading
     future, back = T0 + 1000 * SECOND, T0 - 1000 * SECOND
     stamps = [T0, future, T0 + PERIOD, back, future, T0 + 2 * PERIOD, future, future + PERIOD, T0, T0 + PERIOD]
     buffer = TouchBuffer()
-    passed = [[one.stamp_ns for one in buffer.add(TouchReading(stamp, REST, NONE, stamp))] for stamp in stamps]
+    passed = [[one.stamp_ns for one in buffer.add(TactileReading(stamp, REST, NONE, stamp))] for stamp in stamps]
     assert passed == [
         [T0], [], [T0 + PERIOD], [], [], [T0 + 2 * PERIOD], [], [future, future + PERIOD], [], [T0, T0 + PERIOD]
     ]  # fmt: skip

@@ -8,16 +8,17 @@ import pytest
 from every_case import every_case
 from pair_builders import PERIOD, REST, SECOND, interval, level, stream
 
-from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
-from foretouch.dataset.record import APPROACH, HOLD
-from foretouch.dataset.record import REST as REST_PHASE
+from foretouch.tactile.messages.table import TactileReading
+from foretouch.types import APPROACH, HOLD
+from foretouch.types import REST as REST_PHASE
 from foretouch_lab.simulation.message_faults import FaultConfig
 
 CONFIG = PairingConfig()
 
 
-def filled(readings: list[TouchReading]) -> TouchBuffer:
+def filled(readings: list[TactileReading]) -> TouchBuffer:
     buffer = TouchBuffer()
     for reading in readings:
         buffer.add(reading)
@@ -42,7 +43,7 @@ def test_what_cannot_be_cut_is_refused_with_its_reason() -> None:
     hole = [r for r in one if not when.contact + 2 * tenth < r.stamp_ns < when.contact + 35 * tenth // 10]
     late = [replace(r, received_ns=r.received_ns + SECOND + k % 7 * tenth) for k, r in enumerate(two)]
 
-    def check(reason: str, readings: list[TouchReading], when: Interval) -> None:
+    def check(reason: str, readings: list[TactileReading], when: Interval) -> None:
         with pytest.raises(PairingError) as info:
             cut_touch(filled(readings), when, CONFIG)
         assert info.value.reason == reason
@@ -88,7 +89,7 @@ def test_absent_and_frozen_sensors_are_refused_idle_and_repeating_ones_flagged()
     assert info.value.reason == "sensor_fault"
     middle = np.r_[1, 26:50]
 
-    def stuck(reading: TouchReading) -> TouchReading:
+    def stuck(reading: TactileReading) -> TactileReading:
         counts = reading.counts.copy()
         counts[middle] = REST[middle]
         return replace(reading, counts=counts)
@@ -101,7 +102,7 @@ def test_absent_and_frozen_sensors_are_refused_idle_and_repeating_ones_flagged()
     thumb = np.r_[0, 2:26]
     rng = np.random.default_rng(1)
 
-    def idle(reading: TouchReading) -> TouchReading:
+    def idle(reading: TactileReading) -> TactileReading:
         counts = reading.counts.copy()
         counts[thumb] = np.round(REST[thumb] + rng.normal(0, 1, 25) * np.r_[0.3, np.full(24, 4.4)])
         return replace(reading, counts=counts)

@@ -57,9 +57,9 @@ def numbers(path: Path) -> list[int]:
     """The numbers of the samples in a file, each of which equals the recorded one."""
     found = []
     for stored in RecordedDataset(path):
-        found.append(int(stored.record.sample.grasp.id.removeprefix("grasp-")))
-        points = stored.record.sample.cloud.size
-        assert_same_sample(stored.record.sample, record(found[-1], points=points).sample)
+        found.append(int(stored.sample.grasp.id.removeprefix("grasp-")))
+        points = stored.sample.cloud.size
+        assert_same_sample(stored.sample, record(found[-1], points=points))
     return found
 
 
@@ -208,7 +208,7 @@ def test_no_length_of_a_record_takes_memory(tmp_path: Path) -> None:
 
 def test_no_length_in_a_sample_takes_memory_though_its_digest_is_right() -> None:
     made = record(0, points=5)
-    good = encode_sample(replace(made, sample=replace(made.sample, id="ball/1")), IDENTITY)[:-32]
+    good = encode_sample(replace(made, id="ball/1"), IDENTITY)[:-32]
     decode_sample(good + hashlib.sha256(good).digest())  # load everything that is cached before memory is measured
     tracemalloc.start()
     refused = []

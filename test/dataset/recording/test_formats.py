@@ -43,7 +43,7 @@ def test_mcap_and_rosbags_read_recordings_all_checksums_hold_and_samples_are_dec
             decoded = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections)]
         assert [message.id for message in decoded] == [f"ball/{number:06d}" for number in range(1, 6)]
         for number, message in enumerate(decoded):
-            sample = record(number).sample
+            sample = record(number)
             np.testing.assert_array_equal(message.touch, sample.touch.values)
             np.testing.assert_array_equal(np.asarray(message.grasp.rotation).reshape(3, 3), sample.grasp.rotation)
             assert message.cloud.width == 30

@@ -13,7 +13,7 @@ from every_case import every_case
 from recording_builders import IDENTITY, QUICK, assert_same_sample, record
 
 from foretouch.dataset.bag import Recording
-from foretouch.dataset.record import SampleRecord, TouchSeries, check_id
+from foretouch.dataset.identity import check_id
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.sample_codec import (
     SAMPLE_TYPE,
@@ -25,24 +25,24 @@ from foretouch.dataset.recording.sample_codec import (
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import DatasetError
 from foretouch.tactile import biotac_touch
-from foretouch.types import Cloud
+from foretouch.types import Cloud, Sample, TouchSeries
 
 REPOSITORY = Path(__file__).parents[3]
 
 
-def with_sample(made: SampleRecord, **changes: Any) -> SampleRecord:
-    return replace(made, sample=replace(made.sample, **{"id": "ball/000001", **changes}))
+def with_sample(made: Sample, **changes: Any) -> Sample:
+    return replace(made, **{"id": "ball/000001", **changes})
 
 
 def test_every_field_comes_back_and_an_unlabelled_sample_has_no_touch() -> None:
     made = with_sample(record(3))
     stored = decode_sample(encode_sample(made, IDENTITY))
-    back = stored.record
-    assert_same_sample(back.sample, made.sample)
-    assert back.sample.id == made.sample.id
-    assert back.sample.grasp.id == "grasp-3"
-    assert back.sample.cloud.stamp_ns == made.sample.cloud.stamp_ns
-    assert back.sample.cloud.frame_id == "camera"
+    back = stored.sample
+    assert_same_sample(back, made)
+    assert back.id == made.id
+    assert back.grasp.id == "grasp-3"
+    assert back.cloud.stamp_ns == made.cloud.stamp_ns
+    assert back.cloud.frame_id == "camera"
     for name in ("outcome", "note", "contact_ns", "detector", "pairing_error_ns", "flags"):
         assert getattr(back, name) == getattr(made, name), name
     assert [grasp.id for grasp in back.candidates] == ["other-3"]
@@ -54,9 +54,9 @@ def test_every_field_comes_back_and_an_unlabelled_sample_has_no_touch() -> None:
     xyz = np.full((4, 5, 3), np.nan, np.float32)
     xyz[1, 2] = [0.1, 0.2, 1.0]
     made = record(1, labelled=False)
-    back = decode_sample(encode_sample(with_sample(made, cloud=Cloud(xyz)), IDENTITY)).record
-    np.testing.assert_array_equal(back.sample.cloud.xyz, xyz)
-    unset = (back.sample.cloud.rgb, back.sample.touch, back.sample.tare, back.series, back.contact_ns)
+    back = decode_sample(encode_sample(with_sample(made, cloud=Cloud(xyz)), IDENTITY)).sample
+    np.testing.assert_array_equal(back.cloud.xyz, xyz)
+    unset = (back.cloud.rgb, back.touch, back.tare, back.series, back.contact_ns)
     assert (*unset, back.pairing_error_ns) == (None,) * 6
 
 

@@ -27,7 +27,7 @@ from recording_builders import (
 )
 
 from foretouch.dataset.files import sealed
-from foretouch.dataset.record import Identity
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording import writer as recorder
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.records import MessageCounts
@@ -50,7 +50,7 @@ def test_what_is_appended_is_read_back_and_a_resumed_dataset_continues_its_ids(t
     dataset = RecordedDataset(tmp_path / "ds")
     assert len(dataset) == 5
     for number, stored in enumerate(dataset):
-        assert_same_sample(stored.record.sample, record(number, "ball" if number < 3 else "sponge").sample)
+        assert_same_sample(stored.sample, record(number, "ball" if number < 3 else "sponge"))
         assert stored.identity == IDENTITY
     assert ids(tmp_path / "ds") == [*(f"ball/{n:06d}" for n in range(1, 4)), "sponge/000004", "sponge/000005"]
     files = sorted((tmp_path / "ds").glob("*.mcap"))

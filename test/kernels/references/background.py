@@ -14,13 +14,17 @@ _EIGHT = np.ones((3, 3), bool)
 _SIDES = ((0, -1), (0, 1), (-1, 0), (1, 0))
 
 
-def background(grid: Array, labels: Array, n: int, pitch: float, settings: Array) -> tuple[Array, Array]:
+def background(
+    grid: Array, labels: Array, n: int, pitch: float, plane: Array, noise: float, **limits: float
+) -> tuple[Array, Array]:
     """The reason of each label below n, and the corners of the outline as x / z and y / z."""
-    level, noise, below, border, floor, flat = settings[4:].astype(np.float32)
-    normal, offset = settings[:3].astype(np.float32), np.float32(settings[3])
+    level, below, border, floor, flat = (
+        np.float32(limits[name]) for name in ("level", "below", "border", "foot", "flat")
+    )
+    normal, offset = plane[:3].astype(np.float32), np.float32(plane[3])
     height = grid[..., 0] * normal[0] + grid[..., 1] * normal[1] + grid[..., 2] * normal[2] + offset
     seen, part = np.isfinite(height), labels > 0
-    low = np.abs(height) <= np.maximum(grid[..., 2] ** 2 * noise, level)
+    low = np.abs(height) <= np.maximum(grid[..., 2] ** 2 * np.float32(noise), level)
     table = _table(seen & ~part & low, ~(seen & ~part & (height < -below)))
     rows, columns = (0, len(grid) - 1), _columns(seen)
     view = np.s_[rows[0] : rows[1] + 1, columns[0] : columns[1] + 1]

@@ -72,10 +72,11 @@ def write_ids(image, window, ids) -> int:
     return np.count_nonzero(new)
 
 
-def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None, write=None) -> list[Clusters]:
+def label_organised(xyz, grid, crop, threshold, config, rays=None, write=None) -> list[Clusters]:
     """Windows around the patches of the coarse grid, each labelled on the grid and then refined."""
     if write is not None:
         write(0, xyz.shape[0], 0, xyz.shape[1])
+    coarse, stride, _ = grid
     min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
 
     def step(z, slope):

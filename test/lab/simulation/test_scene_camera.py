@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from camera_builders import opened
 from sim_builders import CAN, run, scene
 
 from foretouch.camera.config import RealSenseConfig, ScheduleConfig
 from foretouch.camera.device import realsense
-from foretouch.camera.realsense import RealSenseCamera
 from foretouch.errors import ConfigError, FileError, MissingDependencyError
 from foretouch_lab.simulation.depth_scene import FIRST_OBJECT
 from foretouch_lab.simulation.scene import centre_of_objects, scheduled_scene
@@ -67,8 +67,8 @@ def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() 
     config = scene(CAN, camera=SMALL)
     schedule = ScheduleConfig(dwell_s=0.4)
     settings = RealSenseConfig(width=212, height=160, fps=30)
-    with scene_camera(config, schedule, 30) as device, RealSenseCamera(settings, device) as camera:
-        seen = [cloud for cloud in (camera.read(2.0) for _ in range(20)) if cloud is not None]
+    with scene_camera(config, schedule, 30) as device, opened(settings, device) as camera:
+        seen = [frame.cloud() for frame in (camera.read(2.0) for _ in range(20)) if frame is not None]
     assert len(seen) == 20
     slots = [schedule.slot(cloud.stamp_ns) for cloud in seen]
     assert len(set(slots)) > 1

@@ -14,9 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 
 from foretouch.cli.answers import answer_record
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import CloudError, GraspError, ModelError
 from foretouch.grasp.messages import decode_grasp, has_orientation, rotation_from_quaternion
 from foretouch.ros.messages.conversions import (
@@ -28,7 +30,7 @@ from foretouch.ros.messages.conversions import (
     prediction_from_msg,
     reference_text,
 )
-from foretouch.ros.messages.requests import RefusalError, read_table
+from foretouch.ros.messages.requests import RefusalError, read_objects
 from foretouch.tactile import biotac_touch
 from foretouch.types import Grasp, Plane, Prediction, WayIn
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -97,7 +99,7 @@ def test_a_way_in_that_cannot_be_used_is_refused_by_name():
     cases = [
         (r"approaches: 3 numbers are not 2 x 11", "approaches", [0.0, 1.0, 2.0]),
         (r"approaches: .*nan.* is not finite", "approaches", [math.nan] * 22),
-        (r"posture: 1 angles are not those of 2 joints", "posture", [0.5]),
+        (r"posture: 1 angles do not fit 2 joints", "posture", [0.5]),
         (r"thumb_at: 'g3' is neither g1 nor g2", "thumb_at", "g3"),
         (r"depth_m: inf is not finite", "depth_m", math.inf),
         (r"orientation: length 0.* is not 1", "pose_of_hand", Pose(orientation=Quaternion(w=0.0))),
@@ -120,7 +122,7 @@ def test_a_grasp_that_cannot_be_used_is_refused_by_name():
         (r"orientation: length nan", lambda m: setattr(m.pose.orientation, "x", math.nan)),
         (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, 0.5))),
         (r"rotation: .* is not a rotation", lambda m: setattr(m, "rotation", np.full(9, math.nan))),
-        (r"rotation: is not that of pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
+        (r"rotation: differs from pose", lambda m: setattr(m, "rotation", np.diag([1.0, -1.0, -1.0]).ravel())),
     ]
     every_case(cases, check)
     message = grasp_to_msg(UNIT)
@@ -143,8 +145,9 @@ def test_planes_are_received_to_the_last_bit_or_refused_with_a_reason(rng):
         plane_from_msg(message)
 
     def check(status, reason, refused_as, text):
+        table = TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason)
         with pytest.raises(RefusalError) as refusal:
-            read_table(TablePlane(header=HEADER, plane=PlaneMsg(), status=status, reason=reason), HEADER)
+            read_objects(PointCloud2(header=HEADER), table, ObjectLimits())
         assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
 
     cases = [

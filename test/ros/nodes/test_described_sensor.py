@@ -75,6 +75,6 @@ def test_the_simulated_hand_sends_it_the_predictor_adapts_to_it_and_its_grasps_a
     for node in (recorder, predictor):
         assert not any("unreadable" in key and value != "0" for key, value in node.reported().values.items())
     recorder.end()
-    (one,) = open_samples(tmp_path / "set").records()
-    np.testing.assert_allclose(one.sample.touch.values, sample.touch.values, atol=400.0)  # noise and slow changes
+    (one,) = open_samples(tmp_path / "set")
+    np.testing.assert_allclose(one.touch.values, sample.touch.values, atol=400.0)  # noise and slow changes
     assert predictor.reported().values["tare_age_s"] != "none"

@@ -10,7 +10,6 @@ from pair_builders import REST, level
 from robot_builders import MS, QUICK, accounts, outcomes, start
 from sensor_msgs.msg import CameraInfo, Image
 
-from foretouch.dataset.record import HOLD
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.verify import verify_dataset
@@ -18,7 +17,7 @@ from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.nodes.recorder import RecorderConfig
-from foretouch.types import Cloud
+from foretouch.types import HOLD, Cloud
 from foretouch.types.camera import CameraModel
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll
@@ -55,7 +54,7 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
     (report,) = verify_dataset(tmp_path / "set")
     assert not report.faults
     for number, one in enumerate(stored(tmp_path / "set")):
-        record, sample = one.record, one.record.sample
+        sample = record = one.sample
         assert sample.id == f"can/00000{number + 1}"
         np.testing.assert_array_equal(sample.cloud.xyz, clouds[number].xyz)
         np.testing.assert_allclose(sample.touch.values, level(number), atol=5.0)
@@ -83,10 +82,10 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
     reason = "grasp g-0: is recorded already; `edit_grasp` changes it"
     assert (late.success, late.message) == (False, reason)
     node.end()
-    record = stored(tmp_path / "set")[0].record
-    assert (record.sample.object, record.note, record.outcome) == ("cup", "slipped", "failure")
+    record = stored(tmp_path / "set")[0].sample
+    assert (record.object, record.note, record.outcome) == ("cup", "slipped", "failure")
     assert record.flags == ("detected_interval",)
-    np.testing.assert_allclose(record.sample.touch.values, level(1), atol=5.0)
+    np.testing.assert_allclose(record.touch.values, level(1), atol=5.0)
 
 
 def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_path):
@@ -99,7 +98,7 @@ def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_pat
     assert begin(path=str(tmp_path / "set"), object="x").success
     robot.record("g-1", 1)
     node.end()
-    assert [one.record.sample.id for one in stored(tmp_path / "set")] == ["can/000001", "x/000002"]
+    assert [one.sample.id for one in stored(tmp_path / "set")] == ["can/000001", "x/000002"]
     bad = begin(path="y", object="../x")
     assert (bad.success, "is not a plain name" in bad.message) == (False, True)
     (tmp_path / "link").symlink_to("..")

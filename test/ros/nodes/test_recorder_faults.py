@@ -31,14 +31,14 @@ def recorded(path):
     """The records of a dataset without faults."""
     assert [report.fault_lines() for report in verify_dataset(path)] == [[]]
     dataset = RecordedDataset(path)
-    return [dataset[k].record for k in range(len(dataset))]
+    return [dataset[k].sample for k in range(len(dataset))]
 
 
 def assert_levels(records):
     """Each sample has the touch of its grasp, which is named `g-<number>`."""
     for record in records:
-        number = int(record.sample.grasp.id.removeprefix("g-"))
-        np.testing.assert_allclose(record.sample.touch.values, level(number), atol=5.0)
+        number = int(record.grasp.id.removeprefix("g-"))
+        np.testing.assert_allclose(record.touch.values, level(number), atol=5.0)
 
 
 def begin(graph, path):
@@ -69,7 +69,7 @@ def test_a_pulled_cable_is_named_and_the_recording_continues_when_it_is_back(gra
     assert set(sensors(node.status()).values()) == {"alive"}
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
-    assert [one.sample.grasp.id for one in recorded(tmp_path / "set") if one.sample.touch] == ["before", "after"]
+    assert [one.grasp.id for one in recorded(tmp_path / "set") if one.touch] == ["before", "after"]
 
 
 @pytest.mark.slow
@@ -94,8 +94,8 @@ def test_kill_9_of_the_process_loses_nothing_that_was_reported(lone_graph, tmp_p
     assert report.clean
     records = recorded(tmp_path / "set")
     assert len(records) >= last.samples
-    assert last.last_sample in {record.sample.id for record in records}
-    assert [record.sample.grasp.id for record in records] == [f"g-{number}" for number in range(len(records))]
+    assert last.last_sample in {record.id for record in records}
+    assert [record.grasp.id for record in records] == [f"g-{number}" for number in range(len(records))]
     assert_levels(records)
     assert report.messages[SAMPLE_TOPIC] == len(records)
     for topic in last.topics:  # messages too: what was reported as written is written

@@ -23,7 +23,7 @@ SUCCESS, FAILURE = LabelGrasp.Request.SUCCESS, LabelGrasp.Request.FAILURE
 
 
 def samples(path):
-    return [stored.record for stored in RecordedDataset(path)]
+    return [stored.sample for stored in RecordedDataset(path)]
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_grasps_are_labelled_relabelled_noted_dropped_and_undone_by_services(gra
     assert edit(grasp_id="g-7", outcome=SUCCESS)[1].startswith("grasp g-7: is not one of the recorded grasps")
     assert edit() == (False, "the request changes nothing: set object, outcome, note or discard")
     assert "is not a plain name" in edit(object="../x")[1]
-    assert [(sample.sample.id, sample.outcome, sample.note, sample.flags) for sample in samples(tmp_path / "set")] == [
+    assert [(sample.id, sample.outcome, sample.note, sample.flags) for sample in samples(tmp_path / "set")] == [
         ("cup/000001", "success", "tilted", ()),
         ("can/000002", "success", "", ("discarded",)),
         ("can/000003", "failure", "", ()),
@@ -59,7 +59,7 @@ def test_grasps_are_labelled_relabelled_noted_dropped_and_undone_by_services(gra
     nothing = graph.call(Trigger, "undo_edit")
     assert (nothing.success, nothing.message) == (False, "nothing to undo in this session")
     node.end()
-    assert [(sample.sample.id, sample.outcome, sample.flags) for sample in samples(tmp_path / "set")] == [
+    assert [(sample.id, sample.outcome, sample.flags) for sample in samples(tmp_path / "set")] == [
         (f"can/00000{number}", "success", ()) for number in (1, 2, 3)
     ]
     assert all(stamped.stamp_ns > 0 for stamped in read_edits(tmp_path / "set").edits)
@@ -83,8 +83,8 @@ def test_the_next_object_names_the_grasps_that_begin_after_it_and_undoing_it_ren
     time.sleep(0.8)
     robot.record("g-2", 2)
     node.end()
-    assert [sample.sample.id for sample in samples(tmp_path / "set")] == ["can/000001", "can/000002", "can/000003"]
-    assert RecordedDataset(tmp_path / "set").as_recorded(1).record.sample.id == "cup/000002"
+    assert [sample.id for sample in samples(tmp_path / "set")] == ["can/000001", "can/000002", "can/000003"]
+    assert RecordedDataset(tmp_path / "set").as_recorded(1).sample.id == "cup/000002"
 
 
 def test_what_is_pressed_during_a_grasp_is_for_that_grasp_and_is_told_if_it_makes_no_sample(graph, tmp_path, edit):
@@ -132,7 +132,7 @@ def test_a_pause_records_nothing_counts_what_it_leaves_out_and_ends(graph, tmp_p
     robot.record("g-2", 2)
     node.end()
     assert accounts(node.status())["/rh/tactile"].written == written + 75
-    assert [sample.sample.grasp.id for sample in samples(tmp_path / "set")] == ["g-0", "g-2"]
+    assert [sample.grasp.id for sample in samples(tmp_path / "set")] == ["g-0", "g-2"]
     (report,) = verify_dataset(tmp_path / "set")
     assert report.counts.topics["/rh/tactile"].dropped == {"paused": 75}
     for counts in report.counts.topics.values():

@@ -4,11 +4,10 @@
 import pytest
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch_msgs.msg import ObjectArray, TablePlane
+from foretouch_msgs.msg import TablePlane
 
 pytestmark = pytest.mark.ros
 
@@ -66,23 +65,3 @@ def test_an_invalid_transition_is_no_internal_error_and_a_failing_start_ends_wha
     monkeypatch.setattr(node, "_stop", lambda: stopped.append(True))
     assert not graph.change("segmentation", "activate")
     assert (stopped, node.state_name, node.failure) == ([True], "inactive", "OSError: no thread")
-
-
-def test_a_subscriber_that_asks_for_more_than_is_offered_is_named_once(graph, capfd):
-    graph.listen(ObjectArray, "objects", reliable=False)  # which is content with less
-    asked = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    graph.probe.create_subscription(TablePlane, "table", lambda _: None, asked)
-    (node,) = graph.add("segmentation")
-    lines = ""
-
-    def looked():
-        nonlocal lines
-        node._look()
-        lines += capfd.readouterr().err
-        return "receives nothing" in lines
-
-    graph.until(looked)
-    looked()
-    (line,) = [line for line in lines.splitlines() if "receives nothing" in line]
-    name = graph.probe.get_name()
-    assert line.endswith(f"/foretouch/table: {name} receives nothing: subscribe with durability volatile")

@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from foretouch.errors import ConfigError
-from foretouch.ros.graph import node_class
+from foretouch.ros.nodes import node_class
 from foretouch.ros.runtime.subscription import InputTopic, Losses
 from foretouch_msgs.msg import TablePlane
 

@@ -10,8 +10,8 @@ from depth_builders import compressed, png, rvl
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.graph import node_class
 from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.nodes import node_class
 from foretouch.types import Cloud
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
@@ -70,7 +70,12 @@ class Camera:
         self.graph.until(lambda: len(self.heard) > count)
         return self.heard[-1]
 
-    def say(self, message, frame=FRAME):
+    def answered(self):
+        """The number of answers by status, as /diagnostics has it."""
+        values = self.node.reported().values
+        return {key.removeprefix("answered."): int(n) for key, n in values.items() if key.startswith("answered.")}
+
+    def say(self, message):
         """Publish an info, and wait until it is known."""
         before = self.node._camera._infos._known.copy()
         self.infos.publish(message)
@@ -113,6 +118,17 @@ def test_compressed_depth_beside_its_info_is_decoded_by_a_remap_alone(graph, dep
         answers.append(camera.send(message))
     assert [answer.status for answer in answers] == [Status.OK] * 2
     np.testing.assert_array_equal(*map(readings, answers))
+    for stamp, (text, data) in enumerate((
+        ("data: the PNG is truncated or damaged", png(mm)[:-80]),
+        ("size: 30000x30000 is not between", png(mm, size=(30_000, 30_000))),
+        ("data: a PNG of 8 bits and colour type 2", png(mm, 8, 2)),
+    ), 3):  # fmt: skip
+        message = CompressedImage(header=header_to_msg(FRAME, stamp), format="16UC1; compressedDepth png")
+        message.data = array.array("B", compressed(data).data)
+        answer = camera.send(message)
+        assert (answer.status, len(answer.predictions)) == (Status.BAD_CLOUD, 0)
+        assert answer.reason.startswith(text)
+    assert camera.answered() == {"ok": 2, "bad_cloud": 3}
 
 
 def test_an_image_waits_for_the_first_info_and_without_one_it_is_refused_by_name(graph, depth, model_card):
@@ -144,13 +160,16 @@ def test_each_fault_of_an_image_or_an_info_is_one_named_refusal_and_the_next_ima
         ("step: ", image(mm, 6, step=3)),
         ("data: ", image(mm, 7, height=mm.shape[0] + 1)),
         ("size: 30000x30000 is not between", image(mm, 8, height=30_000, width=30_000)),
-        ("", image(mm.astype(np.float32), 9, encoding="32FC1")),  # millimetres as metres
+        ("encoding: 'bgr16' is no depth image", image(mm, 9, encoding="bgr16")),
+        (
+            "for millimetres pass scale=0.001",
+            image(mm.astype(np.float32), 10, encoding="32FC1"),
+        ),  # millimetres as metres
     ]
     for text, message in cases:
         answer = camera.send(message)
-        assert answer.status != Status.OK, text
+        assert (answer.status not in (Status.OK, Status.INITIAL_POINTS), len(answer.predictions)) == (True, 0), text
         assert text in answer.reason
-        assert len(answer.predictions) == 0
     for stamp in (50, 20):  # that go back
         good.header.stamp.nanosec = stamp
         assert camera.send(good).status == Status.OK
@@ -162,3 +181,4 @@ def test_each_fault_of_an_image_or_an_info_is_one_named_refusal_and_the_next_ima
     assert "two_camera_infos: " in camera.send(image(mm, 61)).reason
     summary = camera.node.statistics.summary()
     assert summary.received == summary.used + sum(summary.dropped.values()) == len(camera.heard)
+    assert camera.answered() == {"ok": 2, "bad_cloud": 11, "unknown_frame": 1}

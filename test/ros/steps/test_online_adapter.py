@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from foretouch.cli.live import live_panel
-from foretouch.dataset.pairing.buffers import TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.history import History
@@ -38,6 +38,7 @@ from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.tactile.messages.biotac import finger_counts
 from foretouch.tactile.messages.readers import make_reader
+from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, stamp_ns
 
 pytestmark = pytest.mark.ros
@@ -86,7 +87,7 @@ class CanRobot(Robot):
         buffer = TouchBuffer(channels=self.channels)
         for message in self.felt:
             stamp, counts = self.content(message)
-            buffer.add(TouchReading(stamp, counts, np.empty(0, np.float32), stamp))
+            buffer.add(TactileReading(stamp, counts, np.empty(0, np.float32), stamp))
         interval = Interval(**{name: stamp_ns(stamp) for name, stamp in times.items()})
         return cut_touch(buffer, interval, TouchSettings.from_mapping({"pairing": PAIRING}).pairing)
 

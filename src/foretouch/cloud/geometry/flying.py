@@ -14,8 +14,8 @@ _flying = Kernel("flying_points")
 
 _NEIGHBOURS = 20.0  # that a point has on average, of all whose rays are near
 _GAP_M = 0.008  # in depth, up to which neighbours support each other, as `ClusterConfig.gap_m`,
-_SLOPE = 2.0  # or so many times their lateral distance
-# Of the neighbours, at least this share is behind it, or before it, and at most so many support it: the end of a wire has two.
+_SLOPE = 2.0  # or this multiple of their lateral distance
+# Of the neighbours, at least the first share is behind it, or before it, and at most the second supports it: the end of a wire has two.
 # Where points fly, some of them are near each other by chance.
 _FIRST, _AGAIN = (0.5, 1.0), (0.75, 3.0)
 

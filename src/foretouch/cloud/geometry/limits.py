@@ -15,7 +15,7 @@ from foretouch.types import Float32, Plane
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectLimits(Settings):
-    """Where an object can be, and how large. The defaults are those of a D415 and a Shadow Hand."""
+    """Where an object can be, and how large. By default, of a D415 and a Shadow Hand."""
 
     min_range_m: float = setting(0.16, "Objects whose centre is nearer to the camera are refused", bounds=(0.0, 10.0))
     max_range_m: float = setting(10.0, "Objects and tables farther from the camera are refused", bounds=(0.1, 100.0))

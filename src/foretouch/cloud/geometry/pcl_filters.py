@@ -127,7 +127,7 @@ def _summed_moments(near: Float32, points: Float32, radius_m: float) -> Float64:
 def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> Bool:
     """Return (N,) bool, inliers of statistical outlier removal: mean neighbour distance <= mean + deviations · std over the cloud.
 
-    The standard deviation is that of a sample (n - 1). A single point is an inlier.
+    The standard deviation is divided by n - 1. A single point is an inlier.
 
     Args:
         xyz: (N, 3) float32 [m], finite. N may be 0.

@@ -2,12 +2,12 @@
 """The pixels of the points of a depth image, given or recovered from the rays of the points."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from foretouch.errors import CloudError
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 from foretouch.types import Float32, Float64, Int32, Int64, Integer
 
 _ray_cells = Kernel("ray_cells")
@@ -35,7 +35,7 @@ class PixelGrid:
     def from_pixels(cls, pixels: Integer, image_shape: tuple[int, int]) -> Self | None:
         """Return a grid from flat, row-major indices into an image; None if it would be large and almost empty.
 
-        Time and memory are those of the smallest rectangle around the pixels, which a message may place anywhere.
+        Time and memory grow with the smallest rectangle around the pixels, which a message may place anywhere.
 
         Args:
             pixels: (N,) integer, all different.
@@ -123,7 +123,8 @@ def listed_image(xyz: Float32, low_m: float, high_m: float, tangent: float) -> L
         np.empty(lattice.height * lattice.width, np.int32),
         np.zeros(2, np.int64),
     )
-    _fill_image(xyz, len(xyz), low_m, high_m, lattice.cells, lattice.column, lattice.row, *shape, image, place, result)
+    window = struct("Window", column=lattice.column, row=lattice.row, height=lattice.height, width=lattice.width)
+    _fill_image(xyz, len(xyz), lattice.rays, lattice.cells, window, image, place, result)
     return None if result[1] else ListedImage(image, place, lattice.n_points, int(result[0]))
 
 
@@ -136,6 +137,7 @@ class _Cells(NamedTuple):
     row: int  # smallest
     height: int
     width: int
+    rays: Any  # the lattice, as kernels take it
 
 
 def _on_lattice(xyz: Float32, low_m: float, high_m: float, tangent: float) -> _Cells | None:
@@ -152,12 +154,12 @@ def _on_lattice(xyz: Float32, low_m: float, high_m: float, tangent: float) -> _C
     if fits[0] is None or fits[1] is None:
         return None
     cells, result = np.empty((len(xyz), 2), np.int32), np.empty(5, np.int64)
-    limits = (float(np.nextafter(np.float32(low_m), np.float32(1.0))) if low_m == 0.0 else low_m, high_m, tangent)
-    _ray_cells(
-        np.ascontiguousarray(xyz), len(xyz), *limits, _LATTICE_TOLERANCE, np.array([*fits[0], *fits[1]]), cells, result
-    )
+    lowest = float(np.nextafter(np.float32(low_m), np.float32(1.0))) if low_m == 0.0 else low_m
+    fit = np.array([*fits[0], *fits[1]])
+    rays = struct("Lattice", low=lowest, high=high_m, tangent=tangent, tolerance=_LATTICE_TOLERANCE, fit=fit)
+    _ray_cells(np.ascontiguousarray(xyz), len(xyz), rays, cells, result)
     count, left, right, top, bottom = result.tolist()
-    return None if count < 2 else _Cells(cells, count, left, top, bottom - top + 1, right - left + 1)
+    return None if count < 2 else _Cells(cells, count, left, top, bottom - top + 1, right - left + 1, rays)
 
 
 def _lattice(ray: Float64) -> tuple[float, float, float] | None:

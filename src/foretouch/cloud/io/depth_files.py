@@ -98,7 +98,7 @@ def _as_depth(depth: AnyArray) -> AnyArray:
 
 
 def _row_major(matrix: AnyArray) -> AnyArray:
-    """Return the intrinsics by rows; those of Open3D are by columns."""
+    """Return the intrinsics by rows; Open3D stores them by columns."""
     if matrix.size == 9:
         matrix = matrix.reshape(3, 3)
         if not matrix[:2, 2].any() and matrix[2, :2].any():
@@ -193,7 +193,8 @@ class Pairs:
                 for word in _MASKS
                 for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")
             ]
-            if (mask := first(own, MASK_SUFFIXES)) is not None:
+            mask = first(own, MASK_SUFFIXES)
+            if mask is not None:
                 masks[file] = mask
             own = [
                 text

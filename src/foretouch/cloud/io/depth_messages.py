@@ -28,7 +28,7 @@ _LARGEST: Final = 4096 * 4096  # pixels of an image
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _HEADER: Final = 12  # bytes before the data of a compressed image
 _MOST: Final = 32  # frames and sizes that are remembered
-_PATIENCE_S: Final = 3.0  # without a camera info until that is an error, and between those of two publishers
+_PATIENCE_S: Final = 3.0  # without a camera info until that is an error, and between infos of two publishers
 
 
 def decode_depth(message: Any) -> AnyArray:
@@ -83,7 +83,7 @@ def _compressed(message: Any) -> AnyArray:
         return numbers
     a, b = struct.unpack("<2f", data[4:_HEADER].tobytes())
     if not (np.isfinite([a, b]).all() and a > 0.0):
-        raise CloudError(f"data: the quantisation A {a:g}, B {b:g} of a 32FC1 image is not that of inverse depth")
+        raise CloudError(f"data: the quantisation A {a:g}, B {b:g} of a 32FC1 image does not fit inverse depth")
     with np.errstate(divide="ignore"):
         depth: Float32 = np.float32(a) / (numbers.astype(np.float32) - np.float32(b))
     depth[numbers == 0] = np.nan
@@ -275,7 +275,7 @@ class CameraInfos:
             now_s: When it arrived [s], as in `add`.
 
         Raises:
-            CalibrationError: If there is none: its `reason` is `no_camera_info`, for the first 3 s `awaits_camera_info`;
+            CalibrationError: If no camera info is known: its `reason` is `no_camera_info`, for the first 3 s `awaits_camera_info`;
                 `other_size`, `other_frame`, `two_camera_infos` or `bad_camera_info`.
         """
         place = (frame_id, *shape)

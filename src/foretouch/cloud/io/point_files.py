@@ -3,9 +3,9 @@
 
 Both are decoded here: the libraries for them take the memory that a header asks for (plyfile, which is GPL besides), return
 fewer points of a truncated file (pypcd4), or fill up with zeros and warn (Open3D). What a header declares is compared with
-the file before memory is taken. Text of PLY is a series of numbers, however it is divided into lines; that of PCD has a line for each point.
+the file before memory is taken. Text of PLY is a series of numbers, however it is divided into lines; text of PCD has a line for each point.
 
-Compressed data of PCD are LZF, and hold all values of one field before those of the next; VIEWPOINT is ignored, since clouds
+Compressed data of PCD are LZF, and hold all values of one field before the next field; VIEWPOINT is ignored, since clouds
 are in their own frame. The shape of an organised cloud in PLY is in the two `obj_info` lines `num_cols` and `num_rows`, as in
 Stanford's range scans.
 """
@@ -339,14 +339,21 @@ def _whole_number(path: Path, text: str, field: str) -> int:
 
 
 def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
-    """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes]."""
+    """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes].
+
+    Args:
+        path: The file.
+        unpacked: Size of its unpacked data [bytes].
+        size: Size of the file [bytes].
+        field: What the data are, for the message.
+    """
     limit = max(32_000_000, 10 * size)  # an image of 1280 x 720 points in double has 22 million bytes
     if unpacked > limit:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)
 
 
 def _point_dtype(path: Path, parts: Sequence[tuple[Any, ...]], field: str) -> np.dtype[Any]:
-    """Return the type of a point from name, kind and perhaps shape of its parts; a `FileError` if there is none, or no x, y, z."""
+    """Return the type of a point from name, kind and perhaps shape of its parts; a `FileError` without parts, or without x, y, z."""
     try:
         dtype = np.dtype(list(parts))
     except (ValueError, TypeError) as err:
@@ -360,7 +367,7 @@ def _point_dtype(path: Path, parts: Sequence[tuple[Any, ...]], field: str) -> np
 
 
 def _records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str, *, text: bool) -> _Records:
-    """Return the first records of some bytes, or those of a text with a line each; a `FileError` if there are fewer."""
+    """Return the first records of some bytes, or of a text with a line for each; a `FileError` if there are fewer."""
     width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
     expected = points * (2 * width if text else dtype.itemsize)
     if len(body) + text < expected or (text and points and not body.strip()):

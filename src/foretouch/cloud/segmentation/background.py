@@ -14,49 +14,45 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold
-from foretouch.kernels import Kernel
-from foretouch.types import Float32, Float64, Int64
+from foretouch.cloud.segmentation.clusters import Clusters, CoarseGrid, HeightThreshold
+from foretouch.kernels import Kernel, struct
+from foretouch.types import Float64, Int64
 
 _find = Kernel("find_background")
 
 ENTERS = "enters_view"
 REASONS = ("", ENTERS, "beyond_table", "floating", "wall")
-_LEVEL_M, _BELOW_M, _FOOT_M, _FLAT_M = 0.006, 0.03, 0.03, 0.01  # of the table, what is below it, a foot, and a wall
-_BORDER = 0.17  # share of a part's outline at the border of the image, from which on most of it may be out of view
+# Of the table, what is below it, a foot, and a wall [m]; and the share of an outline at the border of the image.
+_LIMITS = {"level": 0.006, "below": 0.03, "foot": 0.03, "flat": 0.01, "border": 0.17}
 
 
 def find_background(
-    coarse: Float32, stride: int, windows: Sequence[Clusters], threshold: HeightThreshold, pitch: float
+    grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold
 ) -> tuple[list[Int64], Float64]:
     """Find why parts are background.
 
     Args:
-        coarse: (h, w, 3) float32 [m], every `stride`-th point of the image.
-        stride: Step of the coarse grid [px].
+        grid: Coarse grid of the image.
         windows: Labelled windows of the image.
         threshold: The table, and the noise of the depth.
-        pitch: Lateral distance of neighbouring cells of the grid per depth.
 
     Returns:
-        The index in `REASONS` of each label of each window, and the (n, 3) outline of the table [m], empty if it is not seen.
+        For each window the index in `REASONS` by label, and the (n, 3) outline of the table [m], empty if it is not seen.
     """
-    labels, count = np.zeros(coarse.shape[:2], np.int32), 1
+    (h, w), plane = grid.points.shape[:2], threshold.plane.coefficients
+    labels, count = np.zeros((h, w), np.int32), 1
+    starts = []
     for window in windows:
-        part = window.labels[::stride, ::stride]
-        at = np.s_[window.rows // stride :, window.columns // stride :]
+        part = window.labels[:: grid.stride, :: grid.stride]
+        at = np.s_[window.rows // grid.stride :, window.columns // grid.stride :]
         view = labels[at][: part.shape[0], : part.shape[1]]
         np.copyto(view, part + np.int32(count - 1), where=part > 0)
+        starts.append(count - 1)
         count += window.n_labels
-    reasons = np.zeros(count, np.int64)
-    outline = np.empty((4 * len(coarse) + 2, 2), np.float32)
-    n_corners = np.empty(1, np.int64)
-    plane = threshold.plane
-    settings = [*plane.coefficients, _LEVEL_M, threshold.noise_per_m, _BELOW_M, _BORDER, _FOOT_M, _FLAT_M]
-    _find(coarse, *labels.shape, labels, count, pitch, np.array(settings), reasons, outline, n_corners)
+    reasons, n_corners = np.zeros(count, np.int64), np.empty(1, np.int64)
+    outline = np.empty((4 * h + 2, 3))
+    image = {"grid": grid.points, "labels": labels, "h": h, "w": w, "n": count, "pitch": grid.pitch}
+    _find(struct("Parts", **image, plane=plane, noise=threshold.noise_per_m, **_LIMITS), reasons, outline, n_corners)
     if n_corners[0] < 0:
         raise MemoryError("find_background")
-    rays = np.append(outline[: n_corners[0]].astype(np.float64), np.ones((n_corners[0], 1)), axis=1)
-    ends = np.cumsum([window.n_labels for window in windows], dtype=np.int64)
-    parts = [np.append(0, some) for some in np.split(reasons[1:], ends[:-1])]
-    return parts, rays * (-plane.offset / (rays @ plane.normal))[:, None]
+    return [reasons[start:] for start in starts], outline[: n_corners[0]]

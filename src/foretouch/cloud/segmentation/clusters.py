@@ -22,11 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
-from foretouch.types import Bool, Float32, Int32, Int64, Plane
+from foretouch.types import Bool, Float32, Float64, Int32, Int64, Plane
 
 _grid_patches = Kernel("grid_patches")
 _label_window = Kernel("label_window")
@@ -94,10 +95,17 @@ class HeightThreshold(NamedTuple):
     high_m: float  # maximum height [m]
 
 
+class CoarseGrid(NamedTuple):
+    """Every `stride`-th row and column of an image."""
+
+    points: Float32  # (h, w, 3) float32 [m], contiguous
+    stride: int  # [px]
+    pitch: float  # lateral distance of its horizontal neighbours per depth: stride / f of a pinhole camera; 0 if there are none
+
+
 def label_organised(
     xyz: Float32,
-    coarse: Float32,
-    stride: int,
+    grid: CoarseGrid,
     crop: CropConfig,
     threshold: HeightThreshold,
     config: ClusterConfig,
@@ -108,8 +116,7 @@ def label_organised(
 
     Args:
         xyz: (H, W, 3) float32 [m], contiguous, camera optical frame.
-        coarse: Every `stride`-th of its rows and columns, contiguous.
-        stride: Step of the coarse grid [px].
+        grid: Its coarse grid.
         crop: Depth range.
         threshold: Height threshold above the table.
         config: Settings.
@@ -120,20 +127,12 @@ def label_organised(
         Labelled windows of the image, one around each patch above the table. The rectangles may overlap, but
         no pixel has a label in two of them. Small clusters are not yet removed.
     """
-    image, grid = xyz.shape[:2], coarse.shape[:2]
-    # The smallest number of pixels of the coarse grid that may belong to an object.
-    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), pixel_pitch(coarse) / stride
-    settings = np.array(
-        [
-            *threshold.plane.coefficients,
-            *(threshold.low_m, threshold.noise_per_m, threshold.high_m, crop.min_range_m, crop.max_range_m),
-            *(CLOSE_SLOPE * pitch, MAX_SLOPE * pitch, FLYING_SLOPE * pitch, config.gap_m, config.min_top_m),
-            *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
-        ]
-    )
-    patches, sizes = np.empty(grid, np.int32), np.empty(2, np.int64)
+    image, shape, stride = xyz.shape[:2], grid.points.shape[:2], grid.stride
+    min_nodes = max(1, config.min_points // (2 * stride * stride))  # of the grid, that may belong to an object
+    settings = _settings(grid.pitch / stride, crop, threshold, config, rays)
+    patches, sizes = np.empty(shape, np.int32), np.empty(2, np.int64)
     boxes = np.empty((patches.size // min_nodes + 1, 4), np.int64)
-    _grid_patches(coarse, *grid, stride, min_nodes, settings, patches, boxes, sizes)
+    _grid_patches(grid.points, *shape, stride, min_nodes, settings, patches, boxes, sizes)
     if sizes[0] < 0:
         raise MemoryError("grid_patches")
     if sizes[1] and rays is not None:
@@ -151,7 +150,7 @@ def label_organised(
             write(top, bottom, left, right)
         labels = np.empty((bottom - top, right - left), np.int32)
         solid = np.empty(labels.shape, np.uint8)
-        rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, sizes)
+        rest = (shape[1], stride, number, min_nodes, settings, *marked, labels, solid, sizes)
         _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
         if sizes[0] < 0:
             raise MemoryError("label_window")
@@ -163,17 +162,27 @@ def label_organised(
     return windows
 
 
+def _settings(
+    pitch: float, crop: CropConfig, threshold: HeightThreshold, config: ClusterConfig, rays: RayFilter | None
+) -> Float64:
+    """Return the settings of the kernels, in the order of `clusters.c`."""
+    return np.array(
+        [
+            *threshold.plane.coefficients,
+            *(threshold.low_m, threshold.noise_per_m, threshold.high_m, crop.min_range_m, crop.max_range_m),
+            *(CLOSE_SLOPE * pitch, MAX_SLOPE * pitch, FLYING_SLOPE * pitch, config.gap_m, config.min_top_m),
+            *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
+        ]
+    )
+
+
 def pixel_pitch(xyz: Float32) -> float:
-    """Lateral distance of horizontal neighbours per depth: 1/f of a pinhole camera; 0 if there are none."""
+    """Measure the lateral distance of horizontal neighbours per depth: 1/f of a pinhole camera; 0 if there are none."""
     rows = xyz[:: max(1, len(xyz) // 4)]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         steps = np.abs(np.diff(rows[..., 0] / rows[..., 2], axis=1))
     steps = steps[np.isfinite(steps)]
-    if not steps.size:
-        return 0.0
-    middle = [(steps.size - 1) // 2, steps.size // 2]
-    low, high = np.partition(steps, middle)[middle]  # a third of the time of np.median
-    return float((low + high) / np.float32(2.0))
+    return median(steps) if steps.size else 0.0
 
 
 def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold) -> list[Clusters]:

@@ -22,12 +22,14 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load_file
 
+from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold, WritePoints
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Int64
 
 _split = Kernel("split_clusters")
+_write_ids = Kernel("write_ids")
 _concave = Kernel("concave_nodes")
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_border", "joined_hidden")
@@ -108,7 +110,7 @@ def split_clusters(
     depths = view[:h, :w, 2][coarse][window.solid[coarse]]
     if not len(depths):
         return list(windows), counts
-    depth = float(np.median(depths))
+    depth = median(depths)
     side = pitch * depth  # of a pixel [m]
     arm, numbers = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
@@ -193,10 +195,9 @@ def _in_one_window(windows: Sequence[Clusters]) -> Clusters:
     labels, count = np.zeros((bottom - top, right - left), np.int32), 0
     solid = np.zeros(labels.shape, np.bool_)
     for window in windows:
-        h, w = window.labels.shape
-        part = np.s_[window.rows - top : window.rows - top + h, window.columns - left : window.columns - left + w]
-        labelled = window.labels > 0
-        np.copyto(labels[part], window.labels + np.int32(count), where=labelled)
-        np.copyto(solid[part], window.solid, where=labelled)
+        (h, w), row, column = window.labels.shape, window.rows - top, window.columns - left
+        ids = np.arange(count, count + window.n_labels + 1, dtype=np.int32)
+        _write_ids(window.labels, h, w, row, column, ids, right - left, labels, np.empty(1, np.int64))
+        solid[row : row + h, column : column + w] |= window.solid
         count += window.n_labels
     return Clusters(labels, solid, count, top, left)

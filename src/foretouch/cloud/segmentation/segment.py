@@ -18,6 +18,7 @@ from foretouch.cloud.segmentation.background import REASONS, find_background
 from foretouch.cloud.segmentation.clusters import (
     NOISE_FACTOR,
     ClusterConfig,
+    CoarseGrid,
     CropConfig,
     HeightThreshold,
     WritePoints,
@@ -196,10 +197,10 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         limits = config.clusters
         threshold = HeightThreshold(plane, limits.min_height_m, NOISE_FACTOR * noise_per_m, _HIGHEST_M)
         if cloud.organised:
-            windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays, write)
-            pitch = pixel_pitch(coarse)
-            windows, parts = split_clusters(xyz, windows, threshold, pitch / stride, config.split, write)
-            reasons, outline = find_background(coarse, stride, windows, threshold, pitch)
+            grid = CoarseGrid(coarse, stride, pixel_pitch(coarse))
+            windows = label_organised(xyz, grid, config.crop, threshold, limits, rays, write)
+            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, write)
+            reasons, outline = find_background(grid, windows, threshold)
         else:
             reasons, outline = [], np.empty((0, 3))
             windows = label_unorganised(xyz, config.crop, threshold)
@@ -224,7 +225,8 @@ def _rays(sample: Float32, index: Index, across: int, stride: int, width: int) -
     """Return the rays of an image, from points of a coarse one by their flat indices in it."""
     rows, columns = (stride * position for position in np.divmod(index, across))
     rays = RayFilter(sample, rows, columns)
-    rays.dropped.append((rows * width + columns)[rays.off_sample])
+    if rays.off_sample.any():
+        rays.dropped.append((rows * width + columns)[rays.off_sample])
     return rays
 
 

@@ -7,13 +7,13 @@ given by the caller.
 """
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from foretouch.cloud.messages import decode_objects, read_header
-from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (
     ExecutedGrasp,
@@ -24,11 +24,10 @@ from foretouch.dataset.pairing.matcher import (
     RejectedGrasp,
 )
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, SensorHealth
-from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
-from foretouch.tactile.messages.table import TactileReader
-from foretouch.types import Cloud, Float32, Grasp, Sample, stamp_ns
+from foretouch.tactile.messages.table import TactileReader, TactileReading
+from foretouch.types import DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -47,13 +46,13 @@ class AssemblerConfig:
     assume_grasps: bool = False  # whether a contact without a report belongs to the best grasp of the last cloud before
     successes_only: bool = False  # whether grasps that failed after contact are rejected too
     watch_sensors: bool = False  # whether contacts are detected and the sensors' state is followed, which takes time
-    check_clock: bool = True  # whether the time of reception is that of a live system, so that clocks can be compared
+    check_clock: bool = True  # whether messages are received live, so that clocks can be compared
 
 
 class AssembledSample(NamedTuple):
     """A sample as it is recorded, without an id, and its readings; None for a sample without a touch."""
 
-    record: SampleRecord
+    sample: Sample
     cut: TouchCut | None = None
 
 
@@ -130,18 +129,18 @@ class SampleAssembler:
         else:
             self.matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
 
-    def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TouchReading, ...]:
+    def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TactileReading, ...]:
         """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`).
 
         One in which a finger was not read is left out, and counted as `invalid`, as are taxels.
         """
-        content = self._reader.read(message)
-        self.invalid.update({f"taxels_{reason}": count for reason, count in content.invalid.items()})
-        if np.isnan(content.counts).any():
-            self._leave_out(content.counts)
+        reading = replace(self._reader.read(message), received_ns=received_ns)
+        self.invalid.update({f"taxels_{reason}": count for reason, count in reading.invalid.items()})
+        if np.isnan(reading.counts).any():
+            self._leave_out(reading.counts)
             return ()
-        stamp = received_ns if content.stamp_ns is None else content.stamp_ns
-        reading = TouchReading(stamp, content.counts, content.others, received_ns if self.config.check_clock else stamp)
+        if not self.config.check_clock:
+            reading = replace(reading, received_ns=reading.time_ns)
         jumps = self.readings.anomalies["clock_jump"]
         accepted = self.readings.add(reading)
         self._last_tactile_s = now_s
@@ -150,7 +149,7 @@ class SampleAssembler:
             if self.readings.anomalies["clock_jump"] != jumps:
                 self._episodes.reset()
             for accepted_reading in accepted:
-                episode = self._episodes.update(accepted_reading.stamp_ns, accepted_reading.counts)
+                episode = self._episodes.update(accepted_reading.time_ns, accepted_reading.counts)
                 if episode is not None:
                     self.matcher.add_episode(episode, now_s)
         return accepted
@@ -205,23 +204,21 @@ class SampleAssembler:
 
     # Records.
 
-    def _labelled(self, match: MatchedGrasp) -> SampleRecord:
+    def _labelled(self, match: MatchedGrasp) -> Sample:
         label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
-        sample = Sample(
+        cloud = _object_cloud(match.cloud, match.plan.frame_id, grasp)
+        others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
+        self._labelled_clouds.add(match.cloud.stamp_ns)
+        return Sample(
             id="",
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
-            cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp),
+            cloud=cloud,
             grasp=grasp,
             touch=cut.touch,
             tare=cut.tare,
             stamp_ns=executed.interval.contact if executed.interval else 0,
             extra={"clock_offset_s": cut.clock_ns * 1e-9, **self._temperatures(cut)},
-        )
-        self._labelled_clouds.add(match.cloud.stamp_ns)
-        others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
-        return SampleRecord(
-            sample=sample,
             candidates=candidates,
             outcome=_outcome(match),
             note="; ".join(filter(None, (self.config.note, label.note, left_out))),
@@ -248,17 +245,17 @@ class SampleAssembler:
             }
         return temperatures
 
-    def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
+    def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> Sample:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)
-        sample = Sample(
+        return Sample(
             id="",
             object=self._object_at(cloud.stamp_ns),
             cloud=_object_cloud(cloud, plan.frame_id, grasp),
             grasp=grasp,
             stamp_ns=cloud.stamp_ns,
+            candidates=candidates,
+            note="; ".join(filter(None, (self.config.note, left_out))),
         )
-        note = "; ".join(filter(None, (self.config.note, left_out)))
-        return SampleRecord(sample=sample, candidates=candidates, note=note)
 
 
 def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...], str]:

@@ -4,7 +4,7 @@
 Stamps of tactile readings may repeat, come in the wrong order, or come from a clock that is set while it runs. A
 reading whose stamp leaps is set aside until the next one shows whether the clock has jumped or one stamp was wrong;
 all that follow the readings, such as tare and contact detectors, see those alone that the buffer has accepted.
-After a jump back, all readings so far are discarded, since their stamps would be those of readings to come.
+After a jump back, all readings so far are discarded, since readings to come would have the same stamps.
 """
 
 from bisect import bisect_left, bisect_right
@@ -18,6 +18,7 @@ import numpy as np
 from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError
 from foretouch.tactile import BIOTAC
+from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import SECOND_NS, Float32, Int64
 from foretouch.types.channels import Channels
 
@@ -26,16 +27,6 @@ _LEAP_NS = SECOND_NS  # a stamp further than this from the newest is a leap; a s
 _TRIM_EVERY = 100  # readings; removing the front of a list takes time
 _MAX_READINGS = 100_000
 _SAME_M = 1e-5  # difference of points that were rounded on their way to another frame and back
-
-
-@dataclass(frozen=True, eq=False)
-class TouchReading:
-    """One tactile reading of both fingers."""
-
-    stamp_ns: int  # stamp of the sensor [ns]
-    counts: Float32  # (D,) float32, as `Touch.values`
-    others: Float32  # (K,) float32, further channels, the same K in all readings
-    received_ns: int  # when the message was received [ns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +54,19 @@ class TouchBuffer:
         self.anomalies: Counter[str] = Counter()
         self.newest_ns: int | None = None  # latest stamp [ns], None before the first
         self._kept_ns = round(kept_s * SECOND_NS)
-        self._suspect: TouchReading | None = None
+        self._suspect: TactileReading | None = None
         self._stamps: list[int] = []
-        self._readings: list[TouchReading] = []
+        self._readings: list[TactileReading] = []
 
     def __len__(self) -> int:
         return len(self._stamps)
 
-    def add(self, reading: TouchReading) -> tuple[TouchReading, ...]:
+    def add(self, reading: TactileReading) -> tuple[TactileReading, ...]:
         """Add a reading, in any order, and return the readings that are accepted now.
 
         That is this one; none while its stamp is in question; or also the one before it, whose stamp it has confirmed.
         """
-        if self.newest_ns is not None and abs(reading.stamp_ns - self.newest_ns) > _LEAP_NS:
+        if self.newest_ns is not None and abs(reading.time_ns - self.newest_ns) > _LEAP_NS:
             return self._add_leap(reading)
         if self._suspect is not None:
             self.anomalies["wrong_stamp"] += 1
@@ -87,14 +78,14 @@ class TouchBuffer:
         """Return the readings stamped in [low, high)."""
         rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
         return TouchWindow(
-            np.array([r.stamp_ns for r in rows], np.int64),
+            np.array([r.time_ns for r in rows], np.int64),
             np.array([r.counts for r in rows], np.float32).reshape(len(rows), self.channels.size),
             np.array([r.others for r in rows], np.float32).reshape(len(rows), len(rows[0].others) if rows else 0),
             np.array([r.received_ns for r in rows], np.int64),
         )
 
-    def _insert(self, reading: TouchReading) -> None:
-        stamp, newest = reading.stamp_ns, self.newest_ns
+    def _insert(self, reading: TactileReading) -> None:
+        stamp, newest = reading.time_ns, self.newest_ns
         if newest is None or stamp > newest:
             self._stamps.append(stamp)
             self._readings.append(reading)
@@ -108,15 +99,15 @@ class TouchBuffer:
         if len(self._stamps) % _TRIM_EVERY == 0 or len(self._stamps) > _MAX_READINGS:
             self._trim()
 
-    def _add_leap(self, reading: TouchReading) -> tuple[TouchReading, ...]:
+    def _add_leap(self, reading: TactileReading) -> tuple[TactileReading, ...]:
         before, self._suspect = self._suspect, reading
         if before is None:
             return ()
-        if abs(reading.stamp_ns - before.stamp_ns) > _LEAP_NS:
+        if abs(reading.time_ns - before.time_ns) > _LEAP_NS:
             self.anomalies["wrong_stamp"] += 1  # the reading before; this one is now the suspect
             return ()
         self._suspect = None
-        if self.newest_ns is not None and before.stamp_ns < self.newest_ns:
+        if self.newest_ns is not None and before.time_ns < self.newest_ns:
             self.anomalies["clock_jump"] += 1
             self._stamps.clear()
             self._readings.clear()
@@ -139,9 +130,7 @@ class SerializedCloud:
 
     data: bytes  # the message as CDR
     decode: Callable[[], Any]  # gives the message
-    by_place: bool = (
-        False  # whether its labels are not those of the grasps, so that the object of a grasp is the nearest
-    )
+    by_place: bool = False  # whether its labels differ from the grasps', so that the object of a grasp is the nearest
 
     def is_same(self, other: "SerializedCloud") -> bool:
         """Return whether both hold the same points in the same frame: padding in CDR is undefined, and fields may be left out."""
@@ -182,7 +171,7 @@ class CloudBuffer:
         return len(self._clouds)
 
     def get(self, stamp_ns: int) -> BufferedCloud | None:
-        """Return the cloud of this stamp, None where there is none or it has been removed."""
+        """Return the cloud of this stamp, None if it never came or has been removed."""
         return self._clouds.get(stamp_ns)
 
     def add(self, stamp_ns: int, message: SerializedCloud, now_s: float) -> list[BufferedCloud]:

@@ -14,12 +14,11 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
-from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import contact_scores, find_contact
 from foretouch.tactile.readings import rest_of
-from foretouch.types import SECOND_NS, Bool, Float32, Int64, Touch, UInt8
+from foretouch.types import APPROACH, HOLD, REST, SECOND_NS, Bool, Float32, Int64, Touch, UInt8
 from foretouch.types.channels import Channels
 
 _FROZEN_S = 0.5  # the noisy values of a finger do not repeat together for so long
@@ -59,7 +58,7 @@ class PairingError(DatasetError):
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """A grasp in time, by the robot's clock [ns], or a contact by that of the sensor."""
+    """A grasp in time, by the robot's clock [ns], or a contact by the sensor's clock."""
 
     start: int  # when the hand began to close; before it, nothing was touched
     contact: int  # when contact was steady

@@ -13,8 +13,7 @@ from typing import Any, Final, NamedTuple, Self
 
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
-from foretouch.dataset.record import Outcome
-from foretouch.types import SECOND_NS, stamp_ns
+from foretouch.types import SECOND_NS, Outcome, stamp_ns
 
 _MAX_PLANS = 10_000
 SETTLE_NS: Final = 300_000_000
@@ -44,7 +43,7 @@ class Label:
     """What the operator adds to a grasp."""
 
     grasp_id: str = ""  # "" for the latest
-    object: str = ""  # label of the object, "" for that of the session
+    object: str = ""  # label of the object, "" for the session's object
     discard: bool = False  # whether the sample is not to be used
     note: str = ""  # free text
     outcome: Outcome = "unknown"  # as the operator saw it

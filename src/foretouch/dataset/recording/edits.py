@@ -19,11 +19,12 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
 from foretouch.dataset.files import require_version, sync_folder
-from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, check_name, renamed_id
+from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.recording import folder
 from foretouch.dataset.recording.folder import restate, stated
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import COUNT, TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema, system_errors
+from foretouch.types import DISCARDED, Outcome, Sample
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
@@ -78,17 +79,17 @@ class EditLog:
         """Return what the edits make of a sample, by its id as it was recorded."""
         return self._changes.get(recorded, Changes())
 
-    def apply(self, record: SampleRecord) -> SampleRecord:
+    def apply(self, sample: Sample) -> Sample:
         """Apply the edits to a record; a new object also changes the id."""
-        recorded = record.sample.id
+        recorded = sample.id
         label, outcome, notes, dropped = self.changes(recorded)
         if label is not None:
             renamed = renamed_id(recorded, label)
-            record = replace(record, sample=replace(record.sample, id=renamed, object=label))
-        if dropped and DISCARDED not in record.flags:
-            record = replace(record, flags=(*record.flags, DISCARDED))
-        note = "; ".join(filter(None, (record.note, *notes)))
-        return replace(record, outcome=outcome or record.outcome, note=note) if outcome or notes else record
+            sample = replace(sample, id=renamed, object=label)
+        if dropped and DISCARDED not in sample.flags:
+            sample = replace(sample, flags=(*sample.flags, DISCARDED))
+        note = "; ".join(filter(None, (sample.note, *notes)))
+        return replace(sample, outcome=outcome or sample.outcome, note=note) if outcome or notes else sample
 
     def descriptions(self) -> list[str]:
         """Return each edit in words, with its number."""
@@ -171,7 +172,7 @@ def _read(path: Path) -> tuple[list[Edit], str, int]:
 
 
 def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
-    """Return the edit in a line after so many known ones, and the digest up to it."""
+    """Return the edit in a line after a number of known ones, and the digest up to it."""
     content = require_schema("", parse_json(line), dict)
     require_version(content.get("schema_version"), _VERSION, 1)
     digest = _digest(before, {name: value for name, value in content.items() if name != "sha256"})

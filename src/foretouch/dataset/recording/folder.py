@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.dataset.files import read_manifest, sealed, sync_folder
-from foretouch.dataset.record import Identity
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.recording.sample_codec import OLD_VERSION, SCHEMA_VERSION
 from foretouch.errors import FileError
 from foretouch.files import open_own, open_regular, replace_files, require_schema, system_errors
@@ -47,7 +47,7 @@ def is_dataset(path: str | Path) -> bool:
 
 
 def recorded_files(path: Path, *, complete: bool = True) -> list[Path]:
-    """Return the MCAP files of a recorded dataset, oldest first; `path` itself if it is a file (raises as `read_manifest`).
+    """Return the MCAP files of a recorded dataset, oldest first; `path` itself if it is a file. A `FileError` for a damaged manifest.
 
     A dataset of version 1 is refused, and one of which a session is absent, unless it need not be `complete`: then the files of a
     bag are given, too.
@@ -82,13 +82,13 @@ def new_session_path(path: Path) -> Path:
 
 
 def _read_identity(path: Path) -> tuple[Identity, str]:
-    """Read hand and camera of a dataset, and the version of foretouch that made it (raises as `read_manifest`)."""
+    """Read hand and camera of a dataset, and the version of foretouch that made it; a `FileError` for a damaged manifest."""
     content = require_schema(path / _MANIFEST, _manifest(path), {"hand": {"*": str}, "camera": {"*": str}})
     return Identity(hand=content["hand"], camera=content["camera"]), str(content.get("foretouch"))
 
 
 def stated(path: Path, name: str) -> dict[str, Any]:
-    """Return what the manifest states of `SESSIONS` or `EDITS`; nothing in one that was written before 0.4 (raises as `read_manifest`)."""
+    """Return what the manifest states of `SESSIONS` or `EDITS`; nothing in one that was written before 0.4. A `FileError` for a damaged manifest."""
     content = require_schema(path / _MANIFEST, _manifest(path), {f"{name}?": {"*": str} if name == SESSIONS else dict})
     return dict(content.get(name, {}))
 
@@ -119,7 +119,7 @@ def lock(path: Path) -> Iterator[None]:
 
 
 def recorded_sensor(path: Path) -> Sensor:
-    """Return the sensor of a dataset (raises as `read_manifest`, and a `ConfigError` for a faulty description)."""
+    """Return the sensor of a dataset; a `FileError` for a damaged manifest, a `ConfigError` for a faulty description."""
     return sensor_in(_manifest(path), path / _MANIFEST)
 
 

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import Final, Literal, NamedTuple
 
+from foretouch.dataset.identity import check_name, renamed_id
 from foretouch.dataset.pairing.assembler import SampleAssembler
-from foretouch.dataset.record import DISCARDED, SampleRecord, check_name, renamed_id
 from foretouch.dataset.recording.edits import Edit, EditLog, read_edits
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import DatasetError, ForetouchError
+from foretouch.types import DISCARDED, Sample
 
 Action = Literal["object", "success", "failure", "unknown", "drop", "relabel", "note", "pause", "undo"]
 DROPPED: Final = "dropped"  # instead of an outcome
@@ -67,7 +68,9 @@ class Operator:
         self._first = len(self._log.edits)
         self._grasps: dict[str, GraspSummary] = {}  # by id as recorded
         self._touched: list[str] = []  # ids as recorded of the samples with a touch
-        self._sample_of: dict[str, str] = {}  # by id of the grasp: id as recorded, or after a colon why there is none
+        self._sample_of: dict[
+            str, str
+        ] = {}  # by id of the grasp: id as recorded, or after a colon why none was recorded
         self._waiting: list[tuple[Action, str]] = []
         self._visits = [0]  # of each object: samples before it was laid on the table
         self._replies: deque[Reply] = deque(maxlen=8)
@@ -109,12 +112,12 @@ class Operator:
         self._reply(done)
         return done
 
-    def add_sample(self, record: SampleRecord, recorded: str) -> None:
+    def add_sample(self, sample: Sample, recorded: str) -> None:
         """Note that a sample was written under an id, and do what waits for it."""
-        self._grasps[recorded] = summarise(record)
-        if record.sample.touch is not None:
+        self._grasps[recorded] = summarise(sample)
+        if sample.touch is not None:
             self._touched.append(recorded)
-            self._sample_of[record.sample.grasp.id] = recorded
+            self._sample_of[sample.grasp.id] = recorded
             self.end_wait()
 
     def add_rejected(self, grasp_id: str, message: str) -> None:
@@ -209,7 +212,8 @@ class Operator:
         self._write(Edit(action="undo", edit=number, ids=since, object=before if since else ""))
         self._assembler.objects.pop()
         self._visits.pop()
-        return f"on the table: {before}" + f", also in the {len(since)} grasps since" * bool(since)
+        also = f", also in the {len(since)} grasps since" if since else ""
+        return f"on the table: {before}{also}"
 
     def _write(self, edit: Edit) -> None:
         edit = replace(edit, stamp_ns=self._clock_ns())
@@ -225,10 +229,10 @@ def _words(action: str, text: str) -> str:
     return names.get(action, action)
 
 
-def summarise(record: SampleRecord) -> GraspSummary:
+def summarise(sample: Sample) -> GraspSummary:
     """Summarise a sample as it was recorded."""
-    outcome = DROPPED if DISCARDED in record.flags else record.outcome
-    return GraspSummary(sys.intern(record.sample.object), outcome, record.sample.touch is not None)
+    outcome = DROPPED if DISCARDED in sample.flags else sample.outcome
+    return GraspSummary(sys.intern(sample.object), outcome, sample.touch is not None)
 
 
 def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, GraspSummary]:
@@ -242,7 +246,7 @@ def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, Gras
 
 
 def count_outcomes(grasps: Iterable[GraspSummary], plan: Sequence[str] = ()) -> dict[str, Counter[str]]:
-    """Return executed grasps by object and outcome; those of the plan first."""
+    """Return executed grasps by object and outcome; objects of the plan first."""
     counts: dict[str, Counter[str]] = {name: Counter() for name in plan}
     for grasp in grasps:
         if grasp.touched:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from foretouch.dataset.identity import Identity
 from foretouch.dataset.mcap_reader import MAGIC, Damage, RecordedMessage
-from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import (
     SESSIONS,
@@ -48,14 +48,14 @@ class RecordedDataset:
     def __getitem__(self, index: int) -> StoredSample:
         """Read one sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
         stored = self.as_recorded(index)
-        return stored._replace(record=self.edits.apply(stored.record))
+        return stored._replace(sample=self.edits.apply(stored.sample))
 
     def __iter__(self) -> Iterator[StoredSample]:
         for k in range(len(self)):
             yield self[k]
 
     def as_recorded(self, index: int) -> StoredSample:
-        """Read one sample before any edit (raises as indexing)."""
+        """Read one sample before any edit; a `FileError` names the position of damage."""
         file, message = self._samples[index]
         try:
             return decode_sample(file.content(message), self.stated_sensor)
@@ -88,7 +88,7 @@ def recognise(path: Path) -> bool:
 
 
 def open_set(path: Path, unfinished: bool) -> SampleSet:
-    """Return the samples of a recorded dataset (raises as `RecordedDataset`)."""
+    """Return the samples of a recorded dataset; a `FileError` names file and position of damage."""
     dataset = RecordedDataset(path)
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
@@ -98,7 +98,7 @@ def open_set(path: Path, unfinished: bool) -> SampleSet:
         path=path,
         kind="recording",
         size=len(dataset),
-        record=lambda k: dataset[k].record,
+        read=lambda k: dataset[k].sample,
         name=dataset.name,
         identity=first.identity if first else Identity(),
         unfinished=cut,
@@ -111,7 +111,7 @@ def open_set(path: Path, unfinished: bool) -> SampleSet:
 def samples_in(file: RecordingFile) -> list[RecordedMessage]:
     """Return the messages with samples in a file, in order, up to its end or to where it is cut off.
 
-    Raises a `FileError` at the first invalid record, unless the file merely ends within it, and if a finished file holds
+    Raises a `FileError` at the first invalid sample, unless the file merely ends within it, and if a finished file holds
     another number of samples than it counts.
     """
     for only in (SAMPLE_TYPES, ()):  # other tools may have put samples into chunks behind other messages
@@ -147,7 +147,7 @@ def recorded_ids(path: Path) -> set[str]:
         for item in samples_in(file) if file.finished else file.messages():
             stored = None if isinstance(item, Damage) else readable(file, item)
             if stored is not None:
-                ids.add(stored.record.sample.id)
+                ids.add(stored.sample.id)
             elif file.finished:
                 raise FileError(session, "holds a damaged sample: run `foretouch dataset repair`")
     return ids

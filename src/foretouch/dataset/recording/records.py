@@ -27,7 +27,7 @@ class RecordingFile(McapReader):
     """One file of a recording, or an MCAP file of others.
 
     Attributes:
-        counts: The last message counts; None if there are none.
+        counts: The last message counts; None without them.
     """
 
     def __init__(self, path: Path) -> None:

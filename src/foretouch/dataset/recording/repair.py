@@ -181,7 +181,7 @@ def _copy_intact(file: RecordingFile, out: McapFile, report: RepairReport) -> No
             pending.append(Message(number, item.log_time_ns, file.content(item), item.publish_time_ns, item.sequence))
             written[SAMPLE_TOPIC if number == sample_number else item.topic] += 1
             samples += is_sample
-            if is_sample:  # which gets a chunk of its own
+            if is_sample:  # which gets its own chunk
                 flush()
         flush()
         report.messages, report.samples = written.total(), samples

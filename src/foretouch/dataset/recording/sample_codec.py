@@ -2,7 +2,7 @@
 """Encodes a recorded grasp as a message and decodes it, without ROS.
 
 The message is a `foretouch_msgs/GraspSample`, which holds the description of its sensor. Foretouch 0.2 wrote samples of
-version 1, whose touch is that of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
+version 1, whose touch is of the BioTac SP and states no sensor; `dataset import` converts them, everything else refuses them.
 
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 
@@ -32,14 +32,14 @@ from foretouch import __version__
 from foretouch.cloud.messages import cloud_fields, decode_cloud, header_fields
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, types_in
 from foretouch.dataset.files import require_version
-from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
+from foretouch.dataset.identity import Identity, check_id
 from foretouch.errors import DatasetError, ForetouchError, VersionError, described
 from foretouch.files import parse_json
 from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
-from foretouch.types import Cloud, Grasp, Sample, Touch, stamp_ns
+from foretouch.types import Cloud, Grasp, Outcome, Sample, Touch, TouchSeries, stamp_ns
 from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
@@ -65,23 +65,23 @@ _FINITE: Final = (*_READINGS, "others", "extra_values")
 class StoredSample(NamedTuple):
     """A decoded sample, and hand, camera and sensor that it was recorded with."""
 
-    record: SampleRecord
+    sample: Sample
     identity: Identity
     sensor: Sensor
 
 
-def encode_sample(record: SampleRecord, identity: Identity, sensor: Sensor | None = None) -> bytes:
+def encode_sample(sample: Sample, identity: Identity, sensor: Sensor | None = None) -> bytes:
     """Return a record as the CDR of a `SAMPLE_TYPE` with encapsulation header (see `sample_fields`)."""
-    message = sample_fields(record, identity, sensor or BIOTAC_SP)
+    message = sample_fields(sample, identity, sensor or BIOTAC_SP)
     body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
 
 
-def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> SimpleNamespace:
+def sample_fields(sample: Sample, identity: Identity, sensor: Sensor) -> SimpleNamespace:
     """Return a record, whose id is set, as the fields of a `SAMPLE_TYPE`.
 
     Args:
-        record: The sample.
+        sample: The sample.
         identity: Hand and camera.
         sensor: Which was read.
 
@@ -89,9 +89,8 @@ def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> S
         DatasetError: If the id or a stamp is invalid, or a number other than a grasp's score is not finite.
         TactileError: If the touch is of another sensor.
     """
-    sample = record.sample
     check_id(sample.id, sample.object)
-    series = record.series
+    series = sample.series
     for name, touch in (("touch", sample.touch), ("tare", sample.tare)):
         if touch is not None:
             require_same(touch.channels, sensor.channels, f"{sample.id}: {name}")
@@ -104,12 +103,12 @@ def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> S
         schema_version=SCHEMA_VERSION,
         id=sample.id,
         object=sample.object,
-        outcome=OUTCOMES.index(record.outcome),
-        note=record.note,
+        outcome=OUTCOMES.index(sample.outcome),
+        note=sample.note,
         cloud=cloud_fields(sample.cloud, "cloud.stamp_ns"),
         grasp=grasp_fields(sample.grasp),
         score=float(sample.grasp.score),
-        candidates=[grasp_fields(grasp) for grasp in record.candidates],
+        candidates=[grasp_fields(grasp) for grasp in sample.candidates],
         sensor=sensor_text(sensor),
         labelled=sample.touch is not None,
         touch=np.empty(0) if sample.touch is None else sample.touch.values,
@@ -120,10 +119,10 @@ def sample_fields(record: SampleRecord, identity: Identity, sensor: Sensor) -> S
         series=np.asarray([] if series is None else series.counts, np.float32).ravel(),
         other_names=list(others),
         others=np.concatenate([*others.values(), np.empty(0)]).astype(np.float32),
-        contact=record.contact_ns or 0,
-        detector=record.detector,
-        pairing_error=-1 if record.pairing_error_ns is None else record.pairing_error_ns,
-        flags=list(record.flags),
+        contact=sample.contact_ns or 0,
+        detector=sample.detector,
+        pairing_error=-1 if sample.pairing_error_ns is None else sample.pairing_error_ns,
+        flags=list(sample.flags),
         extra_names=list(extra),
         extra_values=np.array(list(extra.values()), np.float64),
         foretouch=__version__,
@@ -207,9 +206,6 @@ def stored_sample(message: Any) -> StoredSample:
         tare=Touch(np.array(message.tare, np.float64), sensor.channels) if message.tared else None,
         stamp_ns=stamp_ns(message.header.stamp),
         extra=dict(zip(message.extra_names, map(float, message.extra_values), strict=True)),
-    )
-    record = SampleRecord(
-        sample=sample,
         candidates=tuple(_grasp_of(grasp, float(grasp.score)) for grasp in message.candidates),
         outcome=OUTCOMES[message.outcome],
         note=message.note,
@@ -220,7 +216,7 @@ def stored_sample(message: Any) -> StoredSample:
         flags=tuple(message.flags),
     )
     identity = Identity(hand=parse_properties(message.hand), camera=parse_properties(message.camera))
-    return StoredSample(record, identity, sensor)
+    return StoredSample(sample, identity, sensor)
 
 
 def parse_properties(text: str) -> dict[str, str]:
@@ -296,7 +292,7 @@ class Definitions:
             raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
 
     def text(self, type_name: str) -> str:
-        """Return the definition with those of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
+        """Return the definition with the definitions of all types in it (`ros2msg`); a `DatasetError` if one cannot be found."""
         self._require(type_name)
         return self.store.generate_msgdef(type_name, ros_version=2)[0]
 

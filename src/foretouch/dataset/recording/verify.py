@@ -29,7 +29,7 @@ class FileReport:
     finished: bool = False  # whether it was closed
     ids: list[str] = field(default_factory=list)  # ids of its samples, in order
     messages: Counter[str] = field(default_factory=Counter)  # messages by topic
-    counts: MessageCounts | None = None  # the last message counts in the file; None if there are none
+    counts: MessageCounts | None = None  # the last message counts in the file; None without them
     faults: list[Damage] = field(default_factory=list)  # the faults, with their offsets
 
     @property
@@ -82,7 +82,7 @@ def verify_file(file: RecordingFile, sensor: Sensor | None = None) -> FileReport
             report.faults.append(Damage(item.offset, "a message of a channel or schema that is not declared"))
         elif item.type in SAMPLE_TYPES:
             try:
-                report.ids.append(decode_sample(file.content(item), sensor).record.sample.id)
+                report.ids.append(decode_sample(file.content(item), sensor).sample.id)
             except DatasetError as err:
                 report.faults.append(Damage(item.offset, f"sample: {err}"))
     report.counts = file.counts
@@ -90,7 +90,7 @@ def verify_file(file: RecordingFile, sensor: Sensor | None = None) -> FileReport
         report.faults.append(Damage(report.size, "not finished: no index; repair creates one"))
     if report.clean:
         report.faults += _count_faults(report) if file.is_own else _index_faults(file, report)
-    del report.faults[100:]  # so many are reported for one file
+    del report.faults[100:]  # which are reported for one file
     return report
 
 

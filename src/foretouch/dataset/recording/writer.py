@@ -8,7 +8,7 @@ A session in short, from a node or any other program that has serialised message
         writer.add_topic("/rh/tactile", "foretouch_msgs/msg/BiotacAll")
         writer.receive("/rh/tactile")                  # on arrival
         writer.write("/rh/tactile", cdr, log_time_ns)  # or writer.drop("/rh/tactile", "queue full")
-        sample_id = writer.append(SampleRecord(sample=sample, outcome="success"))
+        sample_id = writer.append(sample)
     print(writer.counts.topics)
 
 Guarantees:
@@ -36,7 +36,7 @@ from mcap.records import Message
 
 from foretouch import __version__
 from foretouch.config import Settings, setting
-from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
+from foretouch.dataset.identity import Identity, check_name, id_number, numbered_id
 from foretouch.dataset.recording.edits import Edit, append_edit
 from foretouch.dataset.recording.folder import SESSIONS, new_session_path, opened_to_write, restate
 from foretouch.dataset.recording.mcap_file import McapFile
@@ -54,6 +54,7 @@ from foretouch.dataset.recording.sample_codec import (
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
+from foretouch.types import Sample
 
 _MB: Final = 1_000_000
 _CHUNK_BYTES: Final = 4_000_000  # largest amount of messages that is collected before it is written
@@ -78,9 +79,9 @@ class RecordingWriter:
 
     Args:
         path: The dataset: created if it does not exist, else the session is added to it.
-        identity: Hand and camera; must equal those of the dataset.
+        identity: Hand and camera; must equal the dataset's.
         config: Settings.
-        sensor: Which is read, by default the BioTac SP; must be that of the dataset.
+        sensor: Which is read, by default the BioTac SP; must be the dataset's sensor.
 
     Raises:
         FileError: If another process records into the dataset, or it is of another hand, camera, sensor, version or format,
@@ -195,8 +196,8 @@ class RecordingWriter:
             if self._pending_bytes >= _CHUNK_BYTES or time.monotonic() - self._flushed_s >= CHUNK_S:
                 self.flush()
 
-    def append(self, record: SampleRecord) -> str:
-        """Write a sample in a chunk of its own, after all messages before it; gives its id.
+    def append(self, sample: Sample) -> str:
+        """Write a sample in its own chunk, after all messages before it, and return its id.
 
         An empty id becomes `<object>/<number>`, the number one above the dataset's highest. The sample is now as safe as
         `RecordingConfig` specifies.
@@ -207,9 +208,8 @@ class RecordingWriter:
         """
         with self._guard:
             self._require_open()
-            record = self._with_id(record)
-            data = encode_sample(record, self.identity, self.sensor)
-            sample = record.sample
+            sample = self._with_id(sample)
+            data = encode_sample(sample, self.identity, self.sensor)
             message = self.output.message(SAMPLE_TOPIC, data, time.time_ns(), sample.stamp_ns, self.samples)
             self.counts.topic(SAMPLE_TOPIC).received += 1
             self._write_pending()
@@ -225,7 +225,7 @@ class RecordingWriter:
             return sample.id
 
     def edit(self, edit: Edit) -> int:
-        """Append an edit to the dataset's log and return its number (raises as `append_edit`, or if the session has ended)."""
+        """Append an edit to the dataset's log and return its number; a `FileError` if it cannot be written, or the session has ended."""
         with self._guard:
             self._require_open()
             return append_edit(self.path, edit)
@@ -236,7 +236,7 @@ class RecordingWriter:
         return {name.rpartition("/")[0] for name in self._ids}
 
     def flush(self) -> None:
-        """Write the collected messages (raises as `write`)."""
+        """Write the collected messages; a `FileError` if the session has ended, or ends now."""
         with self._guard:
             self._require_open()
             self._write_pending()
@@ -256,15 +256,14 @@ class RecordingWriter:
             if self._removal:
                 raise FileError(self.file, self._removal)
 
-    def _with_id(self, record: SampleRecord) -> SampleRecord:
-        sample = record.sample
+    def _with_id(self, sample: Sample) -> Sample:
         check_name(sample.object, "object")
         if not sample.id:
             sample = replace(sample, id=numbered_id(sample.object, self._last_number + 1))
         if sample.id in self._ids:
             text = f"id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
             raise DatasetError(f"{self.path}: {text}")
-        return replace(record, sample=sample)
+        return sample
 
     def _require_open(self) -> None:
         if self.closed:

@@ -29,7 +29,7 @@ class TouchAnswer:
     header: Header  # of the cloud
     grasps: Sequence[GraspMsg | Grasp]  # messages; of a request that holds arrays what was read from them
     predictions: Predictions  # of the grasps
-    flags: tuple[str, ...] = ()  # of all, beside those of each
+    flags: tuple[str, ...] = ()  # of all grasps, beside the flags of each
     age: Duration = field(default_factory=Duration)  # of the cloud
     model: str = ""  # its name
     model_sha256: str = ""
@@ -106,7 +106,7 @@ class TouchAnswer:
 
     @property
     def _numbers(self) -> dict[str, Float32]:
-        """(K, F N C) and (K, F S) float32 by field: values, scalars and their bounds; NaN where there is none."""
+        """(K, F N C) and (K, F S) float32 by field: values, scalars and their bounds; NaN where no number is known."""
         if self.sensor is None or not len(self.predictions):
             return {}
         with np.errstate(over="ignore"):  # becomes infinity, as in rclpy

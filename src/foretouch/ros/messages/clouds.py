@@ -28,7 +28,12 @@ _MILLIMETRE: Final = 1e-3  # [m], the unit of 16UC1
 
 
 def cloud_to_msg(cloud: Cloud, **columns: AnyArray) -> PointCloud2:
-    """Convert a cloud to a message of 12 bytes per point, 16 with colour, and further columns (see `encode`)."""
+    """Convert a cloud to a message of 12 bytes per point, 16 with colour.
+
+    Args:
+        cloud: The cloud.
+        columns: Further numbers of each point (see `encode`).
+    """
     content = vars(encode(cloud, **columns))
     data, fields = content.pop("data"), [PointField(**vars(field)) for field in content.pop("fields")]
     header = header_to_msg(cloud.frame_id, cloud.stamp_ns)
@@ -72,9 +77,12 @@ def depth_to_msgs(frame: DepthFrame) -> tuple[Image, CameraInfo]:
 
 
 def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -> PointCloud2:
-    """Convert the targets, whose ids are integers, to `object_cloud`; without any, to a cloud without points.
+    """Convert targets to `object_cloud`; without any, to a cloud without points.
 
-    Frame and stamp [ns] are those of the scene's cloud.
+    Args:
+        targets: Objects whose ids are integers.
+        frame_id: Frame of the scene's cloud.
+        nanoseconds: Stamp of the scene's cloud [ns].
     """
     colours = [target.cloud.rgb for target in targets if target.cloud.rgb is not None]
     pixels = [
@@ -93,7 +101,12 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
 
 
 def object_to_msg(segment: Segment, *, target: bool) -> ObjectMsg:
-    """Convert an object with the indices of its points; grasps are planned on a `target` only."""
+    """Convert an object with the indices of its points.
+
+    Args:
+        segment: The object.
+        target: Whether grasps are planned on it.
+    """
     low, high = segment.bounds
     return ObjectMsg(
         id=str(segment.id),
@@ -108,6 +121,10 @@ def object_to_msg(segment: Segment, *, target: bool) -> ObjectMsg:
 
 def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[Object, ...]:
     """Convert an `object_cloud`, or any cloud of one object.
+
+    Args:
+        message: The cloud.
+        plane: Table of all objects, in the frame of the cloud.
 
     Raises:
         CloudError: If its sizes do not add up, or x, y or z is missing or of another type.

@@ -65,7 +65,7 @@ def obstacles_to_msg(obstacles: Obstacles | None) -> dict[str, Any]:
 
 
 def obstacles_from_msg(message: TablePlane) -> Obstacles | None:
-    """Convert the points of all objects of a scene; those that are not finite are ignored.
+    """Convert the finite points of all objects of a scene.
 
     Raises:
         CloudError: If the two fields do not have three numbers and one id for each point.
@@ -108,7 +108,13 @@ def rotation_to_msg(rotation: Float64) -> Quaternion:
 
 
 def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> GraspMsg:
-    """Convert a grasp; `pose` is redundant, `pose_of_hand` is for those who move the hand."""
+    """Convert a grasp; `pose` is redundant, `pose_of_hand` is for those who move the hand.
+
+    Args:
+        grasp: In the frame of its cloud.
+        status: Of `foretouch_msgs/Status`.
+        reason: Of the status.
+    """
     return GraspMsg(
         id=grasp.id,
         object_id=grasp.object_id,
@@ -145,6 +151,10 @@ def _way_fields(way: WayIn | None) -> dict[str, Any]:
 def prediction_from_msg(message: TouchPredictionMsg, sensor: Sensor = BIOTAC_SP) -> Prediction:
     """Convert a received prediction, whose values are float32; what it holds none of is NaN.
 
+    Args:
+        message: The prediction.
+        sensor: Whose readings are predicted.
+
     Raises:
         ModelError: If the reference is unknown, or the prediction is for another sensor.
         TactileError: If its arrays do not fit their names.
@@ -173,7 +183,13 @@ def reference_text(message: TouchPredictionMsg) -> str:
 
 
 def evidence_text(reference: str, touches: int, readings: int) -> str:
-    """Describe a reference by its name with its numbers of touches and readings."""
+    """Describe a reference.
+
+    Args:
+        reference: Its name, such as `touches`.
+        touches: Number of touches that a prediction was adapted to.
+        readings: Number of readings that it was adapted to.
+    """
     texts = {
         "none": "cloud only",
         "touches": f"{touches} touch{'' if touches == 1 else 'es'}",

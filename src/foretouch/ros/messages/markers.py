@@ -35,7 +35,12 @@ _AXES = (ColorRGBA(r=1.0, a=1.0), ColorRGBA(g=1.0, a=1.0), ColorRGBA(b=1.0, a=1.
 
 
 def object_markers(message: ObjectArray, table: TablePlane) -> MarkerArray:
-    """Draw a translucent box around each object, green for targets, and its id; and the outline of the table."""
+    """Draw a translucent box around each object, green for targets, and its id; and the outline of the table.
+
+    Args:
+        message: The objects.
+        table: Of the same cloud.
+    """
     line = _marker(message.header, "table", 0, Marker.LINE_STRIP, _WHITE)
     corners = np.asarray(table.outline, np.float64).reshape(-1, 3)
     line.points, line.scale.x = [point_to_msg(corner) for corner in (*corners, *corners[:1])], _LINE_M

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs from other nodes, read or refused with a status, and the plan of grasps that answers."""
+"""Read what other nodes send, or refuse it with a status."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,15 +13,13 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
-from foretouch.cloud.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
-from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
 from foretouch.grasp.pose import joined_faults, rotation_faults
 from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import obstacles_from_msg, plane_from_msg
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Grasps, Plane
+from foretouch.types import ASSUMED_TABLE, Grasp, Grasps, Plane
 from foretouch.types.arrays import Bool, objects
 from foretouch.types.grasps import contact_faults
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -65,7 +63,7 @@ class RequestedGrasps:
 
     grasps: Grasps  # K rows; NaN where one cannot be read, and an orientation of no meaning where it is not given
     turned: Bool  # (K,) which have an orientation
-    reasons: list[str]  # why one cannot be read; "" for those that can
+    reasons: list[str]  # why a grasp cannot be read; "" if it can
     messages: Sequence[GraspMsg] | None = None  # as they came; None for arrays
 
     @classmethod
@@ -112,7 +110,15 @@ def _refused_as(status: int) -> Iterator[None]:
 
 
 def read_serialized(data: bytes, kind: type[_M]) -> _M:
-    """Deserialise a message of a raw subscription, whose bytes nobody has checked; or a `DatasetError`."""
+    """Deserialise a message of a raw subscription, whose bytes nobody has checked.
+
+    Args:
+        data: The message in CDR.
+        kind: Its class.
+
+    Raises:
+        DatasetError: If the bytes are no such message.
+    """
     try:
         message: _M = deserialize_message(data, kind)
     except Exception as err:  # rclpy declares no type for it
@@ -120,14 +126,13 @@ def read_serialized(data: bytes, kind: type[_M]) -> _M:
     return message
 
 
-def read_cloud(message: PointCloud2) -> Cloud:
-    """Convert a cloud; a `RefusalError`, BAD_CLOUD, if its sizes do not add up."""
-    with _refused_as(Status.BAD_CLOUD):
-        return decode_cloud(message)
-
-
 def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tuple[Object, ...]:
-    """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
+    """Convert a cloud of objects, which must hold at least one.
+
+    Args:
+        message: An `object_cloud`, or any cloud of one object.
+        plane: Table of the objects, in the frame of the cloud.
+        limits: Of objects; an object within them must be in an optical frame.
 
     Raises:
         RefusalError: BAD_CLOUD, EMPTY_CLOUD, or UNKNOWN_FRAME with a reason that holds `not_optical`.
@@ -155,23 +160,24 @@ def read_plane(message: PlaneMsg) -> Plane:
     return plane
 
 
-def read_table(message: TablePlane, header: Header) -> Plane:
-    """Convert the table of the cloud with a header; refused as the sender has, with BAD_PLANE, or UNKNOWN_FRAME."""
-    if message.status != Status.OK:
-        raise passed_on("table", message.status, message.reason)
-    check_frames("table", message.header, header)
-    return read_plane(message.plane)
-
-
-def read_obstacles(message: TablePlane) -> Obstacles | None:
-    """Convert what stands around the targets; a `RefusalError`, BAD_REQUEST, if its fields do not fit each other."""
-    with _refused_as(Status.BAD_REQUEST):
-        return obstacles_from_msg(message)
-
-
 def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) -> tuple[Object, ...]:
-    """Convert objects with their table and what stands around them; raises as `read_targets`, `read_table`, `read_obstacles`."""
-    plane, obstacles = read_table(table, message.header), read_obstacles(table)
+    """Convert objects with their table and what stands around them.
+
+    Args:
+        message: The objects.
+        table: Of the same cloud.
+        limits: Of objects.
+
+    Raises:
+        RefusalError: As `read_targets`; as the table's sender has refused; BAD_PLANE; UNKNOWN_FRAME; BAD_REQUEST if the
+            fields of the obstacles do not fit each other.
+    """
+    if table.status != Status.OK:
+        raise passed_on("table", table.status, table.reason)
+    check_frames("table", table.header, message.header)
+    plane = read_plane(table.plane)
+    with _refused_as(Status.BAD_REQUEST):
+        obstacles = obstacles_from_msg(table)
     return tuple(replace(target, obstacles=obstacles) for target in read_targets(message, plane, limits))
 
 
@@ -207,14 +213,29 @@ def no_latest_cloud() -> RefusalError:
 
 
 def passed_on(name: str, status: int, reason: str) -> RefusalError:
-    """Make the refusal of a message, called `name`, whose sender has refused the cloud; with a reason in any case."""
+    """Make the refusal of a message whose sender has refused the cloud; it has a reason in any case.
+
+    Args:
+        name: What the message is called in the reason.
+        status: Of the message.
+        reason: Of the message.
+    """
     if status not in STATUSES:
         return RefusalError(Status.BAD_REQUEST, f"{name}: status {status} is unknown")
     return RefusalError(status, reason or f"{name}: status {status_name(status)} without a reason")
 
 
 def check_frames(name: str, header: Header, cloud: Header) -> None:
-    """Raise a `RefusalError`, UNKNOWN_FRAME, unless a message called `name` is in the frame of its cloud."""
+    """Require that a message is in the frame of its cloud.
+
+    Args:
+        name: What the message is called in the reason.
+        header: Of the message.
+        cloud: Header of the cloud.
+
+    Raises:
+        RefusalError: UNKNOWN_FRAME.
+    """
     if header.frame_id != cloud.frame_id:
         raise RefusalError(
             Status.UNKNOWN_FRAME, f"{name}: frame {header.frame_id!r} is not the cloud's, {cloud.frame_id!r}"

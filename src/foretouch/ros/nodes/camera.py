@@ -108,7 +108,7 @@ class CameraNode(ThreadNode[CameraNodeConfig]):
         assert camera is not None  # noqa: S101  made by start
         counted: Counter[str] = Counter()
         while not self.stopping.is_set() and camera.status.state != "ended":
-            frame = camera.read_frame(0.1)  # then the thread checks whether it should end
+            frame = camera.read(0.1)  # then the thread checks whether it should end
             for reason, count in camera.status.dropped.items():
                 for _ in range(count - counted[reason]):
                     self.statistics.receive()

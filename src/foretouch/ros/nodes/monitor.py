@@ -9,6 +9,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, TypeAlias
@@ -47,25 +48,19 @@ class View:
     sensor: Sensor = BIOTAC_SP  # whose readings are predicted
     answers: Counter[str] = field(default_factory=Counter)  # number of arrays of predictions by status
     reasons: Counter[str] = field(default_factory=Counter)  # how often each kind of reason was given; # is a number
-    # Of each kind, the least and the largest of each of its numbers, in order.
-    numbers: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    last_reasons: dict[str, str] = field(default_factory=dict)  # the last one of each kind
     last: TouchPredictionArray | None = None  # the last array
     executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
     # Last level, line and numbers by node name.
     nodes: dict[str, tuple[int, str, dict[str, str]]] = field(default_factory=dict)
 
     def count_reason(self, reason: str) -> None:
-        """Count the kind of a reason, and keep the range of its numbers."""
+        """Count the kind of a reason, which is its text without its numbers."""
         kind = _NUMBER.sub("#", reason)
         if kind not in self.reasons and len(self.reasons) >= _KINDS:
-            self.reasons["other"] += 1
-            return
+            kind = "other"
         self.reasons[kind] += 1
-        numbers = [float(text) for text in _NUMBER.findall(reason)]
-        ranges = self.numbers.get(kind, [(number, number) for number in numbers])
-        self.numbers[kind] = [
-            (min(low, number), max(high, number)) for (low, high), number in zip(ranges, numbers, strict=True)
-        ]
+        self.last_reasons[kind] = reason
 
 
 Drawable: TypeAlias = tuple[Cloud | None, Object, TouchPrediction, TouchCut | None]
@@ -130,13 +125,8 @@ class MonitorNode(Node):
         """Copy the state."""
         with self._lock:
             view = self._view
-            return replace(
-                view,
-                answers=Counter(view.answers),
-                reasons=Counter(view.reasons),
-                numbers=dict(view.numbers),
-                nodes=dict(view.nodes),
-            )
+            copied = {name: copy(getattr(view, name)) for name in ("answers", "reasons", "last_reasons", "nodes")}
+            return replace(view, **copied)
 
     def close_view(self) -> View:
         """End the view, and copy its state: later answers are neither counted nor passed on."""
@@ -218,7 +208,7 @@ class MonitorNode(Node):
         for result in results:
             if isinstance(result, AssembledSample) and result.cut is not None:
                 for touch in predictions:
-                    if touch.grasp.id == result.record.sample.grasp.id:
+                    if touch.grasp.id == result.sample.grasp.id:
                         drawn = self._drawn(touch, result.cut)
                         with self._lock:
                             self._view.executed = touch, result.cut

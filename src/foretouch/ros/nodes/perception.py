@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole road in one node: a depth image or a cloud in, `objects`, `table`, `object_cloud`, `grasps` and `touch` out.
+"""The node `perception`: a depth image or a cloud in; `objects`, `table`, `object_cloud`, `grasps` and `touch` out.
 
-The answer to a cloud is four steps: message to arrays, the pipeline, arrays to messages, publish.
+The answer to a cloud is four steps: message to arrays, the pipeline, arrays to messages, publish. The nodes `segmentation`, `grasp`
+and `touch_predictor` run one step each, for who replaces another step by a node of another package.
 """
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Final
 
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
+from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.requests import RefusalError, Targets, read_objects, status_code
+from foretouch.ros.messages.requests import (
+    RefusalError,
+    RequestedGrasps,
+    Targets,
+    check_frames,
+    passed_on,
+    read_objects,
+    read_targets,
+    status_code,
+)
 from foretouch.ros.runtime.matching_node import MatchingConfig, MatchingNode
-from foretouch.ros.runtime.processing_node import Input
+from foretouch.ros.runtime.processing_node import Input, ProcessingConfig, ProcessingNode
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.ros.steps.camera_input import CameraInput, CameraInputSettings
 from foretouch.ros.steps.grasping import GraspSettings, GraspStep
@@ -22,8 +34,11 @@ from foretouch.ros.steps.services import TouchServices
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
-from foretouch.types import stamp_ns
-from foretouch_msgs.msg import TablePlane
+from foretouch.types import ASSUMED_TABLE, stamp_ns
+from foretouch_msgs.msg import GraspArray, Status, TablePlane
+
+_OBJECTS: Final = InputTopic(CLOUD_TOPIC, PointCloud2), InputTopic("table", TablePlane)
+_TABLES: Final = 16  # that are kept: one has the stamp of the latest object_cloud
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +58,7 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
     """Segments, plans and predicts."""
 
     default_name, config_class = "perception", PerceptionConfig
-    inputs = InputTopic(CLOUD_TOPIC, PointCloud2), InputTopic("table", TablePlane)  # where `input` is objects
+    inputs = _OBJECTS  # where `input` is objects
     exclusive_topics = ("objects", GRASPS_TOPIC, "touch")
 
     def _setup(self) -> None:
@@ -88,3 +103,103 @@ class PerceptionNode(MatchingNode[PerceptionConfig]):
             self._touch.refuse(header, status, reason)
         self._planner.publish(grasps)
         return status, reason
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationNodeConfig(ProcessingConfig, CameraInputSettings, SegmentationSettings):
+    """Settings of the segmentation node."""
+
+
+class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
+    """Runs the step of the segmentation."""
+
+    default_name, config_class = "segmentation", SegmentationNodeConfig
+    exclusive_topics = ("objects",)
+
+    def _setup(self) -> None:
+        self._step = SegmentationStep(self)  # before subscribing, so that no answer is lost
+        self._camera = CameraInput(self, self._receive)
+        self.steps = (self._step, self._camera)
+
+    def _answer(self, item: Input) -> tuple[int, str]:
+        cloud = self._camera.cloud(item.content)
+        scene = self._step.segment(cloud)
+        self._step.publish(item.header, scene)
+        return status_code(scene.status), scene.reason
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspNodeConfig(MatchingConfig, GraspSettings):
+    """Settings of the grasp node."""
+
+
+class GraspNode(MatchingNode[GraspNodeConfig]):
+    """Runs the step of the planner."""
+
+    default_name, config_class = "grasp", GraspNodeConfig
+    inputs = _OBJECTS
+    exclusive_topics = (GRASPS_TOPIC,)
+
+    def _setup(self) -> None:
+        self._step = GraspStep(self)  # before subscribing, so that no answer is lost
+        self.steps = (self._step,)
+        super()._setup()
+
+    def _answer(self, item: Input) -> tuple[int, str]:
+        table = item.content["table"]
+        targets = read_objects(item.content[CLOUD_TOPIC], table, self.config.limits)
+        message, _ = self._step.plan(targets, item.header, table.reason)
+        self._step.publish(message)
+        return message.status, message.reason
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchPredictorConfig(MatchingConfig, TouchSettings):
+    """Settings of the touch predictor."""
+
+
+class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
+    """Runs the step of the touch model."""
+
+    default_name, config_class = "touch_predictor", TouchPredictorConfig
+    inputs = InputTopic(CLOUD_TOPIC, PointCloud2), InputTopic(GRASPS_TOPIC, GraspArray)
+    exclusive_topics = ("touch",)
+
+    def _setup(self) -> None:
+        self._tables: dict[int, TablePlane] = {}  # by stamp [ns]
+        self._step = TouchStep(self)  # before subscribing, so that no answer is lost
+        self.steps = (self._step, TouchServices(self, self._step))
+        self.subscribe(InputTopic("table", TablePlane), self._remember_table)
+        super()._setup()
+
+    def _answer(self, item: Input) -> tuple[int, str]:
+        grasps, targets = item.content[GRASPS_TOPIC], self._read(item.content[CLOUD_TOPIC])
+        if not grasps.grasps:
+            raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
+        check_frames(GRASPS_TOPIC, grasps.header, item.header)
+        if targets.refusal is not None:
+            raise targets.refusal
+        answer = self._step.answer(targets, RequestedGrasps.of_messages(grasps.grasps))
+        self._step.publish(answer, grasps, targets)
+        return answer.summary
+
+    def _remember_table(self, message: TablePlane) -> None:
+        self._tables[stamp_ns(message.header.stamp)] = message
+        while len(self._tables) > _TABLES:
+            del self._tables[next(iter(self._tables))]
+
+    def _read(self, cloud: PointCloud2) -> Targets:
+        """Read the objects of a cloud, and remember them for requests if their table is known."""
+        table, limits = self._tables.get(stamp_ns(cloud.header.stamp)), self.config.limits
+        objects: tuple[Object, ...] = ()
+        refusal: RefusalError | None = None
+        try:
+            objects = read_targets(cloud, ASSUMED_TABLE, limits)  # as if the camera looked straight down
+            if table is not None:
+                objects = read_objects(cloud, table, limits)
+        except RefusalError as err:
+            refusal = err
+        targets = Targets(cloud.header, objects, lambda: cloud, refusal)
+        if table is not None:
+            self._step.latest = targets
+        return targets

@@ -6,6 +6,7 @@ them, waits for the disk, and assembles samples. Services have a callback group 
 """
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -16,22 +17,23 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 
 from foretouch.config import Settings, setting
+from foretouch.dataset.identity import Identity, check_name
 from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.cut import Interval, PairingConfig
 from foretouch.dataset.pairing.matcher import Label
-from foretouch.dataset.record import Identity, Outcome, check_name
 from foretouch.dataset.recording.operator import Action, Operator
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError, quoted
+from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.messages.tactile import TactileInput
-from foretouch.ros.recorder.session import RecordingSession, SessionStatus, status_to_msg
+from foretouch.ros.recorder.session import RecordingSession, SessionStatus
 from foretouch.ros.recorder.subscriptions import RecorderInputs, depth_topics, robot_topics, sample_topics
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.topics import GRASPS_TOPIC
-from foretouch.types import stamp_ns
+from foretouch.types import Outcome, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
@@ -116,10 +118,9 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.reader: TactileReader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
         self._hold = self.advertise(TouchHold, "touch_hold")
-        # The middleware keeps so many messages while this process does not get to run.
-        topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
-        topics += depth_topics(self.config.depth, depth=100) if self.config.depth else []
-        others, missing = robot_topics(depth=1000)
+        topics = sample_topics(self.config, points=self.config.points)
+        topics += depth_topics(self.config.depth) if self.config.depth else []
+        others, missing = robot_topics()
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
         self.inputs = RecorderInputs(self, [*topics, *others])
@@ -169,12 +170,21 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     # Recording.
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
-        """Do an action of the operator (see `Operator.act`); a `ConfigError` if nothing is being recorded."""
+        """Do an action of the operator, and say what was done.
+
+        Args:
+            action: What to do.
+            text: Of a note, or the name of an object.
+            grasp_id: Grasp that it is about; "" for the last one.
+
+        Raises:
+            ConfigError: If nothing is being recorded.
+        """
         return self._running().act(action, text, grasp_id)
 
     @property
     def identity(self) -> Identity:
-        """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
+        """Hand and camera, with all settings in which the recordings of a dataset must agree."""
         identity, tactile = self.config.identity, self.config.tactile
         thumb, middle = tactile.fingers
         hand = {"model": identity.hand, "serial": identity.hand_serial, "tactile": tactile.message_type}
@@ -205,7 +215,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
         """Start a session and return the dataset's path; an existing dataset is extended.
 
-        A `path` of "" stands for a name made of the time. The object's `label` and the `note` are for every sample.
+        Args:
+            path: Of the dataset, in `folder`; "" for a name made of the time.
+            label: Of the object on the table.
+            note: For every sample.
 
         Raises:
             ConfigError: If a session is running.
@@ -246,7 +259,13 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def status(self) -> RecorderStatus:
         """Make the current `recorder_status`."""
-        return status_to_msg(self._session, self.inputs, self.get_clock().now().nanoseconds)
+        session = self.session_status()
+        message = copy(session.message)
+        message.header = header_to_msg("", self.get_clock().now().nanoseconds)
+        message.topics = topics = [] if self.inputs is None else self.inputs.accounts(session.accounts)
+        message.received, message.used = sum(topic.received for topic in topics), sum(topic.written for topic in topics)
+        message.lost = sum(topic.lost for topic in topics)
+        return message
 
     # Services and the timer.
 

@@ -49,7 +49,9 @@ _FRAME = "camera_depth_optical_frame"  # of clouds from files that name none
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
     """Find the message class of each topic of a recording that can be played, and the reason for each other with messages.
 
-    What the nodes in `namespace` published then must not be mixed with what they publish now.
+    Args:
+        topics: Of the recording.
+        namespace: Of the graph: what its nodes published then must not be mixed with what they publish now.
     """
     classes: dict[Topic, type] = {}
     reasons: dict[str, str] = {}
@@ -176,13 +178,6 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         """Entries of the source that could not be read and were not played; each is logged."""
         return self.statistics.summary().dropped.get("unreadable", 0)
 
-    def autostart(self) -> bool:
-        """Configure and activate; a source that cannot be opened is the end of it: its parameters are read-only."""
-        started = super().autostart()
-        if not started:
-            self.ended.set()
-        return started
-
     def _setup(self) -> None:
         config = self.config
         if not config.path:
@@ -222,8 +217,9 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         self._source = None
 
     def has_ended(self) -> bool:
-        """Return whether there is nothing more to play."""
-        return self.ended.is_set() and self.outcome != "stopped"  # a stopped node may be activated again
+        """Return whether there is nothing more to play, or the source cannot be opened: its parameters are read-only."""
+        cannot_start = self.config.autostart and self.state_name == "unconfigured" and bool(self.failure)
+        return cannot_start or (self.ended.is_set() and self.outcome != "stopped")  # that may be activated again
 
     def diagnose(self, report: Report) -> None:
         """Report the state of the replay, and counts by topic."""
@@ -244,7 +240,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         self._phase = "stopped" if self.stopping.is_set() else "finished"
 
     def _wait_for_subscribers(self) -> bool:
-        """Wait for those of the clouds, and then, with a limit, until all know each other; False if the replay must stop."""
+        """Wait for subscribers of the clouds, and then, with a limit, until all nodes know each other; False if the replay must stop."""
         config = self.config
         if not self._wait(self._missing_ends, math.inf, 0.5):
             return False

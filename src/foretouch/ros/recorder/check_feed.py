@@ -43,7 +43,12 @@ class CheckFeed:
         inputs.open(self._queue)
 
     def receive(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
-        """Give messages to the check for some time [s], or until something is done."""
+        """Give messages to the check.
+
+        Args:
+            seconds: For how long [s].
+            done: Ends it before, once it is true.
+        """
         end = time.monotonic() + seconds
         while time.monotonic() < end and not done():
             for message in self._queue.take(0.05)[0]:

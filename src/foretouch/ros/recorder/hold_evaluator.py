@@ -63,7 +63,7 @@ class HoldEvaluator:
         return self.last
 
     def _chance(self, message: Any) -> float:
-        """Compute the chance that the grasp holds; a `TactileError` says why there is none."""
+        """Compute the chance that the grasp holds; a `TactileError` says why it cannot be computed."""
         if self._reader is None:
             raise TactileError(f"the sensor is not {self._card['sensor_name']} on {', '.join(self._fingers)}")
         reading = self._reader.read(message)

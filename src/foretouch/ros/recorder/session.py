@@ -11,10 +11,9 @@ import time
 import traceback
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 from foretouch.cloud.messages import read_header
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
@@ -26,7 +25,7 @@ from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError, ForetouchError
-from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
+from foretouch.ros.messages.conversions import duration_to_msg
 from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.hold_evaluator import HoldEvaluator
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderInputs, names_and_counts
@@ -35,9 +34,6 @@ from foretouch.types import Sample, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, Status, TouchHold, TouchPrediction, TouchPredictionArray
 
 _PREDICTIONS: Final = 1000  # messages that are kept until their grasps are executed: half a minute at 30 Hz
-
-
-_ROLES: Final[Mapping[str, Role]] = {role: role for role in get_args(Role)}  # of messages that samples are made of
 _NO_HOLD: Final = TouchHold(chance=math.nan, status=Status.REFUSED, reason="nothing was recorded yet")
 
 
@@ -49,7 +45,7 @@ class SessionStatus:
         default_factory=lambda: RecorderStatus(
             pairing_error=math.nan, pairing_error_max=math.nan, touch_hold=_NO_HOLD, disk_left=math.inf
         )
-    )  # without what is known of the topics
+    )  # without its header and the topics
     accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits
     anomalies: Counter[str] = field(default_factory=Counter)  # of tactile stamps, and messages that were not decoded
     operator: OperatorState = OperatorState()
@@ -84,9 +80,9 @@ class RecordingSession:
         publish: Callable[[TouchHold], object],
     ) -> None:
         self.writer = writer
-        self.began_s = time.monotonic()
         self.status = SessionStatus()
         self.ended = threading.Event()
+        self._began_s = time.monotonic()
         self._inputs = inputs
         self._queue = MessageQueue(queue_bytes)
         self._assembler = assembler
@@ -102,7 +98,6 @@ class RecordingSession:
         self._errors_ns: deque[int] = deque(maxlen=1000)
         self._sizes: deque[tuple[float, int]] = deque()
         self._error = ""
-        self.ended_s = 0.0  # `time.monotonic`, once it has ended
         for name, topic in inputs.topics.items():
             writer.add_topic(name, type_name(topic.message))
         writer.before_end = self._account_for_rest
@@ -112,12 +107,18 @@ class RecordingSession:
         self._thread.start()
 
     def label(self, label: Label) -> tuple[str, str]:
-        """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`)."""
+        """Add the operator's label of a grasp; gives the id of the grasp, and what becomes of the label."""
         with self._assembler_lock:
             return self._assembler.matcher.add_label(label, time.monotonic())
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
-        """Do an action of the operator (see `Operator.act`)."""
+        """Do an action of the operator, and say what was done.
+
+        Args:
+            action: What to do.
+            text: Of a note, or the name of an object.
+            grasp_id: Grasp that it is about; "" for the last one.
+        """
         with self._assembler_lock:
             return self._operator.act(action, text, grasp_id)
 
@@ -149,8 +150,7 @@ class RecordingSession:
             self.writer.close()
         except ForetouchError as err:
             self._error = str(err) if removed else self._error or str(err)
-        self._update_status()
-        self.ended_s = time.monotonic()
+        self._update_status(recording=False)
         self.ended.set()
 
     def _account_for_rest(self) -> None:
@@ -193,13 +193,13 @@ class RecordingSession:
                 with self._assembler_lock:
                     self._operator.add_rejected(result.grasp_id, result.message)
                 continue
-            name = self.writer.append(result.record)
+            name = self.writer.append(result.sample)
             if result.cut is not None:
                 self._last_sample = name
-                self._last = self._prediction(result.record.sample), result.cut
+                self._last = self._prediction(result.sample), result.cut
                 self._errors_ns.append(result.cut.error_ns)
             with self._assembler_lock:
-                self._operator.add_sample(result.record, name)
+                self._operator.add_sample(result.sample, name)
         self._update_status()
 
     def _without_pause(self, messages: list[SerializedMessage]) -> list[SerializedMessage]:
@@ -225,25 +225,14 @@ class RecordingSession:
 
     def _assemble(self, serialized: SerializedMessage) -> None:
         """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
-        topic = self._inputs.topics[serialized.topic]
-        role = _ROLES.get(topic.role)
-        if role is None and topic.role != "touch":
-            return
-        decode = partial(read_serialized, serialized.data, topic.message)
         try:
-            if role is None:
-                self._predictions[read_header(serialized.data)[0]] = serialized.data
-                if len(self._predictions) > _PREDICTIONS:
-                    self._predictions.popitem(last=False)
-                return
-            message = SerializedCloud(serialized.data, decode) if role == "cloud" else decode()
-            with self._assembler_lock:
-                self._assembler.add(role, message, received_ns=serialized.received_ns, now_s=time.monotonic())
-            if role == "tactile":
-                held_ns, now_s = self._assembler.held_ns, time.monotonic()
-                stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else serialized.received_ns
-                if (evaluated := self._hold.update(message, stamp, held_ns, now_s)) is not None:
-                    self._publish(evaluated)
+            match self._inputs.topics[serialized.topic].role:
+                case "touch":
+                    self._predictions[read_header(serialized.data)[0]] = serialized.data
+                    if len(self._predictions) > _PREDICTIONS:
+                        self._predictions.popitem(last=False)
+                case "tactile" | "cloud" | "grasps" | "executed" as role:
+                    self._add(role, serialized)
         except FileError:
             raise
         except ForetouchError as err:
@@ -252,20 +241,38 @@ class RecordingSession:
             if self._unreadable[name] == 1:
                 self._warn(f"{serialized.topic}: {err}")
 
-    def _update_status(self) -> None:
+    def _add(self, role: Role, serialized: SerializedMessage) -> None:
+        decode = partial(read_serialized, serialized.data, self._inputs.topics[serialized.topic].message)
+        message: Any = SerializedCloud(serialized.data, decode) if role == "cloud" else decode()
+        now_s = time.monotonic()
+        with self._assembler_lock:
+            self._assembler.add(role, message, received_ns=serialized.received_ns, now_s=now_s)
+        if role == "tactile":
+            stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else serialized.received_ns
+            evaluated = self._hold.update(message, stamp, self._assembler.held_ns, now_s)
+            if evaluated is not None:
+                self._publish(evaluated)
+
+    def _update_status(self, *, recording: bool = True) -> None:
         now, size = time.monotonic(), self.writer.output.size
         self._sizes.append((now, size))
         while self._sizes[0][0] < now - 10.0:
             self._sizes.popleft()
         since_s, before = self._sizes[0]
         rate = (size - before) / (now - since_s) if now > since_s else 0.0
-        accounts, assembler, writer = self.writer.counts.topics, self._assembler, self.writer
+        assembler, writer = self._assembler, self.writer
+        counted = list(writer.counts.topics.items())
+        accounts = {name: replace(a, dropped=Counter(a.dropped)) for name, a in counted if name != SAMPLE_TOPIC}
+        dropped: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
+        reasons, drop_counts = names_and_counts(dropped)
         flowing = rate > 0.0 and not (self._error or writer.closed)
         errors = [error * 1e-9 for error in self._errors_ns] or [math.nan]
         with self._assembler_lock:
             sensors = assembler.sensor_states(now)
             outcomes, outcome_counts = names_and_counts(assembler.results)
             message = RecorderStatus(
+                recording=recording,
+                duration=duration_to_msg(now - self._began_s),
                 path=str(writer.path),
                 bytes_written=size,
                 samples=writer.labelled,
@@ -274,6 +281,8 @@ class RecordingSession:
                 reason=self._error,
                 outcomes=outcomes,
                 outcome_counts=outcome_counts,
+                drop_reasons=reasons,
+                drop_counts=drop_counts,
                 last_sample=self._last_sample,
                 pairing_error=errors[-1],
                 pairing_error_max=max(errors),
@@ -285,31 +294,8 @@ class RecordingSession:
             anomalies = assembler.readings.anomalies + assembler.rejected_clouds + assembler.invalid + self._unreadable
             self.status = SessionStatus(
                 message=message,
-                accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
+                accounts=accounts,
                 anomalies=anomalies,
                 operator=self._operator.state(),
                 last=self._last,
             )
-
-
-def status_to_msg(session: RecordingSession | None, inputs: RecorderInputs | None, now_ns: int) -> RecorderStatus:
-    """Convert the recorder's state to a message.
-
-    Args:
-        session: The current session, or the last one; None before the first.
-        inputs: What the recorder receives; None before it was configured.
-        now_ns: Stamp [ns].
-    """
-    state = SessionStatus() if session is None else session.status
-    accounts = {name: account for name, account in state.accounts.items() if name != SAMPLE_TOPIC}
-    topics = [] if inputs is None else inputs.accounts(accounts)
-    message = copy(state.message)
-    if session is not None:
-        message.recording = not session.ended.is_set()
-        message.duration = duration_to_msg((session.ended_s or time.monotonic()) - session.began_s)
-    message.header, message.topics = header_to_msg("", now_ns), topics
-    message.received, message.used = sum(topic.received for topic in topics), sum(topic.written for topic in topics)
-    message.lost = sum(topic.lost for topic in topics)
-    dropped: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
-    message.drop_reasons, message.drop_counts = names_and_counts(dropped)
-    return message

@@ -18,7 +18,9 @@ _GRAPH = ("perception", "segmentation", "grasp", "touch_predictor", "replay", "m
 def find_conflicts(node: Node, topics: Iterable[str]) -> tuple[str, ...]:
     """Look for signs of a second graph in the namespace, which answers every cloud once more without any error; a line each.
 
-    Each of the topics should have one publisher at most. To look takes less than 0.1 ms a topic.
+    Args:
+        node: Of the first graph.
+        topics: Each should have one publisher at most. To look takes less than 0.1 ms a topic.
     """
     own = node.get_fully_qualified_name()
     count = sum(_full_name(*namespace) == own for namespace in node.get_node_names_and_namespaces())

@@ -46,7 +46,7 @@ def prepare_environment() -> None:
 
 
 def profile_variable() -> str:
-    """Choose the environment variable that names the profile: Fast DDS 2 (Jazzy) ignores that of 3, and 3 warns of that of 2."""
+    """Choose the environment variable that names the profile: Fast DDS 2 (Jazzy) and 3 have different ones."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix).split(os.pathsep)
     return _PROFILE_VARIABLES[
         "fastrtps" if any(Path(prefix, "share", "fastrtps").is_dir() for prefix in prefixes) else "fastdds"

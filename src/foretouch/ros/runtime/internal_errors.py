@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps an internal error in a callback from ending the process: it is counted, logged and answered.
 
-rclpy passes an error in a callback on to the executor, which ends, and with it all nodes of the process. `ForetouchNode` passes those of
-timers, services and inputs through `InternalErrors.guarded`; `spin_on` goes on after all others.
+rclpy passes an error in a callback on to the executor, which ends, and with it all nodes of the process. `ForetouchNode` passes
+timers, services and inputs through `InternalErrors.guarded`; `spin_on` goes on after all other errors.
 """
 
 import functools
@@ -40,7 +40,15 @@ class InternalErrors:
             return Counter(self._counts)
 
     def report(self, name: str, err: Exception) -> str:
-        """Count and log an error of a callback; its type and text in one line, the reason for an answer with FAILED."""
+        """Count and log an error of a callback.
+
+        Args:
+            name: Of the callback.
+            err: The error.
+
+        Returns:
+            Its type and text in one line, the reason for an answer with FAILED.
+        """
         reason = described(err)[:300]
         with self._lock:
             self._counts[name] += 1
@@ -107,7 +115,13 @@ def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool
 
 
 def with_known_types(callback: Callable[..., Any], request: Any, response: Any) -> Any:
-    """Call rclpy's parameter service, or refuse a type that rclpy does not know, and would raise for."""
+    """Call rclpy's parameter service, or refuse a type that rclpy does not know, and would raise for.
+
+    Args:
+        callback: Of the service.
+        request: Names and values of parameters.
+        response: To be filled.
+    """
     for parameter in request.parameters:
         if parameter.value.type > ParameterType.PARAMETER_STRING_ARRAY:
             rule = f"type {parameter.value.type} is not one of rcl_interfaces/ParameterType"
@@ -116,7 +130,12 @@ def with_known_types(callback: Callable[..., Any], request: Any, response: Any) 
 
 
 def failed_response(arguments: tuple[Any, ...], reason: str) -> Any:
-    """Make the response of a service after an internal error, with the reason where it has a field for it."""
+    """Make the response of a service after an internal error.
+
+    Args:
+        arguments: The request and the response so far.
+        reason: Put into the response where it has a field for it.
+    """
     request, response = arguments
     refused = SetParametersResult(successful=False, reason=reason)
     if isinstance(request, SetParameters.Request):  # some may have been set before the error

@@ -5,8 +5,7 @@ A node implements four hooks, `_setup` and `_teardown` (configure, clean up) and
 deactivate). An error in `_setup` or `_start` refuses the transition and is logged in one line.
 
 Inputs follow the QoS of their publishers (see `FollowingSubscription`), outputs are published reliably. Outputs that are kept for
-late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). Subscribers with
-incompatible QoS are logged.
+late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters).
 """
 
 import inspect
@@ -17,7 +16,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar, cast
+from typing import Any, ClassVar, Final, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
@@ -42,6 +41,8 @@ from foretouch.topics import NAMESPACE
 _C = TypeVar("_C", bound="NodeConfig")
 REQUESTS = QoSProfile(depth=5000)
 """Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
+# Each event would take as long as a subscription in every wait of rclpy's executor.
+_NO_EVENTS: Final = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +72,9 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         try:
             self._settings = NodeSettings(self, cast("type[_C]", self.config_class), self._config_changed)
         except ForetouchError:
-            self._destroy()  # or the context would, through the hooks of a node that is incomplete
+            super().destroy_node()  # or the context would, through the hooks of a node that is incomplete
             raise
-        for service in self.services:  # those of parameters and of the lifecycle
+        for service in self.services:  # of parameters and of the lifecycle
             callback = service.callback
             if service.srv_type is ChangeState:
                 callback = partial(self._change_state, callback)
@@ -84,12 +85,10 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self.failure = ""  # why the node could not be configured or activated, or its thread has ended
         self._followed: dict[str, FollowingSubscription] = {}  # by topic
-        self._outputs: list[LifecyclePublisher] = []
-        self._incompatible: set[tuple[str, str]] = set()  # topics and the nodes that receive nothing from them
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._input_group = MutuallyExclusiveCallbackGroup()
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10, event_callbacks=_NO_EVENTS)
         self.every(self.config.diagnostics_period_s, self._publish_report)
         self.every(0.5, self._look)
 
@@ -142,19 +141,18 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions(overridden),
-            # Each event would take as long as a subscription in every wait of rclpy's executor.
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            event_callbacks=_NO_EVENTS,
         )
-        self._outputs.append(publisher)
-        self.closing.callback(self._withdraw, publisher)
+        self.closing.callback(self.destroy_lifecycle_publisher, publisher)
         return publisher
 
-    def _withdraw(self, publisher: LifecyclePublisher) -> None:
-        self._outputs.remove(publisher)
-        self.destroy_lifecycle_publisher(publisher)
-
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None]) -> FollowingSubscription:
-        """Subscribe until the node is cleaned up (see `FollowingSubscription`); callbacks of a node never run at the same time."""
+        """Subscribe until the node is cleaned up; callbacks of a node never run at the same time.
+
+        Args:
+            topic: What to subscribe to.
+            callback: Called with each message.
+        """
         guarded = self.internal_errors.guarded(topic.name, callback)
         subscription = FollowingSubscription(self, topic, guarded, self._input_group, self.statistics.lose)
         self._followed[topic.name] = subscription
@@ -180,7 +178,12 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.closing.callback(self.destroy_service, service)
 
     def every(self, period_s: float, callback: Callable[[], None]) -> Any:
-        """Make a timer, which goes on while the clock of a simulator stands."""
+        """Make a timer, which goes on while the clock of a simulator stands.
+
+        Args:
+            period_s: Between two calls [s].
+            callback: Errors are counted by its name.
+        """
         guarded = self.internal_errors.guarded(callback.__name__.strip("_"), callback)
         clock, group = Clock(clock_type=ClockType.STEADY_TIME), MutuallyExclusiveCallbackGroup()
         return self.create_timer(period_s, guarded, callback_group=group, clock=clock)
@@ -190,28 +193,13 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         for subscription in tuple(self._followed.values()):
             for line in subscription.follow():
                 self.get_logger().info(line)
-        self._look_for_incompatible_subscribers()
         self.look_for_second_graph()
-
-    def _look_for_incompatible_subscribers(self) -> None:
-        """Log subscribers that receive nothing, once each: they ask for reliable or latched messages where none are offered."""
-        for publisher in self._outputs:
-            offer, topic = publisher.qos_profile, publisher.topic_name
-            for end in self.get_subscriptions_info_by_topic(topic):
-                asked = end.qos_profile
-                unreliable = asked.reliability == ReliabilityPolicy.RELIABLE != offer.reliability
-                volatile = asked.durability == DurabilityPolicy.TRANSIENT_LOCAL != offer.durability
-                if (unreliable or volatile) and (topic, end.node_name) not in self._incompatible:
-                    self._incompatible.add((topic, end.node_name))
-                    policy = "reliability best_effort" if unreliable else "durability volatile"
-                    self.get_logger().warning(f"{topic}: {end.node_name} receives nothing: subscribe with {policy}")
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
-        conflicts = find_conflicts(self, self.exclusive_topics)
-        fresh = [text for text in conflicts if text not in self.conflicts]
-        self.conflicts = conflicts
-        self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
+        self.conflicts = find_conflicts(self, self.exclusive_topics)
+        fresh = [text for text in self.conflicts if text not in self.past_conflicts]
+        self.past_conflicts += fresh
         if fresh:
             cure = "end one, or set another namespace or ROS_DOMAIN_ID"
             where = self.get_namespace()
@@ -286,9 +274,6 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         """Stop and clean up, whatever the state."""
         self.stop()
         self._release()
-        self._destroy()
-
-    def _destroy(self) -> None:
         super().destroy_node()
 
     def _attempt(self, hook: Callable[[], None]) -> bool:

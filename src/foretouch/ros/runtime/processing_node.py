@@ -47,7 +47,13 @@ class Step:
         """Use other settings of the node."""
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Publish empty outputs with a status and a reason."""
+        """Publish empty outputs.
+
+        Args:
+            header: Of the cloud.
+            status: Of `foretouch_msgs/Status`, why they are empty.
+            reason: The same as text.
+        """
 
     def diagnose(self, report: Report) -> None:
         """Add to a report of the node."""

@@ -47,7 +47,12 @@ class Losses:
         self._numbered = False  # whether losses show in the numbers
 
     def arrived(self, info: Any, publishers: int) -> None:
-        """Count what is missing before a message, by what rclpy passes beside it and the number of publishers."""
+        """Count what is missing before a message.
+
+        Args:
+            info: What rclpy passes beside the message.
+            publishers: Number of publishers of the topic.
+        """
         gid, number = info.get("publisher_gid"), info.get("publication_sequence_number")
         self._numbered = number is not None and (gid is not None or publishers == 1)
         if not self._numbered:

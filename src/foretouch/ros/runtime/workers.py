@@ -14,7 +14,7 @@ _T = TypeVar("_T")
 
 
 class Worker(Generic[_T]):
-    """Calls a function with one item after the other in a thread of its own.
+    """Calls a function with one item after the other in one thread.
 
     Args:
         name: Of the thread.

@@ -14,9 +14,10 @@ from typing import Any, Final
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from foretouch.cloud.io.depth_messages import CameraInfos, decode_depth, info_topic
+from foretouch.cloud.messages import decode_cloud
 from foretouch.config import Settings, setting
 from foretouch.errors import CalibrationError, CloudError
-from foretouch.ros.messages.requests import RefusalError, read_cloud
+from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step
@@ -78,9 +79,9 @@ class CameraInput(Step):
             raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
         if allowed and frame not in allowed:
             raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame!r} is not one of {', '.join(allowed)}")
-        if isinstance(message, PointCloud2):
-            return read_cloud(message)
         try:
+            if isinstance(message, PointCloud2):
+                return decode_cloud(message)
             depth = decode_depth(message)
             camera = self._camera(frame, depth.shape)
             return Cloud.from_depth(depth, camera, frame_id=frame, stamp_ns=stamp_ns(message.header.stamp))

@@ -59,7 +59,13 @@ class GraspStep(Step):
         self._held = GraspHold(HOLD_TOLERANCE_M) if holds else None
 
     def plan(self, targets: Sequence[Object], header: Header, note: str) -> tuple[GraspArray, Sequence[GraspPlan]]:
-        """Plan on the targets, at least one (see `plan_targets`); `note` says how they were selected."""
+        """Plan grasps on all targets, and keep the best of the cloud before.
+
+        Args:
+            targets: At least one.
+            header: Of their cloud.
+            note: How they were selected.
+        """
         return plan_targets(self._pipeline, targets, header, note, self._held, self._margin)
 
     def publish(self, message: GraspArray) -> None:
@@ -79,7 +85,7 @@ def plan_targets(
     held: GraspHold | None = None,
     margin: float = 0.0,
 ) -> tuple[GraspArray, list[GraspPlan]]:
-    """Plan grasps on all targets; those of the first target come first, each with an id made of stamp, object and rank.
+    """Plan grasps on all targets, in their order; each gets an id made of stamp, object and rank.
 
     Args:
         pipeline: Plans.
@@ -90,8 +96,8 @@ def plan_targets(
         margin: Score by which another grasp must be better than one that is kept.
 
     Returns:
-        The message and the plans. The status is OK if any target has a grasp, else that of the first target; the reasons are of
-        all that have none.
+        The message and the plans. The status is OK if any target has a grasp, else the status of the first target. The reason
+        names all targets without a grasp.
     """
     plans = []
     for target in targets:

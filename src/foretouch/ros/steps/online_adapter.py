@@ -70,7 +70,7 @@ class OnlineAdapter:
         self._config = config
         self._now_ns = now_ns
         self._warn = warn
-        # Of what callbacks store; taken after that of the history, and never while the model works.
+        # Guards what callbacks store; taken after the lock of the history, and never while the model works.
         self._input_lock = threading.Lock()
         self._assembler = SampleAssembler(AssemblerConfig(pairing=settings.pairing, successes_only=True), reader)
         self._tare = LiveTare(reader.channels)
@@ -101,7 +101,7 @@ class OnlineAdapter:
             if self._assembler.readings.anomalies["clock_jump"] != jumps:
                 self._tare.reset()
             for reading in accepted:
-                self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
+                self._tare.update(reading.time_ns, reading.counts, time.monotonic())
                 self._others = reading.others
 
     def add_executed(self, message: ExecutedGrasp) -> None:
@@ -264,7 +264,7 @@ class OnlineAdapter:
         return Touch(usable(reading.values, reading.channels, self._valid), reading.channels)
 
     def _add_touch(self, assembled: AssembledSample, config: TouchSettings) -> None:
-        sample, cut = assembled.record.sample, assembled.cut
+        sample, cut = assembled.sample, assembled.cut
         assert cut is not None  # noqa: S101  samples without a touch are not asked for
         touch, tare = self._usable(cut.touch), self._usable(cut.tare) if config.use_tare else None
         try:

@@ -135,7 +135,7 @@ class Predictor:
 def _posed(
     rows: Predictions, turned: Bool, target: Object, config: TouchSettings, posing: GeoGraspConfig | None
 ) -> Predictions:
-    """Compute the orientations of the rows (K,) that are not turned; a row for which there is none is refused."""
+    """Compute the orientations of the rows (K,) that are not turned; a row without a possible orientation is refused."""
     missing = np.flatnonzero(~turned)
     try:
         axis = _axis(target, config, posing)

@@ -68,7 +68,7 @@ class SegmentationStep(Step):
         """Find the table and the objects; of equal ones, the target of the cloud before stays the target.
 
         Raises:
-            RefusalError: If a mask is wanted, and there is none that fits the cloud.
+            RefusalError: If a mask is wanted, and none fits the cloud.
         """
         mask = self._selection.mask(cloud)
         try:
@@ -82,7 +82,12 @@ class SegmentationStep(Step):
         return scene
 
     def publish(self, header: Header, scene: Scene) -> None:
-        """Publish a scene for those who subscribe."""
+        """Publish a scene for those who subscribe.
+
+        Args:
+            header: Of the cloud.
+            scene: Found in it.
+        """
         state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
         drawn = self._markers.get_subscription_count()
         if self._table.get_subscription_count() or drawn:

@@ -128,12 +128,12 @@ class Selection:
         return replace(scene, status="no_target", reason=f"{SELECTED}: object {self._id} is not seen", targets=())
 
     def _take(self, click: PointStamped, scene: Scene) -> None:
-        """Select the object at a clicked point, or report why there is none."""
+        """Select the object at a clicked point, or report why none is selected."""
         try:
             frame = click.header.frame_id
             if frame != scene.cloud.frame_id:
                 raise CloudError(
-                    f"frame {frame!r} is not that of the clouds, {scene.cloud.frame_id!r}; set RViz's fixed frame to it"
+                    f"frame {frame!r} is not the frame of the clouds, {scene.cloud.frame_id!r}; set RViz's fixed frame to it"
                 )
             age_s = self._node.age_s(stamp_ns(click.header.stamp))
             if stamp_ns(click.header.stamp) and age_s > self._node.config.click_age_s:

@@ -60,7 +60,7 @@ class TouchStep(Step):
         self.latest: Targets | None = None
         self.adapter: OnlineAdapter | None = None
         self._keeper: HistoryKeeper | None = None
-        self._other_hand = ""  # why readings of the hand are not those of the model's sensor
+        self._other_hand = ""  # why the model's sensor is not the sensor of the hand
         self._used_tare = config.use_tare
         self.predictor = Predictor(config.model, config.fallback_model)
         if self.predictor.fault:
@@ -94,11 +94,23 @@ class TouchStep(Step):
         return self._end(answer)
 
     def answer(self, targets: Targets, requested: RequestedGrasps, posing: GeoGraspConfig | None = None) -> TouchAnswer:
-        """Predict for requested grasps (see `Predictor.answer`)."""
+        """Predict for requested grasps.
+
+        Args:
+            targets: The objects.
+            requested: The grasps.
+            posing: Settings to compute missing orientations with; None refuses such grasps.
+        """
         return self._end(self.predictor.answer(targets, requested, self._node.config, posing))
 
     def publish(self, answer: TouchAnswer, grasps: GraspArray, targets: Targets) -> None:
-        """Publish the answer to planned grasps."""
+        """Publish the answer to planned grasps.
+
+        Args:
+            answer: The predictions.
+            grasps: The message of the grasps.
+            targets: The objects of their cloud.
+        """
         answer.flags += tuple(flag for flag in (AMBIGUOUS_TARGET, SELECTED) if grasps.reason.startswith(flag))
         self._touch.publish(answer.message)
         if self.adapter is not None:
@@ -111,7 +123,12 @@ class TouchStep(Step):
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
 
     def add_requested(self, targets: Targets, grasps: Sequence[Any]) -> None:
-        """Keep grasps of a request, which may be executed."""
+        """Keep grasps of a request, which may be executed.
+
+        Args:
+            targets: The objects of the cloud.
+            grasps: On them, as messages or not.
+        """
         if self.adapter is not None:
             self.adapter.add_grasps(targets, grasps, requested=True)
 

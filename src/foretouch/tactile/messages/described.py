@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readings of any sensor that has a description, by the field paths in it; no code of its own is needed for a message type.
+"""Readings of any sensor that has a description, by the field paths in it; a message type needs no code.
 
 In a reading for a touch, a taxel that is not valid has the mean of the nearest valid ones, as a dead pixel of a camera has; a
 finger of which half or more are not valid was not read.
@@ -22,7 +22,7 @@ _FLOAT32 = float(np.finfo(np.float32).max)
 
 
 def make_reader(config: TactileConfig) -> TactileReader:
-    """Return the decoder of the sensor that is described, for the chosen fingers (raises as `SensorReader`, see `_require_noise`)."""
+    """Return the decoder of the sensor that is described, for the chosen fingers; a `ConfigError` for an unknown finger, or a channel without noise and range."""
     sensor = config.described
     _require_noise(sensor)
     names = [scalar.name for scalar in sensor.config.scalars if not scalar.predicted]
@@ -105,7 +105,7 @@ class SensorReader:
                 self.sensor.layout.fill(sent[row], usable)
         counts = np.concatenate([touched.T.ravel(), sent[..., self._predicted_values].transpose(2, 0, 1).ravel()])
         reasons = {reason: count for reason, count in invalid.items() if count}
-        return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), reasons)
+        return TactileReading(stamp, counts, numbers[:, ~self._predicted_scalars].ravel(), invalid=reasons)
 
     def _stamp_ns(self, message: Any) -> int | None:
         if not self._stamp.text:

@@ -47,19 +47,19 @@ class TactileConfig(Settings, read_only=True):
 
     @cached_property
     def described(self) -> Sensor:
-        """The sensor (raises as `load_sensor`)."""
+        """The sensor; a `ConfigError` if its description is absent or breaks a rule."""
         if not self.sensor:
             return BIOTAC_SP
         return require_two(load_sensor(self.sensor))
 
     @property
     def message_type(self) -> str:
-        """Type of the messages: that of the sensor's description, if it is named."""
+        """Type of the messages; if a sensor is named, its description states it."""
         return self.described.config.source.type if self.sensor else self.type
 
     @property
     def fingers(self) -> tuple[str, str]:
-        """Names of the fingers at g1 and g2 in the messages (raises as `described`)."""
+        """Names of the fingers at g1 and g2 in the messages; a `ConfigError` for a faulty description."""
         if self.sensor:
             thumb, middle = self.described.channels.fingers
         else:
@@ -69,12 +69,18 @@ class TactileConfig(Settings, read_only=True):
 
 @dataclass(frozen=True, eq=False)
 class TactileReading:
-    """The content of one tactile message."""
+    """One reading of the fingers, as a tactile message holds it."""
 
     stamp_ns: int | None  # stamp of its header [ns]; None where the type has none
     counts: Float32  # (D,) float32 in the order of the sensor's channels; NaN of a finger that was not read
     others: Float32  # (K,) float32, in the order of `TactileReader.others`
+    received_ns: int = 0  # when the message was received, by the clock of the stamps [ns]
     invalid: Mapping[str, int] = field(default_factory=dict)  # taxels that are not valid, by reason
+
+    @property
+    def time_ns(self) -> int:
+        """The stamp, or the time of reception where the type has none [ns]."""
+        return self.received_ns if self.stamp_ns is None else self.stamp_ns
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Table:
 
 
 def require_data(_settings: Any, source: Path | None, _out: Path) -> Path:
-    """Return the given data, or raise a `ConfigError` if there are none: the default `prepare`."""
+    """Return the given data, or raise a `ConfigError` if no data are given: the default `prepare`."""
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
     return source

@@ -173,7 +173,8 @@ def write_summary(
         if table.rows:
             header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
             lines += [*(f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]), ""]
-        lines += [*(f"- {note}" for note in table.notes), *[""] * bool(table.notes)]
+        if table.notes:
+            lines += [*(f"- {note}" for note in table.notes), ""]
     write_text(file, "\n".join(lines[:-1]) + "\n")
 
 
@@ -190,7 +191,7 @@ def origin_of(manifest: Mapping[str, Any], experiment: Experiment) -> list[str]:
 
 
 def _command(manifest: Mapping[str, Any], experiment: Experiment) -> str:
-    """Return the command of a sweep with the settings that differ from those of its preset."""
+    """Return the command of a sweep with the settings that differ from its preset."""
     preset = manifest["preset"]
     base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
     usual = flattened(json.loads(json.dumps(base.to_mapping())))

@@ -156,7 +156,7 @@ def _cells(experiment: Experiment, settings: Settings, data: Any) -> list[Cell]:
 
 
 def run_cell(experiment: str, settings: str, data: str, sha256: str, cell: Cell) -> tuple[list[Row], float]:
-    """Return rows of one cell, and their processor time without that of reading the data, which the process keeps [s].
+    """Return rows of one cell, and their processor time without the time of reading the data, which the process keeps [s].
 
     Args:
         experiment: Its module and name, as `find_experiment` takes them.

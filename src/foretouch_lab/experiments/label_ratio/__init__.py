@@ -130,7 +130,7 @@ def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
 
 
 def _rows_of(settings: LabelRatioSettings, rows: Sequence[Row], name: str) -> list[Row]:
-    """Return rows of trees and PointNet, and those of the SR-GAN that are of the trial `name`."""
+    """Return rows of trees and PointNet, and rows of the SR-GAN in the trial `name`."""
     return [
         row
         for row in rows
@@ -139,7 +139,7 @@ def _rows_of(settings: LabelRatioSettings, rows: Sequence[Row], name: str) -> li
     ]
 
 
-# The trials are changes of this recipe. `bfloat16` is that of the search for winning points alone.
+# The trials are changes of this recipe. `bfloat16` is the precision of the search for winning points alone.
 _RECIPE: Final = {"optimiser": "adamw", "precision": "bfloat16"}
 
 # P2's network and batches of its SR-GAN on all 750 points.

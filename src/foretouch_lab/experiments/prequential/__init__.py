@@ -9,8 +9,8 @@ other objects; where these are of fewer than two objects, it is their mean. It p
 by a fit without that object, as the tracker compares readings with predictions. The parameters of the tracker, its slopes
 over the temperature among them, are fitted without the object of the run, from earlier and later readings of all others.
 
-The temperature before a grasp is that of its tare. Recordings without tares hold the temperature in contact only, which
-stands for it; `last temperature` takes that of the grasp before.
+The temperature before a grasp is its tare's. Recordings without tares hold the temperature in contact only, which
+stands for it; `last temperature` takes the temperature of the grasp before.
 """
 
 from collections.abc import Sequence
@@ -99,7 +99,7 @@ def recording_without(samples: Sequence[Sample], target: str, fit: Baseline) -> 
 
 
 def _predicted(samples: Sequence[Sample], train: Any, tested: Any, fit: Baseline) -> Float64:
-    """Return (T, 50) predictions of the samples of a mask, by a fit to those of another one."""
+    """Return (T, 50) predictions of the samples of a mask, by a fit to the samples of another one."""
     known, asked = (list(compress(samples, mask)) for mask in (train, tested))
     return fit(known, labels_of(known), asked, _SEED)
 

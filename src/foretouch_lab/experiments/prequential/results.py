@@ -87,7 +87,7 @@ def score_sources(by_predictor: Mapping[str, Sequence[Row]], config: BootstrapCo
     """Return rows of `results.csv`.
 
     Args:
-        by_predictor: By name of a predictor by vision, the rows of its cells; those of a predictor that lacks a run are left out.
+        by_predictor: By name of a predictor by vision, the rows of its cells; a predictor that lacks a run is left out.
         config: Configuration of the bootstrap.
     """
     scored = {name: _joined(rows) for name, rows in by_predictor.items() if len(rows) == rows[0]["runs"]}
@@ -111,6 +111,11 @@ def predict_run(
     shown: TimedReadings, tracker: TrackerParameters, ending: TrackerParameters
 ) -> dict[str, dict[str, Float64]]:
     """Return predictions of the last run of a recording from each of the sources, and half widths of those with intervals.
+
+    Args:
+        shown: The readings of the recording, in order of time.
+        tracker: Parameters that were fitted to other objects.
+        ending: The same of a tracker that ends with its object.
 
     Returns:
         `counts` and `half`, both by sources, (S, 50) [counts].
@@ -246,8 +251,8 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
 
 
 def _with_lines(rows: Rows) -> list[Row]:
-    """Return rows with the name of their `line` in tables and figure, those of each of the sources together."""
-    named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
+    """Return rows with the name of their `line` in tables and figure, rows of one source together."""
+    named = [{**row, "line": row["sources"] + ("" if row["vision"] == CONSTANT else " + vision")} for row in rows]
     return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
 
 

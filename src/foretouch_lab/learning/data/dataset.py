@@ -42,7 +42,7 @@ class Dataset:
     Attributes:
         name: Name of the file or folder.
         samples: In order; without those that the operator discarded. The clouds of a store are read as they are used.
-        sha256: Hash over the samples in order: that of the training store they make.
+        sha256: Hash over the samples in order, equal to the hash of the training store they make.
         splits: The parts of each kind of split.
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
@@ -175,8 +175,8 @@ def load_dataset(path: str | Path) -> Dataset:
     store = Store(path) if opened.kind == "store" else None
     samples: list[Sample] = []
     content = hashlib.sha256()  # as `content_sha256`, in the same pass
-    for read in (record.sample for record in opened.records()) if store is None else store:
-        sample = only_finite(read)
+    for read in opened if store is None else store:
+        sample = replace(only_finite(read), series=None, candidates=())  # which nothing trains on
         content.update(sample_digest(sample))
         samples.append(sample if store is None else LazySample.of(sample, store, len(samples)))
     public = opened.kind == "vision2tactile"

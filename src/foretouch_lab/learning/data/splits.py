@@ -83,7 +83,7 @@ def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
 
 
 def read_splits(path: str | Path) -> DatasetSplits:
-    """Read the splits of a dataset, or those of a `splits.json`.
+    """Read the splits of a dataset, or of a `splits.json`.
 
     Raises:
         FileError: If there is no such file, it is damaged or of another version, or an id is in two parts.
@@ -96,7 +96,8 @@ def read_splits(path: str | Path) -> DatasetSplits:
 def parse_splits(text: bytes, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     """Parse the text of a `splits.json`; raises `FileError`, which names `file`, as `read_splits`."""
     content = require_schema(file, json_in(file, text), dict)
-    if (version := content.get("schema_version")) != _VERSION:
+    version = content.get("schema_version")
+    if version != _VERSION:
         raise FileError(file, f"{shown(version)} is not {_VERSION}", field="schema_version")
     require_schema(file, content, {"splits": dict, "omitted?": dict})
     kinds, omitted = content["splits"], content.get("omitted", {})

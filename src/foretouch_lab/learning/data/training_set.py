@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples prepared once for a network; the points of each cloud are drawn again for every batch.
 
-Prepared clouds are on the disk: those of a large dataset exceed memory, and an epoch uses them in any order.
+Prepared clouds are on the disk: clouds of a large dataset exceed memory, and an epoch uses them in any order.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class TrainingSet:
         return len(self.clouds)
 
     def points(self, index: Integer, rng: np.random.Generator, n_points: int | None = None) -> Float32:
-        """Return (B, n, C) float32: points of the chosen clouds, drawn by `rng`; n is by default that of the configuration."""
+        """Return (B, n, C) float32: points of the chosen clouds, drawn by `rng`; n is by default the configuration's."""
         count = self.config.n_points if n_points is None else n_points
         chosen = [self.clouds[i] for i in index]
         return np.stack([c[sample_indices(len(c), count, rng)] for c in chosen])
@@ -136,7 +136,7 @@ def labels_of(samples: Sequence[Sample]) -> Float64:
 
 
 def channels_of(samples: Sequence[Sample]) -> Channels:
-    """Return the channels of the touches of labelled samples; a `TactileError` names one of another sensor, a `DatasetError` if there is none."""
+    """Return the channels of the touches of labelled samples; a `TactileError` names one of another sensor, a `DatasetError` if none is labelled."""
     touches = [(sample.id, sample.touch) for sample in samples if sample.touch is not None]
     if not touches:
         raise DatasetError("no sample is labelled")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors and skill of predictions by modality, with confidence intervals and comparisons by bootstrap over objects.
 
-An error in counts means little by itself: P1's published errors are larger than those of the mean of the
+An error in counts means little by itself: P1's published errors are larger than the errors of the mean of the
 training labels on the same data. `skill` compares with that mean: 0 equals it, 1 is perfect.
 
 Grasps of one object are correlated (one shape, one session), so objects are resampled, not grasps: a cluster
@@ -67,7 +67,7 @@ def score(
         reference: (S, D) mean of the training labels of each sample's model [counts].
         ranges: Ranges for `nrmse`, and the channels.
         modalities: Modalities to score, by default all; the other columns must be finite, too.
-        valid: (D,) values to score, such as those of taxels that are not dead; by default all.
+        valid: (D,) values to score, such as all values of working taxels; by default all.
 
     Raises:
         DatasetError: If there is no sample, a value is not finite, or the training mean is exact, which leaves the skill
@@ -147,7 +147,15 @@ class ObjectErrors:
     def of_predictions(
         cls, objects: Sequence[str], predicted: Float64, labels: Float64, reference: Float64, channels: Channels
     ) -> Self:
-        """Sum the squared errors of predictions by object; the arguments are those of `error_rows`."""
+        """Sum the squared errors of predictions by object.
+
+        Args:
+            objects: (S,) label of each sample.
+            predicted: (S, D) predictions [counts].
+            labels: (S, D) readings [counts].
+            reference: (D,) or (S, D) predictions that have skill 0 [counts].
+            channels: What the D values are.
+        """
         return cls.of_rows(error_rows(objects, predicted, labels, reference), channels)
 
     def only(self, name: str) -> Self:
@@ -209,7 +217,7 @@ def skills(errors: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str
 
 
 def compare(errors: ObjectErrors, other: ObjectErrors, config: BootstrapConfig = _DEFAULT) -> dict[str, ScoreEstimate]:
-    """Return the skill of `one` minus that of `other`, by modality and `MEAN`, in the same draws.
+    """Return the skill of `one` minus the skill of `other`, by modality and `MEAN`, in the same draws.
 
     Raises:
         DatasetError: If they were not tested on the same grasps against the same training means.

@@ -9,7 +9,7 @@ In evaluation each batch norm is an affine map that `foretouch.models.network.fo
 
 The last shared layer takes most of the time, 128 to 1024 values at each of 750 points, and the maximum discards all but
 one value of each feature. In training the winning points are therefore searched without a graph, and each feature is
-computed once more at its winner, with a graph. Value and gradient equal those of the plain computation except for
+computed once more at its winner, with a graph. Value and gradient equal the plain computation's except for
 rounding; the gradient costs F products a cloud instead of F N. Batch norm in training allows that, since its statistics
 follow from mean and covariance of the inputs (`batch_affine`).
 
@@ -80,7 +80,7 @@ def _update_statistics(norm: nn.BatchNorm1d, mean: Tensor, variance: Tensor, cou
 def winners(x: Tensor, weight: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
     """Return (B, F) int64: the point with the largest x Wᵀ, of (B, N, K) points and (F, K) weights.
 
-    `precision` is that of the search, if it is lower than that of `x`: a point that wins by less than the rounding may then
+    `precision` is the precision of the search, if it is lower than the precision of `x`: a point that wins by less than the rounding may then
     lose to a near equal one.
     """
     if precision.itemsize < x.dtype.itemsize:
@@ -150,7 +150,7 @@ def pool(layers: nn.Sequential, points: Tensor, precision: torch.dtype = torch.f
     Args:
         layers: At least one.
         points: The clouds.
-        precision: Of the search for the winners; see `winners`. Values and gradients are those of the selected points.
+        precision: Of the search for the winners; see `winners`. Values and gradients belong to the selected points.
     """
     last = layers[-1]
     hidden: Tensor = layers[:-1](points)

@@ -32,7 +32,7 @@ COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
 _PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors of different values are uncorrelated
 _LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: no object's lasting error is exactly zero
-_LEAST_DEVIATION: Final = 12.0**-0.5  # of errors and half widths, in units of the resolution: that of rounding
+_LEAST_DEVIATION: Final = 12.0**-0.5  # of errors and half widths, in units of the resolution: of rounding
 _MOST_SHARE: Final = 1.0  # of W that B's diagonal has at most, for the scalars of new objects
 _REST: Final = {1: 0.01, -1: 0.95, 0: 0.5}  # quantiles of the labels, by what contact does to a value
 

@@ -8,7 +8,7 @@ as the jackknife over objects shows [Efron and Stein 1981]: λ · max(0, 1 - var
 
 Objects differ in more than their shape shows, and a training set of a few objects confounds the two. The kernel is
 fitted beside an effect of each object, as in a mixed model [Rasmussen and Williams 2006, section 2.7]: K + ρ [same
-object] + ridge I. What an object has of its own is then not taken for a consequence of its shape, and the effect of an
+object] + ridge I. What is special to an object is then not taken for a consequence of its shape, and the effect of an
 unknown object is zero.
 """
 
@@ -38,7 +38,7 @@ from foretouch_lab.learning.training.calibration import calibrate_on_folds, rest
 DECAY: Final = 2.0
 """Of the kernel, over the mean distance per standardised feature."""
 
-_OBJECT_EFFECT: Final = 1.0  # variance of what is an object's own, beside its shape, over that of the kernel
+_OBJECT_EFFECT: Final = 1.0  # variance of what is an object's own, beside its shape, over the variance of the kernel
 _RIDGES: Final = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # candidates for the ratio of noise to signal
 
 
@@ -136,7 +136,7 @@ def describe_samples(samples: Sequence[Sample]) -> Float64:
 
 
 def describe_objects(samples: Sequence[Sample]) -> Float64:
-    """Return (S, 8) float64 `object_sizes` of each sample's cloud; raises as `describe_samples`."""
+    """Return (S, 8) float64 `object_sizes` of each sample's cloud; a `DatasetError` names a sample that cannot be described."""
     return np.array([_of(sample, lambda shown: object_sizes(shown.cloud.xyz)) for sample in samples])
 
 
@@ -161,7 +161,7 @@ def describe_thinned(samples: Sequence[Sample], config: ContactTrainingConfig) -
 
 
 def ranges_of(config: ContactTrainingConfig, channels: Channels) -> Ranges:
-    """Return ranges of the values of a sensor: of the BioTac SP those of the settings, of others those of its description."""
+    """Return ranges of the values of a sensor: for the BioTac SP from the settings, for others from the description."""
     return config.ranges.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
 
 
@@ -182,7 +182,7 @@ def fit_contact(
         config: Settings.
         thinned: (S, F) of the same grasps on thinned clouds. Forests are fitted to both, with twice the samples in a
             leaf.
-        ranges: Of the sensor; by default those of the settings, of the BioTac SP.
+        ranges: Of the sensor; by default the ranges of the BioTac SP in the settings.
 
     Raises:
         DatasetError: If there are fewer than five samples or more than `MOST_SAMPLES`, or a tared value of the labels is constant.
@@ -201,7 +201,8 @@ def fit_contact(
     noisy = channels.by_modality(
         [channel.noise > 0.0 for channel in channels.channel_of.values()]
     )  # and so never the same
-    if (constant := same & (noisy | same.all())).any():
+    constant = same & (noisy | same.all())
+    if constant.any():
         raise DatasetError(f"contact model: value {int(np.argmax(constant))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     inputs = rows[:, len(CONDITIONS) :]

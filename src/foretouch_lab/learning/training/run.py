@@ -50,7 +50,7 @@ def train_run(
         workers: Processes for cross-validation and calibration; the result does not depend on it.
 
     Returns:
-        Path of the model's card. Killed at any time and resumed, the weights are those of an uninterrupted run.
+        Path of the model's card. Killed at any time and resumed, it writes the weights of an uninterrupted run.
 
     Raises:
         FileError: If `out` holds a run and `resume` is off, its state is damaged or of another architecture, or it
@@ -62,7 +62,7 @@ def train_run(
     own = re.sub(r"[^A-Za-z0-9._-]+", "_", out.resolve().name).lstrip(".")[:100]
     config = config.replace(name=config.name or own or "model")
     if f"{config.name}.safetensors" == STATE_FILE:
-        raise ConfigError(f"name: {config.name!r} is that of the training's own file; give name=NAME")
+        raise ConfigError(f"name: {config.name!r} is the name of the training's own file; give name=NAME")
     learner = make_learner(config, data)
     folder = RunFolder(out, report)
     # The path of a dataset is no part of its identity.
@@ -124,7 +124,7 @@ def compare_splits(
     predictors = {MODEL: learner.predict_fold}
     predictors |= {name: partial(predict_part, baseline, samples, seed) for name, baseline in BASELINES.items()}
     for split in splits:
-        condition = {"time": "known", "object": "new"}.get(split)  # whose folds are those of the calibration
+        condition = {"time": "known", "object": "new"}.get(split)  # whose folds the calibration uses
         folds = calibration_folds(samples, seed)[condition][0] if condition else make_folds(samples, split, seed)
         predicted = predict_folds({name: (predictor, folds) for name, predictor in predictors.items()}, workers)
         reference, valid = predicted[training_mean.__name__], learner.sensor.valid_values
@@ -161,7 +161,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples),
             "sample_hashes": "".join(sorted(data.hashes(learner.split.train))),
             **{key: value for key, value in data.origin.items() if key != "limits"},
-            "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",
+            "recipe": f"foretouch train {config.name} data={data.name}{' release=true' if config.release else ''}",
         },
         "split": {"name": config.split, **{part: len(getattr(learner.split, part)) for part in _PARTS}},
         "limits": ["Bounds are null: the model was trained with calibrate=false."],

@@ -111,7 +111,7 @@ class RunFolder:
         write_text(file, dump_yaml(resolved))
 
     def store(self, trainer: Trainer, record: dict[str, Any]) -> None:
-        """Replace the state by that of a trainer after an epoch, and report the record of the epoch."""
+        """Replace the state by a trainer's after an epoch, and report the record of the epoch."""
         self._log.append(record)
         tensors, plain = trainer.snapshot()
         write_state(self.path / STATE_FILE, tensors, {**plain, "log": self._log})

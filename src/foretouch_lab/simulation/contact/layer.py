@@ -59,7 +59,7 @@ _layer_descent = Kernel("layer_descent")
 
 
 def _layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
-    """M(t) of a bonded layer: its compliance over that of a half-space, for t = q h at least 0."""
+    """M(t) of a bonded layer: its compliance over the compliance of a half-space, for t = q h at least 0."""
     t = np.asarray(t, np.float64)
     decay = np.exp(-2.0 * t)  # numerator and denominator times 2 exp(-2t): no overflow at large t
     a = 3.0 - 4.0 * poisson

@@ -146,7 +146,7 @@ def gap_field(depth: Float64, object_height: Float64) -> Float64:
 
     Args:
         depth: (N, N) of `pad_depth` [m].
-        object_height: (N, N) [m], the object's surface above the tangent plane, towards the pad; -inf where there is none.
+        object_height: (N, N) [m], the object's surface above the tangent plane, towards the pad; -inf without a surface.
 
     Raises:
         ContactError: If the two share no cell.

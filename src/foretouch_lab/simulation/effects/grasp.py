@@ -169,7 +169,7 @@ def _first_touch(job: Job, state: SampleState) -> None:
     """Close each finger along its approach until skin and object meet.
 
     They meet where their normals are opposite, which on a slope is beside the place that the hand aimed with.
-    The contact is solved in the tangent plane there; that of an array of taxels in the plane of its middle, over the whole
+    The contact is solved in the tangent plane there; the contact of an array of taxels in the plane of its middle, over the whole
     pad, which turns towards the surface. A slope outside of the friction cone lets the finger slip.
     """
     pad_config, item, array = pad_of(job), job.item, job.world.array
@@ -236,7 +236,7 @@ def pad_of(job: Job) -> PadConfig:
 
 
 def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:
-    """Return (N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
+    """Return (N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf without a surface."""
     starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
     return body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t.reshape(window.x.shape) - _BACK_M
 

@@ -190,7 +190,7 @@ def _sphere_directions() -> Float64:
 
 
 def _rounded_box(edge_radius: float, cells: int = 6) -> TriangleMesh:
-    """Return a unit cube, its edges and corners rounded, with so many cells across the flat part of a face."""
+    """Return a unit cube, its edges and corners rounded, with a number of cells across the flat part of a face."""
     inner = 0.5 - edge_radius
     # Equal angles on the rounding: tan spaces the grid so that normals turn by equal steps.
     bend = inner + edge_radius * np.tan(np.linspace(0.0, np.pi / 4.0, _ROUNDING + 1)[1:])

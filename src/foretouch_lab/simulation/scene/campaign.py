@@ -20,7 +20,7 @@ SLOPE_SPREAD: Final = 0.15  # standard deviation of these slopes between electro
 # Sessions differ by more than the recorded ones (.65 K); the cooling in contact is within the differences of TDC between grasps.
 SESSION_KELVIN: Final = 1.0  # standard deviation of the temperature at power-on between sessions
 FINGER_KELVIN: Final = 0.2  # the same of each finger on its own
-OBJECT_KELVIN: Final = (-3.0, 0.0)  # temperature of an object minus that of the fingers, low and high
+OBJECT_KELVIN: Final = (-3.0, 0.0)  # temperature of an object minus the fingers', low and high
 
 CHANGE_S: Final = (60.0, 300.0)  # in addition where the object is changed, low and high
 

@@ -39,7 +39,7 @@ class TimelineConfig(Settings, read_only=True):
 
 @dataclass(frozen=True, kw_only=True)
 class DeadConfig(Settings):
-    """Electrodes that have failed and read 0; the numbers are those of the layout, 1 to 24."""
+    """Electrodes that have failed and read 0; numbered as in the layout, 1 to 24."""
 
     thumb: tuple[int, ...] = setting((), "Dead electrodes of the thumb", bounds=(1, 24))
     middle: tuple[int, ...] = setting((), "Dead electrodes of the middle finger", bounds=(1, 24))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene read from YAML: objects, camera, fingers, grasps. A group that is absent switches its effect off.
 
-Its hash is that of all settings, defaults included, and of constants that decide samples as settings do. The hash of
+Its hash covers all settings, defaults included, and constants that decide samples as settings do. The hash of
 `config/scenes/deformables.yaml` is frozen (`deformables.sha256`): results name the scene by it.
 """
 

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One grasp of a dataset, with its cloud and the readings around it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+import numpy as np
+
+from foretouch.errors import DatasetError
+from foretouch.types.arrays import AnyArray, Float32, Int64, UInt8
+from foretouch.types.cloud import NO_CLOUD, Cloud
+from foretouch.types.grasps import NO_GRASP, Grasp
+from foretouch.types.predictions import Touch
+
+REST: Final = 0
+APPROACH: Final = 1
+HOLD: Final = 2
+
+DISCARDED: Final = "discarded"
+"""Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out."""
+
+Outcome = Literal["unknown", "success", "failure"]
+
+
+@dataclass(frozen=True, eq=False)
+class TouchSeries:
+    """The readings around one grasp, in the order of their stamps.
+
+    Raises:
+        DatasetError: If the shape of an array is wrong.
+    """
+
+    stamps_ns: Int64  # (T,) int64, from the sensor's headers [ns]; equal stamps are kept
+    counts: Float32  # (T, D) float32, each as `Touch.values`
+    phases: UInt8  # (T,) uint8: REST, APPROACH or HOLD
+    others: Mapping[str, Float32] = field(default_factory=dict)  # such as `PAC0_TH`: (T,) float32 each
+
+    def __post_init__(self) -> None:
+        length = len(self.stamps_ns)
+        arrays: dict[str, AnyArray] = {"counts": self.counts, "phases": self.phases}
+        arrays |= {f"others.{name}": values for name, values in self.others.items()}
+        for name, array in arrays.items():
+            shape = (length, *array.shape[1:2]) if name == "counts" else (length,)
+            if array.shape != shape or array.ndim != 1 + (name == "counts"):
+                raise DatasetError(f"series.{name}: shape {array.shape} is not {shape}")
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>), and what was recorded with it.
+
+    It is labelled if it has a touch. Without, its grasp is the best planned one.
+
+    Raises:
+        DatasetError: If the series is not of the sensor of the touch.
+    """
+
+    id: str  # `<object>/<source id>`; if it is "", the writer assigns `<object>/<number>`
+    object: str  # label of the object
+    # By factories, since subclasses read their cloud when it is asked for, and must not find a default in the class.
+    cloud: Cloud = field(default_factory=lambda: NO_CLOUD)  # the object's cloud on which the grasp was planned
+    grasp: Grasp = field(default_factory=lambda: NO_GRASP)
+    touch: Touch | None = None  # reading in contact; None for an unlabelled sample
+    tare: Touch | None = None  # reading without contact; None without one
+    stamp_ns: int = 0  # time of recording [ns]
+    extra: Mapping[str, float] = field(default_factory=dict)  # further values of the source, by name
+    candidates: tuple[Grasp, ...] = ()  # the other grasps planned on the same cloud
+    outcome: Outcome = "unknown"  # the operator's verdict
+    note: str = ""  # the operator's remark
+    series: TouchSeries | None = None  # the readings around the grasp
+    contact_ns: int | None = None  # stamp of the first contact [ns]
+    detector: str = ""  # description of the method that detected the contact
+    pairing_error_ns: int | None = None  # widest gap between the requested interval and the readings found [ns]
+    flags: tuple[str, ...] = ()  # such as `arrival_stamped`
+
+    def __post_init__(self) -> None:
+        if self.series is not None and self.touch is not None:
+            shape = (len(self.series.stamps_ns), self.touch.channels.size)
+            if self.series.counts.shape != shape:
+                raise DatasetError(f"series.counts: shape {self.series.counts.shape} is not {shape}")
+
+    @property
+    def readings(self) -> TouchSeries | None:
+        """The series; without one the touch as the only reading, and None without a touch."""
+        if self.series is not None or self.touch is None:
+            return self.series
+        others = {name: np.array([value], np.float32) for name, value in self.extra.items()}
+        counts = self.touch.values[None].astype(np.float32)
+        return TouchSeries(np.array([self.stamp_ns]), counts, np.array([HOLD], np.uint8), others)
