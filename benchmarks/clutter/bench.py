@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.clutter import frontier, lccp, models, physics, piles, whole
+from benchmarks.clutter import frontier, lccp, models, physics, piles, rooms, whole
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
 from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
@@ -88,7 +88,7 @@ def pieces(name: str, scenes: Sequence[LabelledCloud]) -> dict[str, Any]:
 
 def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
     """A folder of scenes that are made once for each version of what makes them."""
-    sources = [Path(module.__file__ or "").read_bytes() for module in (piles, models, physics)]
+    sources = [Path(module.__file__ or "").read_bytes() for module in (piles, rooms, models, physics)]
     name = hashlib.sha256(b"".join([*sources, repr(identity).encode()])).hexdigest()[:16]
     folder = cache_folder() / f"{kind}-{name}"
     if not folder.is_dir():
@@ -103,6 +103,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="more folders of labelled scenes")
     parser.add_argument("--count", type=int, default=200, help="number of piles")
+    parser.add_argument("--rooms", type=int, default=84, help="number of rooms")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
     parser.add_argument("--frontier", action="store_true", help="F against time over settings of the splitting instead")
     parser.add_argument("--every", type=int, default=1, help="use every N-th scene of each set")
@@ -131,7 +132,11 @@ def main() -> None:
         alone.append(pieces("recorded", list(recorded_objects(data / "vision2tactile"))))
     images = data / "real_scenes" if data is not None else None
     views = whole.rows(list(load_scenes(images))) if images is not None and images.is_dir() else []
-    for more in (alone, views):
+    of_rooms = made(
+        "rooms", lambda out: rooms.write_rooms(out, options.rooms, options.seed, data), options.rooms, *identity
+    )
+    in_rooms = whole.kinds(islice(load_scenes(of_rooms), 0, None, options.every))
+    for more in (alone, views, in_rooms):
         print()
         print_rows(more)
     if options.write:

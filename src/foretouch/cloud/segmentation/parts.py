@@ -85,6 +85,7 @@ def split_clusters(
     threshold: HeightThreshold,
     pitch: float,
     config: SplitConfig,
+    reasons: Int64,
     write: WritePoints | None = None,
 ) -> tuple[list[Clusters], dict[str, int]]:
     """Split clusters of an image into parts.
@@ -95,6 +96,7 @@ def split_clusters(
         threshold: Height threshold above the table, with the noise of the depth.
         pitch: Lateral distance of neighbouring pixels per depth.
         config: Settings.
+        reasons: Why each label of the windows, counted on from one to the next, is background; 0 for what stands on the table.
         write: Writes points between the windows into `xyz`; None if all are there.
 
     Returns:
@@ -107,10 +109,11 @@ def split_clusters(
     view, (h, w) = xyz[window.rows :, window.columns :], window.labels.shape
     first = xyz.reshape(-1, 3)[window.rows * xyz.shape[1] + window.columns :]
     coarse = np.s_[::_STRIDE, ::_STRIDE]
-    depths = view[:h, :w, 2][coarse][window.solid[coarse]]
+    solid = window.solid[coarse]
+    depths, standing = view[:h, :w, 2][coarse][solid], reasons[window.labels[coarse][solid]] == 0
     if not len(depths):
         return list(windows), counts
-    depth = median(depths)
+    depth = median(depths[standing] if standing.any() else depths)
     side = pitch * depth  # of a pixel [m]
     arm, numbers = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
@@ -162,7 +165,8 @@ def split_list(
     image = np.where(shown[..., None] >= 0, points[shown], np.float32(np.nan))
     labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
     wide = config.updated({"cell_m": max(config.cell_m, _LIST_CELL_M)})
-    split, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, wide)
+    whole = Clusters(labels, labels > 0, windows[0].n_labels)
+    split, counts = split_clusters(image, [whole], threshold, pitch, wide, np.zeros(whole.n_labels + 1, np.int64))
     if not counts["parts"]:
         return list(windows), counts
     parts, front = split[0].labels[tuple(at.T)], shown[tuple(at.T)]
