@@ -42,7 +42,7 @@ _AWAY_M: Final = np.arange(
     -0.008, 0.0121, 0.002
 )  # places of the line, along the view from the middle of the visible top
 _UNLIKE_M: Final = 0.005  # difference of heights that counts as much as a place which the camera sees through
-_TWINS: Final = 400  # points at most, by which a line is judged
+_TWINS: Final = 400  # points at most, by which a line is evaluated
 
 
 def seen_from_above(points: Float64, centre: Float64, table: Plane | None) -> tuple[Float64, Float64, Float64]:
