@@ -113,7 +113,7 @@ def split_clusters(
     depths, standing = view[:h, :w, 2][coarse][solid], reasons[window.labels[coarse][solid]] == 0
     if not len(depths):
         return list(windows), counts
-    depth = median(depths[standing] if standing.any() else depths)
+    depth = median(depths[standing] if standing.any() else depths)  # a wall is far behind the objects
     side = pitch * depth  # of a pixel [m]
     arm, numbers = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
@@ -122,9 +122,7 @@ def split_clusters(
         return list(windows), counts
     if write is not None and len(windows) > 1:
         write(window.rows, window.rows + h, window.columns, window.columns + w)
-    least = _UNKNOWN_CELL_PER_M if threshold.noise_per_m < _NO_NOISE else _CELL_PER_M
-    cell_m = max(config.cell_m, max(least, _CELL_NOISE * threshold.noise_per_m) * depth**2)
-    cell = min(max(round(cell_m / side), 1), _MAX_CELL)
+    cell = _cell_of(threshold.noise_per_m, config.cell_m, depth, side)
     settings = [
         np.radians(config.angle_deg),
         _STEP_M,
@@ -144,6 +142,13 @@ def split_clusters(
     clusters[window.labels[window.solid]] = True  # in a fifth of the time of a bincount of all pixels
     counts = dict(zip(counts, (int(np.count_nonzero(clusters)), parts, *joined), strict=True))
     return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns)], counts
+
+
+def _cell_of(noise_per_m: float, least_m: float, depth: float, side: float) -> int:
+    """Return the side of a cell in pixels, by the noise of the threshold, the depth and the side of a pixel [m]."""
+    least = _UNKNOWN_CELL_PER_M if noise_per_m < _NO_NOISE else _CELL_PER_M
+    cell_m = max(least_m, max(least, _CELL_NOISE * noise_per_m) * depth**2)
+    return min(max(round(cell_m / side), 1), _MAX_CELL)
 
 
 def split_list(
