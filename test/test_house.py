@@ -106,6 +106,30 @@ def test_no_private_part_of_another_package_is_used_and_no_ctypes() -> None:
     every_case([(path.relative_to(ROOT).as_posix(), tree) for path, tree in FILES.items()], check)
 
 
+def is_text_times_truth(node: ast.AST) -> bool:
+    """Whether a text or a list is multiplied by whether something holds, where `x if y else z` would be read."""
+    if not isinstance(node, ast.BinOp) or not isinstance(node.op, ast.Mult):
+        return False
+    texts, truths = (ast.JoinedStr, ast.Tuple, ast.List), (ast.Compare, ast.BoolOp)
+    return any(
+        (isinstance(text, texts) or (isinstance(text, ast.Constant) and isinstance(text.value, str)))
+        and (isinstance(truth, truths) or ast.unparse(truth).startswith(("not ", "bool(")))
+        for text, truth in ((node.left, node.right), (node.right, node.left))
+    )
+
+
+def test_no_text_is_multiplied_by_a_truth() -> None:
+    assert is_text_times_truth(ast.parse("'s' * (n > 1)", mode="eval").body)
+    assert not is_text_times_truth(ast.parse("[0] * n", mode="eval").body)
+    found = [
+        (path.name, ast.unparse(node))
+        for path, tree in FILES.items()
+        for node in ast.walk(tree)
+        if is_text_times_truth(node)
+    ]
+    assert found == []
+
+
 def test_the_check_finds_each_kind() -> None:
     code = (
         "import argparse, numpy as np, rclpy\nfrom rclpy.node import Node\nfrom concurrent.futures import _base\n"

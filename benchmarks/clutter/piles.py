@@ -5,7 +5,7 @@ The same seed gives the same piles on one machine.
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -207,7 +207,9 @@ def visible(seen: Scene) -> bool:
     return bool(inside and sizes.min() >= _FEWEST_PX)
 
 
-def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: SampleKey) -> Scene:
+def look(
+    pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: SampleKey, room: Sequence[Body] = ()
+) -> Scene:
     """The pile through the camera of config/scenes/rigid.yaml and its faults.
 
     Args:
@@ -216,6 +218,7 @@ def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: 
         kind: Of the scene.
         view: Angle between its axis and the vertical [deg], and its distance from the middle of the table [m].
         key: Decides the noise.
+        room: What is in view besides, and has no label.
     """
     tilt, distance = view
     settings = scene("rigid", objects=[{"name": "pile"}], camera__tilt_deg=tilt, camera__distance_m=distance)
@@ -225,7 +228,7 @@ def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: 
     ]
 
     def place(_job: Any, state: Any) -> None:
-        state.bodies = bodies
+        state.bodies = [*bodies, *room]
 
     effects = (Effect("pile", place, "objects"), *FRAME_EFFECTS)
     engine = Engine(settings, effects)
@@ -233,6 +236,7 @@ def look(pile: Pile, shapes: Shapes, kind: str, view: tuple[float, float], key: 
     depth = np.where(np.isfinite(state.depth), state.depth, np.nan)
     xyz = (engine.world.rays * depth[..., None]) @ engine.world.view.R_world_camera
     labels = np.maximum(state.labels - (FIRST_OBJECT - 1), 0).astype(np.int32)
+    labels[labels > len(bodies)] = 0
     return Scene(xyz.astype(np.float32), labels, kind, tuple(object_.model.name for object_ in pile.objects))
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whole images that others took, with walls, robots and a second table in view: what is found, and what is no object.
 
-`python -m benchmarks.clutter.whole FOLDER` prints a row for each image; `--pictures FOLDER` draws the worst ones.
+`python -m benchmarks.clutter.whole FOLDER` prints a row for each image, or kind of image (`--kinds`); `--pictures FOLDER` draws the worst ones.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +25,18 @@ def rows(scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
     table = [_row(scene.name, [answer]) for scene, answer in zip(scenes, answers, strict=True)]
     table.sort(key=lambda row: (row["target"] - row["none"] - row["cut"] - row["merged"] + row["found"] - row["objects"], row["images"]))  # fmt: skip
     return [*table, _row("all", answers)]
+
+
+def kinds(scenes: Iterable[LabelledCloud]) -> list[dict[str, Any]]:
+    """A row for each kind of scene, and one for all."""
+    answers: dict[str, list[tuple[SceneScore, bool, float]]] = {}
+    for scene in scenes:
+        answers.setdefault(scene.kind, []).append(_answer(scene))
+    every = [answer for some in answers.values() for answer in some]
+    rows = [
+        {"rooms": kind, "count": len(some), **_row(kind, some)} for kind, some in [*answers.items(), ("all", every)]
+    ]
+    return [{name: value for name, value in row.items() if name != "images"} for row in rows]
 
 
 def _answer(scene: LabelledCloud) -> tuple[SceneScore, bool, float]:
@@ -77,10 +89,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="labelled images (.npz)")
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the worst images")
+    parser.add_argument("--kinds", action="store_true", help="a row for each kind of scene instead")
     options = parser.parse_args()
     scenes = {scene.name: scene for scene in load_scenes(options.folder)}
-    table = rows(list(scenes.values()))
-    print_rows(table)
+    table = rows(list(scenes.values())) if options.pictures or not options.kinds else []
+    print_rows(kinds(scenes.values()) if options.kinds else table)
     if options.pictures:
         options.pictures.mkdir(parents=True, exist_ok=True)
         for row in table[:_WORST]:

@@ -108,7 +108,17 @@ def setting(
     choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
-    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments); `bounds` are both limits."""
+    """Declare one field of a `Settings` dataclass.
+
+    Args:
+        default: Value where none is given.
+        description: One line for help, reference and ROS.
+        unit: Unit of the value; by default the end of its name, such as `range_m`.
+        bounds: Least and largest value, both allowed.
+        minimum: Least value, where there is no largest one.
+        choices: The only values that are allowed.
+        read_only: Whether a running node refuses changes.
+    """
     low, high = (minimum, None) if bounds is None else bounds
     limits = {"minimum": low, "maximum": high, "choices": choices, "read_only": read_only}
     return dataclasses.field(default=default, metadata={"description": description, "unit": unit, **limits})

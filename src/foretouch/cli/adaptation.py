@@ -164,7 +164,7 @@ def _reading(path: Path, entry: Any, sensor: Sensor) -> tuple[Touch, Float64]:
     temperatures = [f"{_TEMPERATURE}_{finger}" for finger in channels.fingers if measured]
     optional = [name.lower() for name in temperatures]
     if not isinstance(entry, dict) or entry.keys() - {*optional} != sizes.keys():
-        allowed = f"{', '.join(sizes)}{', optionally ' * measured}{', '.join(optional)}"
+        allowed = ", ".join(sizes) + (f", optionally {', '.join(optional)}" if measured else "")
         raise FileError(path, f"is not a reading of {channels.sensor}: it must hold {allowed} and nothing else")
     fields = {name: float if size == 1 else [float] for name, size in sizes.items()}
     require_schema(path, entry, {**fields, **{f"{name}?": float for name in optional}})

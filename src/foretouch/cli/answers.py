@@ -100,7 +100,14 @@ def _message_record(message: TouchPredictionMsg, sensor: Sensor) -> dict[str, An
 def modality_text(
     value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None, text: Callable[[float], str] = "{:.0f}".format
 ) -> str:
-    """Format a single number with its half width; of several, the least and largest value, and the mean half width of each."""
+    """Format a single number with its half width; of several, the least and largest value, and the mean half width of each.
+
+    Args:
+        value: One or more values; None of a refused prediction.
+        lower: Lower bounds, if any.
+        upper: Upper bounds, if any.
+        text: Formats a number.
+    """
     if value is None:
         return "refused"
     values = np.atleast_1d(value)

@@ -66,7 +66,7 @@ def titled(title: str, parts: Sequence[RenderableType]) -> Panel:
 
 
 def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> Table:
-    more = f", the first {_SHOWN} of {len(rows)}" * (len(rows) > _SHOWN)
+    more = f", the first {_SHOWN} of {len(rows)}" if len(rows) > _SHOWN else ""
     return make_table(columns, rows[:_SHOWN], title + more, live=True)
 
 
@@ -124,7 +124,7 @@ def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequenc
     from foretouch.ros.messages.conversions import prediction_from_msg
 
     decoded = prediction_from_msg(prediction, sensor)
-    value, lower, upper = decoded.value.values, decoded.lower.values, decoded.upper.values
+    value, lower, upper = (end.values for end in (decoded.value, decoded.lower, decoded.upper))
     columns = [(sensor.channels.columns([name]), sensor.channels.channel_of[name].text) for name in modalities]
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 

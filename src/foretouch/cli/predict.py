@@ -116,8 +116,8 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
         counts, half = done.played.counts[k], done.played.half[k]
         value, lower, upper = (Touch(end, channels) for end in (counts, counts - half, counts + half))
         outside, known = bool(model.ranges.outside(counts).any()), done.recording.is_known(int(k))
-        flags = ("out_of_range",) * outside + ("unfamiliar",) * (not known)
-        flags += (SIMILAR_TOUCHES,) * level.similar
+        flagged = {"out_of_range": outside, "unfamiliar": not known, SIMILAR_TOUCHES: level.similar}
+        flags = tuple(flag for flag, applies in flagged.items() if applies)
         evidence = level.evidence
         reference: Reference = "touches" if evidence.touches else "history" if evidence.readings else "none"
         predicted = Prediction.of(

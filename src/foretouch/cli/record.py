@@ -55,7 +55,8 @@ def record_panel(
         parts.append(executed_table(*session.last, sensor))
     outcomes = _counted(status.outcomes, status.outcome_counts) or "none yet"
     known = not math.isnan(status.pairing_error)
-    error = f"; pairing error {1e3 * status.pairing_error:.0f} ms, at most {1e3 * status.pairing_error_max:.0f}" * known
+    latest, largest = (f"{1e3 * error:.0f}" for error in (status.pairing_error, status.pairing_error_max))
+    error = f"; pairing error {latest} ms, at most {largest}" if known else ""
     states = zip(status.sensors, status.sensor_states, strict=True)
     colours = [(f"{name} {state}  ", "green" if state == "alive" else "red") for name, state in states]
     parts += [Text(f"grasps executed: {outcomes}{error}"), Text.assemble("sensors: ", *colours)]

@@ -324,7 +324,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 def _source_state(graph: Graph) -> str:
     """Return what the source does, or what keeps it from sending."""
     source = graph.nodes[next(name for name in ("replay", "camera", "perception") if name in graph.nodes)]
-    received_nothing = ", and has received nothing" * (source.get_name() == "perception")
+    received_nothing = ", and has received nothing" if source.get_name() == "perception" else ""
     return "; ".join(source.reported().errors) or f"{source.get_name()} is {source.state_name}{received_nothing}"
 
 
@@ -352,10 +352,13 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if graph.replay is None and not played:
         source = "scene" if "hand" in graph.nodes else "camera" if "camera" in graph.nodes else arguments.source
         state = getattr(arguments, "state", _source_state(graph))
-        cure = "; of a camera that is no RealSense, give the topic of its driver as --source" * (source == "camera")
+        cure = (
+            "; of a camera that is no RealSense, give the topic of its driver as --source" if source == "camera" else ""
+        )
         warn(f"no cloud came from the {source}: {state}{cure}")
         return 3
-    if untouched := at_rest(view.executed and view.executed[1]):
+    untouched = at_rest(view.executed and view.executed[1])
+    if untouched:
         warn("the last executed grasp touched nothing: its readings are those at rest")
     if fault := replay_fault(graph.replay):
         warn(f"{arguments.source}: {fault}")
@@ -385,7 +388,7 @@ def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
     prediction = prediction_from_msg(message, sensor)
     title = f"object {target.id}"
     if prediction.ok:
-        first = ["before the first touch"] * (readings is not None and not message.touches)
+        first = ["before the first touch"] if readings is not None and not message.touches else []
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
         nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"

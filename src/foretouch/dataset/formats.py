@@ -106,7 +106,11 @@ def is_sample_set(path: str | Path) -> bool:
 
 
 def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
-    """Open a dataset in any readable format, optionally with recordings that were cut off, as far as they are intact.
+    """Open a dataset in any readable format.
+
+    Args:
+        path: The dataset.
+        unfinished: Whether recordings that were cut off are read, too, as far as they are intact.
 
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.

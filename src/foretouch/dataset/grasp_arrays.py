@@ -244,7 +244,8 @@ def _joined(values: Mapping[str, npt.ArrayLike], channels: Channels, what: str) 
         raise DatasetError(f"{what}: give a mapping of {', '.join(channels.modalities)} to their arrays")
     if unknown := [key for key in values if key not in channels.modalities]:
         raise DatasetError(f"{what}: {none_of(unknown[0], channels.modalities)}")
-    if absent := [key for key in channels.modalities if key not in values]:
+    absent = [key for key in channels.modalities if key not in values]
+    if absent:
         raise DatasetError(f"{what}: {', '.join(absent)} of {channels.sensor} are missing")
     parts: list[Float64] = []
     for key in channels.modalities:

@@ -222,7 +222,13 @@ def _nearest_other(scene: Float32, targets: Sequence[Float32], table: Plane) -> 
 
 
 def store_check(path: Path, findings: Sequence[CheckFinding], stamp_ns: int) -> None:
-    """Append a report to the reports of a dataset; the caller holds the lock. Raises a `FileError` if it cannot be written."""
+    """Append a report to the reports of a dataset; the caller holds the lock. Raises a `FileError` if it cannot be written.
+
+    Args:
+        path: The dataset.
+        findings: What was found.
+        stamp_ns: Time of the check [ns].
+    """
     report = {"stamp_ns": stamp_ns, "foretouch": __version__, "findings": [finding.record() for finding in findings]}
     with system_errors(path / CHECKS), os.fdopen(open_own(path / CHECKS, os.O_WRONLY | os.O_APPEND), "ab") as log:
         log.write((json.dumps(report, ensure_ascii=False) + "\n").encode())

@@ -271,7 +271,8 @@ def _sample(batch: Any, row: int, channels: Channels) -> Sample:
 
     names = ("id", "object", "frame_id", "extra", "stamp_ns", "score")
     plain = {name: batch.column(name)[row].as_py() for name in names}
-    rgb = None if (values := vector("rgb")) is None else values.reshape(-1, 3)
+    colours = vector("rgb")
+    rgb = None if colours is None else colours.reshape(-1, 3)
     g1, g2, rotation = (vector(name).copy() for name in ("g1", "g2", "rotation"))
     return Sample(
         id=plain["id"],

@@ -105,7 +105,17 @@ def write_records(
     progress: Callable[[], None] = lambda: None,
     remarks: Remarks | None = None,
 ) -> None:
-    """Write the records to a dataset and add to the result; their stamps are compared with the rate of the sensor."""
+    """Write the records to a dataset and add to the result; their stamps are compared with the rate of the sensor.
+
+    Args:
+        path: Folder of the dataset, which is created if it does not exist.
+        records: The samples.
+        identity: Hand and camera.
+        sensor: The sensor that was read.
+        result: Gets the counts and notes.
+        progress: Called once a sample.
+        remarks: Gets names of samples by flag, for the notes.
+    """
     remarks = {} if remarks is None else remarks
     with ExitStack() as stack:
         folder = path if path.exists() else stack.enter_context(new_folder(path))

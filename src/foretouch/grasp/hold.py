@@ -35,12 +35,21 @@ class GraspHold:
         self._measured: tuple[Cloud, _Place] | None = None  # by the last call
 
     def find(self, cloud: Cloud) -> HeldGrasp | None:
-        """Return the grasp that was planned on this object, if the object is still the same."""
+        """Return the grasp that was planned on this object, if the object is still the same.
+
+        Args:
+            cloud: The object now.
+        """
         held = self._find(self._measure(cloud))
         return None if held is None else held[1]
 
     def remember(self, cloud: Cloud, best: HeldGrasp) -> None:
-        """Keep the best grasp of an object for the next cloud."""
+        """Keep the best grasp of an object for the next cloud.
+
+        Args:
+            cloud: The object now.
+            best: Its best grasp, and for how many clouds another one was better.
+        """
         now = self._measure(cloud)
         before = self._find(now)
         same = before is not None and np.array_equal(_contacts(before[1][0]), _contacts(best[0]))
@@ -48,7 +57,9 @@ class GraspHold:
 
     def next_cloud(self) -> None:
         """Forget the objects that the last cloud did not hold."""
-        self._last, self._fresh, self._measured = self._fresh, [], None
+        self._last = self._fresh
+        self._fresh = []
+        self._measured = None
 
     def _measure(self, cloud: Cloud) -> _Place:
         """`_measure` of a cloud, for which it is asked twice."""

@@ -28,7 +28,13 @@ DEFAULT_REACH = ReachConfig()
 
 
 def check_reach(grasp: Grasp, cloud_xyz: Floating, max_width_m: float, max_distance_m: float) -> None:
-    """Check one grasp, as `reach_faults`.
+    """Refuse a grasp that `reach_faults` names.
+
+    Args:
+        grasp: The grasp.
+        cloud_xyz: (N, 3) points of the object [m].
+        max_width_m: Largest distance of the contacts [m].
+        max_distance_m: Largest distance of a contact from the object [m].
 
     Raises:
         GraspError: Names the measure and its limit.

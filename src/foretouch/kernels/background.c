@@ -20,14 +20,25 @@ enum { HOLE, TABLE, UNDER, OVER };             /* kinds of cells */
 #define FURTHER 0.3f /* of the width of the view: so far goes a table on that is cut off by the image */
 #define CLOSE 0.02f  /* difference in depth of cells that are connected [m] */
 #define MANY 30      /* cells of a wall */
+#define TALL 0.05f   /* height of a bin's sides, */
+#define LONG 0.2     /* and their length, which few objects have [m], */
+#define THIN 0.006   /* standard deviation of their depth [m], */
+#define STEEP 0.35   /* largest cosine between their normal and that of the table, */
+#define RIM 0.005f   /* difference of their heights [m], */
+#define CORNER 2     /* and cells with which they meet */
 #define BLOCK 32     /* cells without a label that are passed at once */
 
 typedef struct {
-    double sum[9];
+    double sum[9];       /* of cells within: x, y, z and their products */
     int64_t first, last; /* cells */
-    int32_t cells, low, inside, ring, border, raised, table, touching, reason; /* ring: edges around it, and those at the border of the
-        image, also without the low ones, beside the table, and at its depth */
+    float top;           /* height [m] */
+    int32_t cells, within, low, inside, ring, border, raised, table, touching, reason, upright; /* ring: edges around it, and those at
+        the border of the image, also without the low ones, beside the table, and at its depth */
 } part;
+
+typedef struct {
+    double middle[3], normal[3], variance;
+} sheet;
 
 typedef struct {
     float u, v;
@@ -225,18 +236,24 @@ INLINE void add_cell(const board *g, const ray *hull, int64_t n_hull, part *part
     const float *p = g->of->grid + 3 * i, up = g->height[i];
     const float foot[3] = {p[0] - up * (float)g->of->plane[0], p[1] - up * (float)g->of->plane[1], p[2] - up * (float)g->of->plane[2]};
     part *own = parts + g->of->labels[i];
+    const int32_t ring = own->ring;
+    own->top = own->cells && own->top > up ? own->top : up;
     own->first = own->cells ? own->first : i, own->last = i;
     own->cells++, own->low += up < (float)g->of->foot;
     own->inside += foot[2] > 0.0f && is_within(hull, n_hull, foot[0] / foot[2], foot[1] / foot[2]);
+    for (int k = 0; k < 4; k++) {
+        if (ends[k] || g->of->labels[around[k]] != g->of->labels[i]) {
+            add_edge(g, parts, near, i, around[k], ends[k]);
+        }
+    }
+    if (own->ring > ring) { /* depth is mixed at an outline */
+        return;
+    }
+    own->within++;
     for (int k = 0, at = 3; k < 3; k++) {
         own->sum[k] += (double)p[k];
         for (int l = k; l < 3; l++) {
             own->sum[at++] += (double)p[k] * (double)p[l];
-        }
-    }
-    for (int k = 0; k < 4; k++) {
-        if (ends[k] || g->of->labels[around[k]] != g->of->labels[i]) {
-            add_edge(g, parts, near, i, around[k], ends[k]);
         }
     }
 }
@@ -288,31 +305,90 @@ static void spread(part *parts, const int32_t *near, int64_t n) {
     }
 }
 
+/* The plane of the cells within a part, and the mean square of their distance from it, which is infinite if they are few. */
+static sheet fit_sheet(const part *own) {
+    sheet fit = {.variance = INFINITY};
+    double spread[6], values[3];
+    if (own->within < MANY) {
+        return fit;
+    }
+    for (int k = 0, at = 3; k < 3; k++) {
+        fit.middle[k] = own->sum[k] / own->within;
+        for (int l = k; l < 3; l++, at++) {
+            spread[at - 3] = own->sum[at] / own->within - fit.middle[k] * (own->sum[l] / own->within);
+        }
+    }
+    eigen3(spread, values, fit.normal);
+    fit.variance = values[0];
+    return fit;
+}
+
+/* Least and largest of the products of the points of a part with a vector. */
+static double extent(const board *g, const part *own, int64_t label, const double *along) {
+    double low = INFINITY, high = -INFINITY;
+    for (int64_t c = own->first; c <= own->last; c++) {
+        const float *p = g->of->grid + 3 * c;
+        const double at = p[0] * along[0] + p[1] * along[1] + p[2] * along[2];
+        low = g->of->labels[c] == label && at < low ? at : low;
+        high = g->of->labels[c] == label && at > high ? at : high;
+    }
+    return high - low;
+}
+
+/* Whether a part is an upright sheet as large as the side of a bin. */
+static int is_upright(const board *g, const part *own, int64_t label) {
+    const double *t = g->of->plane;
+    if (own->reason != STANDS || own->top < TALL) {
+        return 0;
+    }
+    const sheet fit = fit_sheet(own);
+    const double *n = fit.normal, along[3] = {n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]};
+    const double sine = sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
+    return fit.variance < THIN * THIN && sine * sine > 1.0 - STEEP * STEEP && extent(g, own, label, along) > LONG * sine;
+}
+
+/* The sides of a bin: upright sheets of one height, or that meet, also what is beyond the table; and what meets one and has its height. */
+static void find_bin(const board *g, part *parts, const int32_t *near) {
+    const int64_t n = g->of->n;
+    int changed = 0;
+    for (int64_t i = 1; i < n; i++) {
+        parts[i].upright = is_upright(g, parts + i, i);
+    }
+    for (int64_t i = 1; i < n; i++) {
+        for (int64_t j = 1; j < n && parts[i].upright; j++) {
+            const int meets = near[2 * (i * n + j)] >= CORNER, level = j != i && fabsf(parts[i].top - parts[j].top) < RIM;
+            if (parts[j].upright ? meets || level : meets && (parts[j].reason == BEYOND || parts[j].reason == WALL)) {
+                parts[i].reason = WALL, changed = 1;
+            }
+        }
+    }
+    while (changed) {
+        changed = 0;
+        for (int64_t i = 1; i < n; i++) {
+            for (int64_t j = 1; j < n && parts[i].reason == STANDS; j++) {
+                if (near[2 * (i * n + j)] && parts[j].reason == WALL && fabsf(parts[i].top - parts[j].top) < RIM) {
+                    parts[i].reason = WALL, changed = 1;
+                }
+            }
+        }
+    }
+}
+
 /* A part that lies in the plane of one beyond the table beside it is a piece of the same wall. */
 static void continue_walls(const board *g, part *parts, const int32_t *near) {
     const int64_t n = g->of->n;
+    const double flat = g->of->flat;
     for (int64_t j = 1; j < n; j++) {
-        if (parts[j].reason != BEYOND || parts[j].cells < MANY) {
-            continue;
-        }
-        double middle[3], spread[6], values[3], normal[3];
-        for (int k = 0, at = 3; k < 3; k++) {
-            middle[k] = parts[j].sum[k] / parts[j].cells;
-            for (int l = k; l < 3; l++, at++) {
-                spread[at - 3] = parts[j].sum[at] / parts[j].cells - middle[k] * (parts[j].sum[l] / parts[j].cells);
-            }
-        }
-        eigen3(spread, values, normal);
-        const double flat = g->of->flat;
-        for (int64_t i = 1; i < n && values[0] < flat * flat; i++) {
+        const sheet fit = parts[j].reason == BEYOND ? fit_sheet(parts + j) : (sheet){.variance = INFINITY};
+        for (int64_t i = 1; i < n && fit.variance < flat * flat; i++) {
             int32_t within = 0;
             if (parts[i].reason != STANDS || !near[2 * (i * n + j)]) {
                 continue;
             }
             for (int64_t c = parts[i].first; c <= parts[i].last; c++) {
                 const float *p = g->of->grid + 3 * c;
-                const double apart = (p[0] - middle[0]) * normal[0] + (p[1] - middle[1]) * normal[1] + (p[2] - middle[2]) * normal[2];
-                within += g->of->labels[c] == i && fabs(apart) < 2.0 * flat;
+                const double x = p[0] - fit.middle[0], y = p[1] - fit.middle[1], z = p[2] - fit.middle[2];
+                within += g->of->labels[c] == i && fabs(x * fit.normal[0] + y * fit.normal[1] + z * fit.normal[2]) < 2.0 * flat;
             }
             parts[i].reason = 5 * within > 4 * parts[i].cells ? WALL : parts[i].reason;
         }
@@ -355,6 +431,7 @@ VECTORISED void find_background(const Parts *of, int64_t *reasons, double *outli
     judge(parts, n, of->border);
     spread(parts, near, n);
     continue_walls(&g, parts, near);
+    find_bin(&g, parts, near);
     for (int64_t i = 0; i < n; i++) {
         reasons[i] = parts[i].reason;
     }

@@ -237,13 +237,15 @@ INLINE void add_up(Histogram *one) {
     one->total = left;
 }
 
-/* The points sorted by strips of one step, and two histograms of each strip.
+/* The points sorted by strips of one step, those above a height first, and two histograms of each strip.
  *
  * A line takes the points of four strips. Their weights rise over the first two and fall over the others, so that they follow from two sums for
  * each bin: over the parts of a step by which points are behind the beginning of their strip, and over what is missing to whole steps. */
 typedef struct {
     const float *along, *height, *weight, *across;
-    const int64_t *start, *least, *most; /* of each strip: its first point, and its first and last bin along the line */
+    const int64_t *start; /* first point of each strip, and its first that is not above `most_lower` */
+    const int64_t *least, *most; /* of each strip: its first and last bin along the line */
+    float most_lower; /* [bins] */
     float *heights, *alongs;             /* (strips, HEIGHTS + 8, 2) and (strips, ALONGS, 2): both sums */
     float *faded;                        /* place for the weights of all points */
 } Strips;
@@ -254,7 +256,7 @@ INLINE void add_strip(const Strips *all, int64_t strip, int64_t highest, int64_t
     memset(heights, 0, (size_t)(highest + 2) * 2 * sizeof(float));
     memset(alongs + 2 * first, 0, (size_t)(last - first + 1) * 2 * sizeof(float));
     *least = ALONGS, *most = 0;
-    for (int64_t i = all->start[strip]; i < all->start[strip + 1]; i++) {
+    for (int64_t i = all->start[2 * strip]; i < all->start[2 * strip + 2]; i++) {
         const float behind = all->weight[i] * (all->across[i] - (float)strip), missing = all->weight[i] - behind;
         /* Shared by two bins: depth comes in whole millimetres, which are borders of bins. */
         const float at = all->height[i] < 0.5f ? 0.0f : all->height[i] - 0.5f, part = at - (float)(int32_t)at;
@@ -284,16 +286,19 @@ INLINE void add_strips(const float *sums, int64_t width, Histogram *line) {
     add_up(line);
 }
 
-/* The histogram along a line, of the points from one to another above a height [bins]. */
-INLINE void add_points(const Strips *all, int64_t line, int64_t from, int64_t to, float above, Histogram *bins) {
-    memset(bins->bins + bins->from, 0, (size_t)(bins->to - bins->from + 1) * sizeof(float));
-    for (int64_t i = from; i < to; i++) { /* a point on the line counts once, one two steps beside it not at all */
-        const float part = (all->height[i] - above) * (1.0f / FADE) + 0.5f, positive = part < 0.0f ? 0.0f : part;
-        const float tent = all->weight[i] * (1.0f - 0.5f * fabsf(all->across[i] - (float)(line + 2)));
-        all->faded[i] = tent * (positive > 1.0f ? 1.0f : positive);
-    }
-    for (int64_t i = from; i < to; i++) {
-        bins->bins[(int32_t)all->along[i]] += all->faded[i];
+/* Takes the points below a height [bins] out of the histogram along a line. */
+INLINE void take_lower(const Strips *all, int64_t line, float above, Histogram *bins) {
+    const int64_t first = above + FADE / 2.0f < all->most_lower;
+    for (int64_t strip = line; strip < line + 4; strip++) {
+        const int64_t from = all->start[2 * strip + first], to = all->start[2 * strip + 2];
+        for (int64_t i = from; i < to; i++) { /* a point on the line counts once, one two steps beside it not at all */
+            const float part = (above - all->height[i]) * (1.0f / FADE) + 0.5f, positive = part < 0.0f ? 0.0f : part;
+            const float tent = all->weight[i] * (1.0f - 0.5f * fabsf(all->across[i] - (float)(line + 2)));
+            all->faded[i] = tent * (positive > 1.0f ? 1.0f : positive);
+        }
+        for (int64_t i = from; i < to; i++) {
+            bins->bins[(int32_t)all->along[i]] -= all->faded[i];
+        }
     }
     add_up(bins);
 }
@@ -466,7 +471,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
     }
     const int64_t bins = lines + 3; /* bin j holds what is from (j - bins / 2) to (j + 1 - bins / 2) steps beside the middle */
     const size_t sums = (size_t)bins * (HEIGHTS + 8 + ALONGS) * 2;
-    int64_t *start = malloc((size_t)(bins + 1) * 4 * sizeof(int64_t) + ((size_t)n * 12 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));
+    int64_t *start = malloc((size_t)(bins + 1) * 5 * sizeof(int64_t) + ((size_t)n * 13 + sums + HEIGHTS + ALONGS + 32) * sizeof(float));
     int64_t used = 0, highest = 0;
     for (int64_t i = 0; i < angles * lines * FOUND; i++) {
         found[i] = NAN;
@@ -474,12 +479,12 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
     if (!start) {
         return;
     }
-    float *along = (float *)(start + (bins + 1) * 4), *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
+    float *along = (float *)(start + (bins + 1) * 5), *height = along + n, *weight = height + n, *x = weight + n, *y = x + n, *level = y + n, *share_of = level + n;
     float *place = share_of + n, *beside = place + n, *across = beside + n, *faded = across + n;
-    int32_t *strip = (int32_t *)(faded + n);
-    int64_t *least = start + bins + 3, *most = least + bins; /* bins along the line of the points in each strip of one step */
-    const Strips all = {along, height, weight, across, start, least, most, faded + 2 * n, faded + 2 * n + bins * (HEIGHTS + 8) * 2, faded};
-    Histogram heights = {faded + 2 * n + sums, 0, 0, 0.0}, alongs = {heights.bins + HEIGHTS + 16, 0, 0, 0.0};
+    int32_t *strip = (int32_t *)(faded + n), *rank = strip + n;
+    int64_t *least = start + 2 * bins + 3, *most = least + bins; /* bins along the line of the points in each strip of one step */
+    Strips all = {along, height, weight, across, start, least, most, 0.0f, faded + 3 * n, faded + 3 * n + bins * (HEIGHTS + 8) * 2, faded};
+    Histogram heights = {faded + 3 * n + sums, 0, 0, 0.0}, alongs = {heights.bins + HEIGHTS + 16, 0, 0, 0.0};
     for (int64_t i = 0; i < n; i++) {
         if (weights[i] > 0.0) {
             const double bin = points[3 * i + 2] / (double)HEIGHT_M;
@@ -490,27 +495,29 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
         }
     }
     heights.to = highest + 1;
+    all.most_lower = (float)highest / 2.0f;
     for (int64_t angle = 0; angle < angles; angle++) {
         const double c = cos(turns[3 * angle]), s = sin(turns[3 * angle]), beside_m = turns[3 * angle + 1];
         const float c_place = (float)c / ALONG_M, s_place = (float)s / ALONG_M, c_line = (float)(c / step), s_line = (float)(s / step);
         const float first = (float)((double)(bins / 2) - beside_m / step), last = (float)bins;
-        memset(start, 0, (size_t)(bins + 3) * sizeof(int64_t));
+        memset(start, 0, (size_t)(2 * bins + 3) * sizeof(int64_t));
         int32_t from_bin = ALONGS - 1, to_bin = 0;
         for (int64_t i = 0; i < used; i++) {
             const float value = x[i] * c_place + y[i] * s_place + (float)middle;
             place[i] = value > 0.0f ? (value < ALONGS - 1.0f ? value : ALONGS - 1.0f) : 0.0f;
             beside[i] = y[i] * c_line - x[i] * s_line + first;
-            strip[i] = beside[i] >= 0.0f && beside[i] < last ? (int32_t)beside[i] : (int32_t)bins; /* the last one holds all others */
+            const int32_t own = beside[i] >= 0.0f && beside[i] < last ? (int32_t)beside[i] : (int32_t)bins; /* the last one holds all others */
+            strip[i] = 2 * own + (level[i] <= all.most_lower);
         }
         for (int64_t i = 0; i < used; i++) {
-            start[strip[i] + 2]++;
+            rank[i] = (int32_t)start[strip[i] + 1]++;
             from_bin = (int32_t)place[i] < from_bin ? (int32_t)place[i] : from_bin, to_bin = (int32_t)place[i] > to_bin ? (int32_t)place[i] : to_bin;
         }
-        for (int64_t j = 0; j <= bins; j++) {
+        for (int64_t j = 0; j < 2 * bins + 2; j++) {
             start[j + 1] += start[j];
         }
-        for (int64_t i = 0; i < used; i++) { /* sorted by strips of one step; start[j + 1] moves from the first point of strip j to its end */
-            const int64_t at = start[strip[i] + 1]++;
+        for (int64_t i = 0; i < used; i++) { /* sorted by strips of one step, and there those above `most_lower` first */
+            const int64_t at = start[strip[i]] + rank[i];
             along[at] = place[i], height[at] = level[i], weight[at] = share_of[i], across[at] = beside[i];
         }
         for (int64_t j = 0; j < bins && used; j++) {
@@ -521,7 +528,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             find_tops(&hand, beside, place, level, used, -first, (float)from_bin + inner, (float)to_bin - inner);
         }
         for (int64_t line = 0; line < lines; line++) {
-            const int64_t from = start[line], to = start[line + 4];
+            const int64_t from = start[2 * line], to = start[2 * line + 8];
             double *one = found + (angle * lines + line) * FOUND, low, high;
             if (to - from < 8) {
                 continue;
@@ -555,7 +562,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
                 one[6] = fit_palm(&hand, offset, width, top, floor_m, step, &z, one + 7);
             }
             one[2] = z, one[3] = top;
-            add_points(&all, line, from, to, (float)((z - tip) / (double)HEIGHT_M), &alongs);
+            take_lower(&all, line, (float)((z - tip) / (double)HEIGHT_M), &alongs);
             if (!(alongs.total >= 3.0)) {
                 continue;
             }

@@ -66,9 +66,13 @@ def draw_scene(
     prediction = None if touch is None or grasp is None else touch[number]
     image = isinstance(scene, Scene) and scene.cloud.organised
     left, right, top, bottom = _window(scene.labels > 0) if isinstance(scene, Scene) and image else (0, 1, 0, 1)
-    widths = [_HEIGHT * float(np.clip((right - left) / (bottom - top), 0.6, 1.9))] * image
-    widths += [_HEIGHT, _HEIGHT] * (target is not None and (grasp is not None or not image))
-    widths += [1.6 * _HEIGHT] * (prediction is not None)
+    widths = []
+    if image:
+        widths.append(_HEIGHT * float(np.clip((right - left) / (bottom - top), 0.6, 1.9)))
+    if target is not None and (grasp is not None or not image):
+        widths += [_HEIGHT, _HEIGHT]
+    if prediction is not None:
+        widths.append(1.6 * _HEIGHT)
     figure = new_figure(sum(widths or [_HEIGHT]), _HEIGHT + 0.5)
     panels = iter(np.atleast_1d(figure.subplots(1, len(widths or [1]), width_ratios=widths or None)))
     if not widths:

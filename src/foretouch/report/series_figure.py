@@ -24,6 +24,12 @@ def save_series_sheet(path: str | Path, records: Sequence[Sample], title: str, s
 
     Of a grasp of several readings, the pads show the reading that moved the taxels most. Dead taxels are left white over time, and
     are hollow on the pads.
+
+    Args:
+        path: File to write.
+        records: Samples; those without a reading are left out.
+        title: Line above the figure.
+        sensor: The sensor that was read.
     """
     view = TaxelView(sensor)
     grasps = [

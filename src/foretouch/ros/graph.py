@@ -67,7 +67,10 @@ class Graph:
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
-        begin(self._arguments, list(self._parameters), **self._namespace)
+        prepare_environment()
+        stale_bytes(free=True)
+        check_parameters(self._arguments, NODES, list(self._parameters), **self._namespace)
+        start_rclpy(self._arguments)
         try:
             self._start()
         except BaseException:
@@ -157,11 +160,13 @@ class Graph:
         return self._last_played or self.nodes["perception"].statistics.summary().received
 
     def stop_source(self) -> None:
-        """Publish no more clouds; count no more of a topic of others."""
+        """Publish no more clouds; of a topic of others, count no more clouds and answers."""
+        own = [self.nodes[name] for name in _SOURCES if name in self.nodes]
+        if not own:
+            self.monitor.close_view()
         self._last_played = self.played()
-        for name in _SOURCES:
-            if name in self.nodes:
-                self.nodes[name].stop()
+        for node in own:
+            node.stop()
 
     def wait_for_hand(self, timeout_s: float) -> bool:
         """Let the simulated hand finish its grasp and start no other; False if it takes longer than a time [s]."""
@@ -188,23 +193,6 @@ class Graph:
                 return False
             time.sleep(0.02)
         return True
-
-
-def begin(arguments: Sequence[str], names: Sequence[str], namespace: str = NAMESPACE) -> None:
-    """Check the parameters of a command line, and start rclpy.
-
-    Args:
-        arguments: The command line.
-        names: Of the nodes of this process.
-        namespace: Of these nodes.
-
-    Raises:
-        ConfigError: If the command line is malformed.
-    """
-    prepare_environment()
-    stale_bytes(free=True)
-    check_parameters(arguments, NODES, names, namespace)
-    start_rclpy(arguments)
 
 
 def input_of(topic: str, wait_s: float) -> str:

@@ -86,7 +86,9 @@ class FingerContact:
         if self._against < CONFIRM and not drift:
             self.touching = touching
             return None
-        self.touching, self._against, self._since_ns = not touching, 0, self._first_ns
+        self.touching = not touching
+        self._against = 0
+        self._since_ns = self._first_ns
         event = ContactEvent(self.finger, "release" if touching else "onset", self._first_ns)
         if touching and self.score >= RELEASE_LEVEL:
             self.reset()  # not a release but drift: the reference is no longer valid
@@ -95,7 +97,9 @@ class FingerContact:
 
     def reset(self) -> None:
         """Discard the reference, for instance after a clock jump or a sensor dropout."""
-        self.touching, self.score, self._reference = None, 0.0, None
+        self.touching = None
+        self.score = 0.0
+        self._reference = None
         self._recent.clear()
         self._against = 0
 
@@ -172,7 +176,14 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channel
 def find_contact(
     stamps_ns: Sequence[int] | Int64, counts: npt.ArrayLike, rest: npt.ArrayLike, channels: Channels = BIOTAC
 ) -> tuple[int | None, ...]:
-    """Find the first contact of each finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
+    """Find the stamp of the first contact of each finger, None without one, by `contact_scores`.
+
+    Args:
+        stamps_ns: (T,) stamps [ns].
+        counts: (T, D) readings.
+        rest: (R, D) readings at rest.
+        channels: What the D values are.
+    """
     onsets: list[int | None] = []
     for above in (contact_scores(counts, rest, channels) > 1.0).T:
         run = (

@@ -67,7 +67,7 @@ class Columns:
             if len(array) != count or not (isinstance(array, Columns) or _fits(array.shape[1:], row)):
                 shape = getattr(array, "shape", (len(array),))
                 wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
-                raise self.fault(f"{info.name}: shape {shape} is not ({wanted}{',' * (not row)})")
+                raise self.fault(f"{info.name}: shape {shape} is not ({wanted}{'' if row else ','})")
             object.__setattr__(self, info.name, array)
 
     def __len__(self) -> int:

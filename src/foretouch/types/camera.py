@@ -199,7 +199,15 @@ class DepthImage:
         return xyz
 
     def write_points(self, xyz: _Float32, top: int, bottom: int, left: int, right: int) -> None:
-        """Write the points of some rows and columns to their places in (H, W, 3) float32 [m]."""
+        """Write the points of some rows and columns to their places in an image.
+
+        Args:
+            xyz: (H, W, 3) float32 [m], of which the points are written.
+            top: First row.
+            bottom: Row after the last.
+            left: First column.
+            right: Column after the last.
+        """
         first = top * self.camera.width + left
         self._write(xyz.reshape(-1, 3)[first:], self.camera.width, top, left, bottom - top, right - left, 1)
 

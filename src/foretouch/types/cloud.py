@@ -118,7 +118,14 @@ class DepthCloud(Cloud):
 
     @classmethod
     def of(cls, image: DepthImage, rgb: UInt8 | None, frame_id: str, stamp_ns: int) -> Self:
-        """Make the cloud of an image."""
+        """Make the cloud of an image.
+
+        Args:
+            image: The depth image.
+            rgb: (H, W, 3) colours, if there are any.
+            frame_id: Frame of the camera.
+            stamp_ns: Time of the image [ns].
+        """
         no_points = np.broadcast_to(np.float32(np.nan), (*image.shape, 3))
         fields = vars(Cloud(no_points, rgb, frame_id, stamp_ns, image.camera))
         cloud = cls.__new__(cls)

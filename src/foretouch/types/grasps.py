@@ -51,7 +51,8 @@ class Grasp:
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
-            if (given := getattr(self, name).shape) != shape:
+            given = getattr(self, name).shape
+            if given != shape:
                 raise GraspError(f"{name}: shape {given} is not {shape}")
         if fault := contact_faults(self.g1[None], self.g2[None], self.rotation[None])[0]:
             raise GraspError(fault)

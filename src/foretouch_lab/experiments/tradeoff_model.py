@@ -240,7 +240,7 @@ EXPERIMENT = make_area(
             Panel(
                 "time",
                 count,
-                f"Known objects (blocks of time), {count} grasp{'s' * (count > 1)}",
+                f"Known objects (blocks of time), {count} grasp{'' if count == 1 else 's'}",
                 "mean skill, blocks of time",
             )
             for count in (1, 100, 1000)

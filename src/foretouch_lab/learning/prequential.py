@@ -39,7 +39,15 @@ class TimedReadings:
     def of_samples(
         cls, samples: Sequence[Sample], labels: Float64, expected: Float64, rest: Float64, known: Bool | None = None
     ) -> Self:
-        """Take labelled samples with their (S, D) labels, and (S, D) predictions by vision at a (D,) rest level [counts]."""
+        """Take labelled samples with their predictions by vision.
+
+        Args:
+            samples: Labelled samples.
+            labels: (S, D) their readings [counts].
+            expected: (S, D) predictions by vision [counts].
+            rest: (D,) level without contact [counts].
+            known: (S,) whether each object is like the training objects.
+        """
         tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)

@@ -19,7 +19,13 @@ Window = tuple[slice, slice]
 
 
 def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
-    """Return (3, 3) float64 intrinsics [px] of square pixels, a centred axis and a horizontal field of view; the D415 has 65 deg."""
+    """Return (3, 3) float64 intrinsics [px] of square pixels and a centred axis.
+
+    Args:
+        width: Columns.
+        height: Rows.
+        hfov_deg: Horizontal field of view [deg]; by default of a D415.
+    """
     # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
     focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
     return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
@@ -189,7 +195,13 @@ class RenderedFrame:
     def cloud(
         self, frame_id: str = "camera_depth_optical_frame", stamp_ns: int = 0, *, with_rgb: bool = False
     ) -> Cloud:
-        """Return the frame as an organised cloud, NaN where there is no depth."""
+        """Return the frame as an organised cloud, NaN where there is no depth.
+
+        Args:
+            frame_id: Frame of the camera.
+            stamp_ns: Time of the frame [ns].
+            with_rgb: Whether the points have colours.
+        """
         rgb = self.rgb if with_rgb else None
         return Cloud.from_depth(self.depth_mm, self.K, frame_id=frame_id, stamp_ns=stamp_ns, rgb=rgb)
 

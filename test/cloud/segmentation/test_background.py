@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
+from every_case import every_case
 from scipy.spatial import ConvexHull
 
-from foretouch.cloud.segmentation.segment import Segmentation, segment
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
 
@@ -13,6 +14,15 @@ HEIGHT, WIDTH, FOCAL = 240, 320, 300.0
 TABLE, FLOOR = 1, 2  # labels; boxes follow
 SURFACE = ((-0.45, -0.35, -0.02), (0.45, 0.35, 0.0))  # the table's least and largest x, y, z [m]; its top at z = 0
 CAN, PACKET = ((-0.10, -0.05, 0.0), (-0.02, 0.03, 0.10)), ((0.05, 0.0, 0.0), (0.15, 0.06, 0.06))
+BIN = (
+    ((-0.20, -0.14, 0.0), (-0.195, 0.16, 0.12)),
+    ((0.20, -0.14, 0.0), (0.205, 0.16, 0.12)),
+    ((-0.20, -0.14, 0.0), (0.20, -0.135, 0.12)),
+    ((-0.20, 0.155, 0.0), (0.20, 0.16, 0.12)),
+)  # its sides
+# On the table, and on the top of a box beside it.
+SHELF = (CAN, ((0.12, -0.20, 0.0), (0.45, 0.30, 0.15)), ((0.22, 0.0, 0.15), (0.30, 0.06, 0.21)))
+ON_SHELF = (0.2464, -0.0423, 0.7465)  # in `room(*SHELF, tilt_deg=35.0, distance_m=0.9)`
 
 
 def room(*boxes, tilt_deg: float = 40.0, distance_m: float = 0.8, noise_m: float = 0.0005) -> tuple[Cloud, np.ndarray]:
@@ -77,6 +87,47 @@ def test_what_stands_behind_the_edge_of_the_table_is_beyond_it() -> None:
     found = segment(cloud)
     assert labelled(found, labels) == [3]
     assert reasons(found, labels) == {4: "beyond_table"}
+
+
+@pytest.mark.parametrize("tilt", [10.0, 25.0, 40.0])
+def test_the_sides_of_a_bin_are_walls_and_what_lies_in_it_are_objects(tilt: float) -> None:
+    cloud, labels = room(CAN, PACKET, *BIN, tilt_deg=tilt, noise_m=0.001)
+    found = segment(cloud)
+    assert labelled(found, labels) == [3, 4]
+    assert set(reasons(found, labels).values()) == {"wall"}
+    assert set(reasons(found, labels)) <= {5, 6, 7, 8}
+
+
+def test_of_several_planes_the_chosen_one_carries_the_objects() -> None:
+    cloud, labels = room(*SHELF, tilt_deg=35.0, distance_m=0.9)
+
+    def check(table: str, point: tuple[float, ...], expected: list[int]) -> None:
+        config = SegmentationConfig().updated({"plane.table": table, "plane.point": point})
+        assert labelled(segment(cloud, config), labels) == expected
+
+    every_case([("largest", (), [3]), ("nearest", (), [5]), ("point", ON_SHELF, [5])], check)
+
+
+def test_large_boxes_whose_tops_are_seen_are_no_bin() -> None:
+    boxes = ((-0.25, -0.1, 0.0), (0.04, 0.0, 0.1)), ((0.05, -0.1, 0.0), (0.15, 0.2, 0.1))
+    cloud, labels = room(*boxes, tilt_deg=50.0, distance_m=1.0)
+    found = segment(cloud)
+    assert labelled(found, labels) == [3, 4]
+    assert found.background == ()
+
+
+def test_a_full_table_and_a_bin_whose_floor_is_half_hidden_are_answered() -> None:
+    def boxes(columns: range, rows: range, step: float) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+        middle = [(step * x, step * y, 0.05 + 0.02 * ((x + y) % 2)) for x in columns for y in rows]
+        return [((x - 0.035, y - 0.03, 0.0), (x + 0.035, y + 0.03, top)) for x, y, top in middle]
+
+    cases = {"table": (boxes(range(-3, 4), range(-2, 3), 0.09), ()), "bin": (boxes(range(-1, 2), range(-1, 2), 0.09), BIN)}  # fmt: skip
+    for name, (things, sides) in cases.items():
+        cloud, labels = room(*things, *sides, tilt_deg=20.0)
+        found = segment(cloud)
+        assert len(set(labelled(found, labels)) & set(range(3, 3 + len(things)))) >= 0.85 * len(things), name
+        assert len(found.objects) <= len(things), name
+        assert {part.background for part in found.background} == ({"wall"} if sides else set()), name
 
 
 def test_an_object_that_hides_the_edge_of_the_table_stands_on_it() -> None:

@@ -50,7 +50,9 @@ def background(
         elif not (20 * at_table >= ring or 20 * shallow[k] >= cells[k]):
             reasons[k] = FLOATS
     _spread(reasons, counts, near, beside)
-    _walls(reasons, grid, labels, cells, near, view, float(flat))
+    within = _within_parts(labels, view) & seen
+    _walls(reasons, grid, labels, cells, near, within, float(flat))
+    _bin(reasons, grid, labels, height, near, within & part, plane[:3])
     return reasons, outline
 
 
@@ -149,14 +151,49 @@ def _spread(reasons: Array, counts: Array, near: Array, beside: Array) -> None:
             reasons[k] = reason
 
 
-def _walls(
-    reasons: Array, grid: Array, labels: Array, cells: Array, near: Array, view: tuple[slice, slice], flat: float
-) -> None:
+def _within_parts(labels: Array, view: tuple[slice, slice]) -> Array:
+    """Cells in view whose four neighbours are in view and have the same label."""
+    padded = np.full((labels.shape[0] + 2, labels.shape[1] + 2), -1)
+    padded[1:-1, 1:-1][view] = labels[view]
+    centre = padded[1:-1, 1:-1]
+    around = (padded[1 + dy : padded.shape[0] - 1 + dy, 1 + dx : padded.shape[1] - 1 + dx] for dy, dx in _SIDES)
+    return np.logical_and.reduce([centre > 0, *(side == centre for side in around)])
+
+
+def _sheet(points: Array) -> tuple[Array, Array, float]:
+    """Middle, normal and variance of points on a plane, infinite if they are few."""
+    if len(points) < 30:
+        return np.zeros(3), np.zeros(3), np.inf
+    values, vectors = np.linalg.eigh(np.cov(points.T.astype(float), bias=True))
+    return points.mean(axis=0, dtype=float), vectors[:, 0], values[0]
+
+
+def _walls(reasons: Array, grid: Array, labels: Array, cells: Array, near: Array, within: Array, flat: float) -> None:
     """A part in the plane of one beyond the table that it is joined to is a piece of the same wall."""
-    for wall in np.flatnonzero((reasons == BEYOND) & (cells >= 30)):
-        points = grid[view][labels[view] == wall].astype(float)
-        middle, (values, vectors) = points.mean(axis=0), np.linalg.eigh(np.cov(points.T, bias=True))
+    for wall in np.flatnonzero(reasons == BEYOND):
+        middle, normal, variance = _sheet(grid[(labels == wall) & within])
         for k in np.flatnonzero((reasons == STANDS) & (near[:, wall] > 0)):
-            apart = np.abs((grid[labels == k] - middle) @ vectors[:, 0])
-            if values[0] < flat**2 and 5 * np.count_nonzero(apart < 2 * flat) > 4 * cells[k]:
+            apart = np.abs((grid[labels == k] - middle) @ normal)
+            if variance < flat**2 and 5 * np.count_nonzero(apart < 2 * flat) > 4 * cells[k]:
                 reasons[k] = WALL
+
+
+def _bin(reasons: Array, grid: Array, labels: Array, height: Array, near: Array, within: Array, normal: Array) -> None:
+    """Upright sheets that meet or are equally high, or meet a wall, and what meets one of them and is as high."""
+    tops, upright = np.zeros(len(reasons), np.float32), np.zeros(len(reasons), bool)
+    for k in range(1, len(reasons)):
+        tops[k] = np.nanmax(height, where=labels == k, initial=-np.inf)
+        _, facing, variance = _sheet(grid[(labels == k) & within])
+        along = np.cross(facing, normal)
+        sine = np.linalg.norm(along)
+        if reasons[k] == STANDS and tops[k] >= 0.05 and variance < 0.006**2 and sine**2 > 1 - 0.35**2:
+            places = grid[labels == k].astype(float) @ along / sine
+            upright[k] = np.nanmax(places) - np.nanmin(places) > 0.2
+    level = np.abs(tops[:, None] - tops) < 0.005
+    np.fill_diagonal(level, val=False)
+    beyond = np.isin(reasons, (BEYOND, WALL))
+    sides = np.where(upright, (near >= 2) | level, (near >= 2) & beyond).any(axis=1) & upright
+    reasons[sides] = WALL
+    while sides.any():
+        sides = (reasons == STANDS) & ((near > 0) & level & (reasons == WALL)).any(axis=1)
+        reasons[sides] = WALL

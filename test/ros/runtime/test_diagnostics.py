@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts of inputs, the report of a node, and messages that reach no callback, whoever lost them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -23,6 +25,20 @@ def test_every_input_is_accounted_for_with_the_quantiles_of_numpy_and_none_befor
     assert (now.received, now.used, now.waiting) == (104, 100, 1)
     assert now.dropped == {"superseded": 2, "inactive": 1}
     np.testing.assert_allclose(now.input_age_ms, np.percentile(ages * 1e3, [50, 95]))
+
+
+def test_the_rate_falls_to_nothing_ten_seconds_after_the_last_input(monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("foretouch.ros.runtime.diagnostics.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    statistics = InputStatistics()
+    for _ in range(1000):
+        statistics.use(statistics.receive(), 0.0)
+        clock[0] += 1 / 30
+    rates = []
+    for _ in range(3):
+        rates.append(statistics.summary().rate_hz)
+        clock[0] += 5.0
+    assert rates == [pytest.approx(30.0, abs=0.2), pytest.approx(15.0, abs=0.2), 0.0]
 
 
 def report_of(statistics, silence_s=None):

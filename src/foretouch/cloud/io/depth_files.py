@@ -193,7 +193,8 @@ class Pairs:
                 for word in _MASKS
                 for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")
             ]
-            if (mask := first(own, MASK_SUFFIXES)) is not None:
+            mask = first(own, MASK_SUFFIXES)
+            if mask is not None:
                 masks[file] = mask
             own = [
                 text

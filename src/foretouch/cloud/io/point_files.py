@@ -278,7 +278,10 @@ class _PlyData:
     """The elements of a PLY file in order; without an `order` of bytes, all numbers are float64."""
 
     def __init__(self, path: Path, body: bytes, order: str | None) -> None:
-        self._path, self._body, self._order, self._start = path, body, order, 0
+        self._path = path
+        self._body = body
+        self._order = order
+        self._start = 0
 
     def read(self, element: _Element) -> tuple[_Records, list[int]]:
         """Return the (count,) records of single numbers, and the first entry of the first list of each, -1 of an empty one."""
@@ -339,7 +342,14 @@ def _whole_number(path: Path, text: str, field: str) -> int:
 
 
 def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
-    """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes]."""
+    """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes].
+
+    Args:
+        path: The file.
+        unpacked: Size of its unpacked data [bytes].
+        size: Size of the file [bytes].
+        field: What the data are, for the message.
+    """
     limit = max(32_000_000, 10 * size)  # an image of 1280 x 720 points in double has 22 million bytes
     if unpacked > limit:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)

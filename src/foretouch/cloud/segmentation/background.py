@@ -7,7 +7,8 @@ image, with its holes and the dents that things leave which hide it. Other parts
 - `enters_view`: it comes from the image's border over the table, or is joined to what does. Fingers have to avoid it.
 - `beyond_table`: it stands outside of the outline.
 - `floating`: it touches neither the table nor an object in the image, and its points are all high.
-- `wall`: it lies in the plane of a part beyond the table that it is joined to.
+- `wall`: it lies in the plane of a part beyond the table that it is joined to, or it is a side of a bin: a long upright sheet
+  that meets another one, or has its height.
 """
 
 from collections.abc import Sequence
@@ -26,9 +27,7 @@ REASONS = ("", ENTERS, "beyond_table", "floating", "wall")
 _LIMITS = {"level": 0.006, "below": 0.03, "foot": 0.03, "flat": 0.01, "border": 0.17}
 
 
-def find_background(
-    grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold
-) -> tuple[list[Int64], Float64]:
+def find_background(grid: CoarseGrid, windows: Sequence[Clusters], threshold: HeightThreshold) -> tuple[Int64, Float64]:
     """Find why parts are background.
 
     Args:
@@ -37,17 +36,16 @@ def find_background(
         threshold: The table, and the noise of the depth.
 
     Returns:
-        For each window the index in `REASONS` by label, and the (n, 3) outline of the table [m], empty if it is not seen.
+        The index in `REASONS` of each label, counted on from one window to the next, and the (n, 3) outline of the table [m],
+        empty if it is not seen.
     """
     (h, w), plane = grid.points.shape[:2], threshold.plane.coefficients
     labels, count = np.zeros((h, w), np.int32), 1
-    starts = []
     for window in windows:
         part = window.labels[:: grid.stride, :: grid.stride]
         at = np.s_[window.rows // grid.stride :, window.columns // grid.stride :]
         view = labels[at][: part.shape[0], : part.shape[1]]
         np.copyto(view, part + np.int32(count - 1), where=part > 0)
-        starts.append(count - 1)
         count += window.n_labels
     reasons, n_corners = np.zeros(count, np.int64), np.empty(1, np.int64)
     outline = np.empty((4 * h + 2, 3))
@@ -55,4 +53,4 @@ def find_background(
     _find(struct("Parts", **image, plane=plane, noise=threshold.noise_per_m, **_LIMITS), reasons, outline, n_corners)
     if n_corners[0] < 0:
         raise MemoryError("find_background")
-    return [reasons[start:] for start in starts], outline[: n_corners[0]]
+    return reasons, outline[: n_corners[0]]

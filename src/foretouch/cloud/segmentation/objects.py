@@ -56,7 +56,7 @@ def extract_objects(
     threshold: HeightThreshold,
     config: ClusterConfig,
     labels: Int32,
-    reasons: Sequence[Int64] = (),
+    reasons: Int64 | None = None,
 ) -> tuple[tuple[Segment, ...], tuple[Segment, ...], dict[str, int]]:
     """Extract the clusters of a plausible size as objects, and those that are background.
 
@@ -66,7 +66,7 @@ def extract_objects(
         threshold: The table, and the noise of the depth.
         config: Limits of the size.
         labels: (H, W) or (N,) int32, zeros; the ids of objects are written into it.
-        reasons: Of each window, the index in `REASONS` of each label; all are objects if absent.
+        reasons: The index in `REASONS` of each label, counted on from one window to the next; all are objects if absent.
 
     Returns:
         Objects in order of the distance of their centroid from the camera, ties by position in the image; background in the
@@ -77,17 +77,17 @@ def extract_objects(
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
     standing: list[tuple[float, int, int, Segment]] = []  # distance, window and label, by which they are sorted
-    behind, rejected = standing.copy(), []
+    behind, rejected, first = standing.copy(), [], 0
     for number, window in enumerate(windows):
         for label, segment, top_m in _segments(flat, window, image.shape[1], threshold.plane):
-            reason = REASONS[reasons[number][label]] if reasons else ""
-            sized = _plausible(segment, top_m, threshold, config)
-            if reason == ENTERS or (reason and sized):
+            reason = "" if reasons is None else REASONS[reasons[first + label]]
+            if reason == ENTERS or (reason and segment.n_points >= config.min_points):
                 behind.append((segment.distance_m, number, label, replace(segment, background=reason)))
-            elif sized:
+            elif not reason and _plausible(segment, top_m, threshold, config):
                 standing.append((segment.distance_m, number, label, segment))
             else:
                 rejected.append(segment.n_points)
+        first += window.n_labels
     standing.sort(key=lambda entry: entry[:3])
     behind.sort(key=lambda entry: entry[:3])
     ids = [np.zeros(window.n_labels + 1, np.int32) for window in windows]

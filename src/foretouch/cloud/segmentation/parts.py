@@ -85,6 +85,7 @@ def split_clusters(
     threshold: HeightThreshold,
     pitch: float,
     config: SplitConfig,
+    reasons: Int64,
     write: WritePoints | None = None,
 ) -> tuple[list[Clusters], dict[str, int]]:
     """Split clusters of an image into parts.
@@ -95,6 +96,7 @@ def split_clusters(
         threshold: Height threshold above the table, with the noise of the depth.
         pitch: Lateral distance of neighbouring pixels per depth.
         config: Settings.
+        reasons: Why each label of the windows, counted on from one to the next, is background; 0 for what stands on the table.
         write: Writes points between the windows into `xyz`; None if all are there.
 
     Returns:
@@ -106,10 +108,11 @@ def split_clusters(
     window = _in_one_window(windows) if len(windows) > 1 else windows[0]
     h, w = window.labels.shape
     coarse = np.s_[::_STRIDE, ::_STRIDE]
-    depths = xyz[window.rows :, window.columns :][:h, :w, 2][coarse][window.solid[coarse]]
+    solid, view = window.solid[coarse], xyz[window.rows :, window.columns :]
+    depths, standing = view[:h, :w, 2][coarse][solid], reasons[window.labels[coarse][solid]] == 0
     if not len(depths):
         return list(windows), counts
-    depth = median(depths)
+    depth = median(depths[standing] if standing.any() else depths)  # a wall is far behind the objects
     side = pitch * depth  # of a pixel [m]
     arm, touching = max(1, round(_ARM_M / side)), np.empty(2, np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
@@ -118,9 +121,7 @@ def split_clusters(
         return list(windows), counts
     if write is not None and len(windows) > 1:
         write(window.rows, window.rows + h, window.columns, window.columns + w)
-    least = _UNKNOWN_CELL_PER_M if threshold.noise_per_m < _NO_NOISE else _CELL_PER_M
-    cell_m = max(config.cell_m, max(least, _CELL_NOISE * threshold.noise_per_m) * depth**2)
-    cell = min(max(round(cell_m / side), 1), _MAX_CELL)
+    cell = _cell_of(threshold.noise_per_m, config.cell_m, depth, side)
     settings = [
         np.radians(config.angle_deg),
         _STEP_M,
@@ -130,8 +131,9 @@ def split_clusters(
         pitch * cell,
     ]
     labels, (parts, *joined, _) = split_window(xyz, window, cell, np.array(settings))
-    clusters = int(np.count_nonzero(np.bincount(window.labels.ravel())[1:]))
-    counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
+    clusters = np.zeros(window.n_labels + 1, np.bool_)
+    clusters[window.labels[window.solid]] = True  # in a fifth of the time of a bincount of all pixels
+    counts = dict(zip(counts, (int(np.count_nonzero(clusters)), parts, *joined), strict=True))
     return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns)], counts
 
 
@@ -162,6 +164,13 @@ def split_window(
     return labels, counts.tolist()
 
 
+def _cell_of(noise_per_m: float, least_m: float, depth: float, side: float) -> int:
+    """Return the side of a cell in pixels, by the noise of the threshold, the depth and the side of a pixel [m]."""
+    least = _UNKNOWN_CELL_PER_M if noise_per_m < _NO_NOISE else _CELL_PER_M
+    cell_m = max(least_m, max(least, _CELL_NOISE * noise_per_m) * depth**2)
+    return min(max(round(cell_m / side), 1), _MAX_CELL)
+
+
 def split_list(
     xyz: Float32, windows: Sequence[Clusters], threshold: HeightThreshold, config: SplitConfig
 ) -> tuple[list[Clusters], dict[str, int]]:
@@ -182,7 +191,8 @@ def split_list(
     image = np.where(shown[..., None] >= 0, points[shown], np.float32(np.nan))
     labels = np.where(shown >= 0, clusters[shown], 0).astype(np.int32)
     wide = config.updated({"cell_m": max(config.cell_m, _LIST_CELL_M)})
-    split, counts = split_clusters(image, [Clusters(labels, labels > 0, windows[0].n_labels)], threshold, pitch, wide)
+    whole = Clusters(labels, labels > 0, windows[0].n_labels)
+    split, counts = split_clusters(image, [whole], threshold, pitch, wide, np.zeros(whole.n_labels + 1, np.int64))
     if not counts["parts"]:
         return list(windows), counts
     parts, front = split[0].labels[tuple(at.T)], shown[tuple(at.T)]

@@ -199,10 +199,12 @@ def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], m
         if cloud.organised:
             grid = CoarseGrid(coarse, stride, pixel_pitch(coarse))
             windows = label_organised(xyz, grid, config.crop, threshold, limits, rays, write)
-            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, write)
             reasons, outline = find_background(grid, windows, threshold)
+            windows, parts = split_clusters(xyz, windows, threshold, grid.pitch / stride, config.split, reasons, write)
+            if parts["parts"]:
+                reasons, outline = find_background(grid, windows, threshold)
         else:
-            reasons, outline = [], np.empty((0, 3))
+            reasons, outline = None, np.empty((0, 3))
             windows = label_unorganised(xyz, config.crop, threshold)
             windows, parts = split_list(xyz, windows, threshold, config.split)
         counts |= parts

@@ -62,7 +62,15 @@ class McapFile:
         return int(self._writer.register_channel(channel.topic, channel.message_encoding, number, channel.metadata))
 
     def message(self, topic: str, data: bytes, log_time_ns: int, sent_ns: int, sequence: int) -> Message:
-        """Return a message of a declared topic, to be written; a `DatasetError` if the topic or a time [ns] is invalid."""
+        """Return a message of a declared topic, to be written; a `DatasetError` if the topic or a time [ns] is invalid.
+
+        Args:
+            topic: A declared topic.
+            data: The serialised message.
+            log_time_ns: When it was received [ns].
+            sent_ns: When it was sent [ns].
+            sequence: Its number by the publisher.
+        """
         if topic not in self._channels:
             raise DatasetError(f"{self.path}: {topic} was not declared by add_topic")
         for name, time_ns in (("log_time_ns", log_time_ns), ("publish_time_ns", sent_ns)):

@@ -3,19 +3,22 @@
 
 A camera that looks down steeply sees what the recordings show: its points are only turned into the table's frame. Of any
 other view, the highest point over each cell of the table is kept, since the flanks below are not seen from above; and what
-the object itself hides is taken from the other side, as if it were symmetric about the vertical line through the middle of
-its top (as `grasp.completed` does). A place that the camera sees through stays empty.
+the object itself hides is taken from the other side, as if it were symmetric about a vertical line. That line is where
+half a turn moves visible points to others of the same height, and to hidden places. A place that the camera sees through
+stays empty.
 
 Which walls are in view depends on where the camera is, and so do sizes of all points. The upper side without its walls
 (`upper_side`) is what two views of an object share.
 """
 
+import math
 from typing import Final
 
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from foretouch.cloud.geometry.columns import centred_columns, quantiles
+from foretouch.cloud.geometry.columns import quantiles
+from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Bool, Float64, Int64, Plane
 
@@ -24,40 +27,47 @@ _hide_places = Kernel("hide_places")
 STEEP: Final = float(np.radians(17.0))
 """Angle between line of sight and vertical up to which a view is taken as it is: objects in the recordings reach 17° [rad]."""
 
+_DOWN: Final = np.array([0.0, 0.0, 1.0])  # along the optical axis
 _CELL_M: Final = 0.003
 _UPPER_M: Final = 0.005  # edge of the cells of an upper side: two pixels of 640 x 480 at 1.3 m
 _MOST_ALONG: Final = 256  # of these cells along one side
-_WALL: Final = 2.3  # slope, as a tangent, from which on a cell is at a wall
+_WALL: Final = 1.8  # slope, as a tangent, from which on a cell is at a wall
+_STEEP_WALL: Final = 5.0  # the same where sizes of what is seen from above are measured: there rounded sides count
 _FEWEST: Final = 8  # cells that show a shape
 _PITCH: Final = 0.004  # of the outline, as a tangent: two pixels of 640 x 480
 _BEHIND_M: Final = 0.006  # what is so far behind a visible point is hidden by it
 _MOST_CELLS: Final = 1 << 22  # of an array with a number for each
-_TOP_SHARE, _TOP_M = 0.05, 0.006  # of the visible height, or so much: the top
+_TOP_SHARE, _TOP_M = 0.05, 0.004  # of the visible height, or so much: the top
+_AWAY_M: Final = np.arange(
+    -0.008, 0.0121, 0.002
+)  # places of the line, along the view from the middle of the visible top
+_UNLIKE_M: Final = 0.005  # difference of heights that counts as much as a place which the camera sees through
+_TWINS: Final = 400  # points at most, by which a line is evaluated
 
 
-def seen_from_above(points: Float64, table: Plane | None) -> tuple[Float64, Float64, Float64]:
+def seen_from_above(points: Float64, centre: Float64, table: Plane | None) -> tuple[Float64, Float64, Float64]:
     """Turn points into the table's frame, and complete what a tilted camera does not see of their upper side.
 
     Args:
         points: (N, 3) float64 [m], finite, camera frame, N > 0.
+        centre: (3,) float64, their mean [m].
         table: The table in that frame; None if the camera looks straight down on it.
 
     Returns:
         (M, 3) points [m] in a frame with z downwards; the frame's axes as rows of (3, 3), by which directions and places of the camera's frame are turned; (2,) the angle between
         line of sight and vertical [rad], and the distance of the object [m].
     """
-    centre, _, _ = centred_columns(points)
-    distance = max(float(np.linalg.norm(centre)), 1e-12)
-    down = np.array([0.0, 0.0, 1.0]) if table is None else np.asarray(table.normal, np.float64)
-    down = down / np.linalg.norm(down)
+    distance = max(math.hypot(*centre.tolist()), 1e-12)
+    down = _DOWN if table is None else np.asarray(table.normal, np.float64)
+    down = down / math.hypot(*down.tolist())
     down = down if down @ centre > 0.0 else -down
-    view = np.array([np.arccos(min(float(down @ centre) / distance, 1.0)), distance])
+    view = np.array([math.acos(min(float(down @ centre) / distance, 1.0)), distance])
     if table is None:
         return points, np.eye(3), view
     across = np.eye(3)[int(abs(down[0]) > 0.8)]
     across = across - (across @ down) * down
-    across /= np.linalg.norm(across)
-    turn = np.stack([across, np.cross(down, across), down])
+    across /= math.hypot(*across.tolist())
+    turn = np.stack([across, cross(down, across), down])
     turned = points @ turn.T
     if view[0] <= STEEP:
         return turned, turn, view
@@ -78,9 +88,8 @@ def upper_side(points: Float64, turn: Float64, tilt: float) -> Float64:
     along = _along_object(points @ turn.T) @ turn
     turned = points @ along.T
     x, y, z = np.ascontiguousarray(turned.T)  # reductions over rows of three take several times as long
-    (left, right), (top, bottom) = ((values.min(), values.max()) for values in (x, y))
-    edge = max(_UPPER_M, float(max(right - left, bottom - top)) / _MOST_ALONG)
-    column, row = (np.floor((values - low) / edge).astype(np.int64) for values, low in ((x, left), (y, top)))
+    low, edge = np.array([x.min(), y.min()]), _edge(x, y, _UPPER_M)
+    column, row = (np.floor((values - values.min()) / edge).astype(np.int64) for values in (x, y))
     columns, rows = int(column.max()) + 1, int(row.max()) + 1
     cells = column * rows + row
     height = np.full(columns * rows, np.inf)
@@ -90,17 +99,40 @@ def upper_side(points: Float64, turn: Float64, tilt: float) -> Float64:
     counts = np.bincount(cells, minlength=height.size)
     filled = np.flatnonzero(counts)
     means = np.stack([np.bincount(cells, values)[filled] for values in points_of], axis=1) / counts[filled, None]
-    height[filled] = means[:, 2]
-    around = minimum_filter(height.reshape(columns, rows), 3, mode="constant", cval=np.inf).ravel()[filled]
-    upper: Float64 = means[means[:, 2] - around <= _WALL * edge]
+    upper: Float64 = means[_falls(means, low, edge) <= _WALL * edge]
     if len(upper) < _FEWEST:
         return turned
     return upper if tilt <= STEEP else _completed(upper, edge, along, points)
 
 
+def without_walls(points: Float64) -> Float64:
+    """Return the points that a camera above shows of an object, from what one anywhere sees of it: all but those at walls.
+
+    Args:
+        points: (N, 3) float64 [m], about one over each cell, as from `seen_from_above`.
+    """
+    edge = _edge(points[:, 0], points[:, 1], _CELL_M)
+    upper: Float64 = points[_falls(points, points[:, :2].min(axis=0), edge) <= _STEEP_WALL * edge]
+    return upper if len(upper) >= _FEWEST else points
+
+
+def _edge(x: Float64, y: Float64, least: float) -> float:
+    """Return the edge of square cells [m], of which there are not too many over all points at (N,) x and y."""
+    return max(least, float(np.ptp(x)) / _MOST_ALONG, float(np.ptp(y)) / _MOST_ALONG)
+
+
+def _falls(points: Float64, low: Float64, edge: float) -> Float64:
+    """Return (N,) [m], how far points are below the highest one over their cell and those around it. The first cell begins at `low`."""
+    column, row = np.maximum(np.floor((points[:, :2] - low) / edge), 0.0).astype(np.int64).T  # a mean may round below
+    height = np.full((int(column.max()) + 1, int(row.max()) + 1), np.inf)
+    np.minimum.at(height, (column, row), points[:, 2])
+    around = minimum_filter(height, 3, mode="constant", cval=np.inf)
+    return np.asarray(points[:, 2] - around[column, row], np.float64)
+
+
 def _along_object(points: Float64) -> Float64:
     """Return (3, 3) turn about the vertical after which an object is longest along x, so that its cells turn with it."""
-    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
+    x, y = (values - values.mean() for values in np.ascontiguousarray(points[:, :2].T))
     angle = 0.5 * np.arctan2(2.0 * (x @ y), x @ x - y @ y)
     cosine, sine = np.cos(angle), np.sin(angle)
     place = cosine * x + sine * y
@@ -111,7 +143,7 @@ def _along_object(points: Float64) -> Float64:
 
 def _completed(seen: Float64, edge: float, turn: Float64, points: Float64) -> Float64:
     """Return (M, 3) seen points of an upper side, one over each cell, with what (N, 3) points hide from the camera."""
-    hidden = _mirrored(seen)
+    hidden = _half_turn(seen, _middle(seen, edge, turn, points))
     hidden = hidden[_is_hidden(hidden @ turn, points)]
     cells, count = _cells(np.concatenate([seen, hidden]), edge)
     taken = np.zeros(count, np.bool_)
@@ -146,16 +178,41 @@ def _highest(points: Float64, edge: float) -> Float64:
     return result
 
 
-def _mirrored(points: Float64) -> Float64:
-    """Half a turn about the vertical line through the middle of the top."""
-    height = points[:, 2]
+def _middle(seen: Float64, edge: float, turn: Float64, points: Float64) -> Float64:
+    """Return (2,) [m], where the vertical line is about which seen points of an upper side, one over each cell, are symmetric.
+
+    Across the view, where both sides are seen, it is in the middle of the top. Along the view the far side of a rounded top is hidden, and the
+    line is chosen by what half a turn about it does: heights must agree, and what is moved to a free place must be hidden.
+    """
+    x, y, height = np.ascontiguousarray(seen.T)
     low, high = quantiles(height, (0.03, 0.98))
     top = height < low + max(_TOP_SHARE * (high - low), _TOP_M)
-    twin = points.copy()
-    for k in (0, 1):
-        values = points[top, k]
-        twin[:, k] = values.min() + values.max() - twin[:, k]
-    return twin
+    start = np.array([values[top].min() + values[top].max() for values in (x, y)]) / 2.0
+    away = np.array([x.mean(), y.mean()])
+    away /= max(float(np.hypot(*away)), 1e-12)
+    middles = start + _AWAY_M[:, None] * away
+    twins = _half_turn(seen[:: -(-len(seen) // _TWINS)], middles[:, None])
+    cells, count = _cells(np.concatenate([seen, twins.reshape(-1, 3)]), edge)
+    heights = np.full(count, np.nan)
+    heights[cells[: len(seen)]] = height
+    apart = np.abs(heights[cells[len(seen) :]].reshape(twins.shape[:2]) - twins[:, :, 2])
+    empty = np.isnan(apart)
+    apart[empty] = np.where(_is_hidden(twins[empty] @ turn, points), np.nan, _UNLIKE_M)
+    shown = ~np.isnan(apart)
+    cost = np.minimum(apart, _UNLIKE_M).sum(axis=1, where=shown) / np.maximum(shown.sum(axis=1), 1)
+    best = int(np.argmin(cost))
+    if not 0 < best < len(cost) - 1:
+        return np.asarray(middles[best], np.float64)
+    before, least, after = cost[best - 1 : best + 2]
+    curvature = before - 2.0 * least + after  # of the parabola through three costs, whose least is between them
+    part = 0.5 * (before - after) / curvature if curvature > 0.0 else 0.0
+    return np.asarray(middles[best] + part * (_AWAY_M[1] - _AWAY_M[0]) * away, np.float64)
+
+
+def _half_turn(points: Float64, middle: Float64) -> Float64:
+    """Turn (..., 3) points by half a turn about the vertical lines through (..., 2) middles."""
+    places = 2.0 * middle - points[:, :2]
+    return np.concatenate([places, np.broadcast_to(points[:, 2:], (*places.shape[:-1], 1))], axis=-1)
 
 
 def _is_hidden(places: Float64, points: Float64) -> Bool:

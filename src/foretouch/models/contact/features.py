@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.kernels import Kernel, struct
-from foretouch.models.contact.above import seen_from_above, upper_side
+from foretouch.models.contact.above import STEEP, seen_from_above, upper_side, without_walls
 from foretouch.models.novelty import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, Grasps, Int32, Int64, Plane
 
@@ -56,6 +56,8 @@ OBJECT_FEATURES: Final = (
 
 UPPER_FEATURES: Final = tuple(f"upper_{name}" for name in OBJECT_FEATURES)
 """The same sizes of the upper side without its walls, by which novelty is detected in other views."""
+
+_UNKNOWN: Final = np.zeros(len(UPPER_FEATURES))
 
 VIEW: Final = ("tilt", "distance")
 """Angle between the line of sight and the vertical [rad], and distance of the object from the camera [m]."""
@@ -102,14 +104,19 @@ class HandFrameFeatures:
     """
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]], table: Plane | None = None) -> None:
-        self._seen = usable_points(xyz)
-        self._points, self._turn, self.view = seen_from_above(self._seen, table)
-        self._centre, self._columns, self._covariance = centred_columns(self._points)
-        self._centred = self._points - self._centre
+        self._seen, self._is_turned = usable_points(xyz), table is not None
+        centred = centred_columns(self._seen)
+        self._points, self._turn, self.view = seen_from_above(self._seen, centred[0], table)
+        self._centre, self._columns, self._covariance = centred_columns(self._points) if self._is_turned else centred
+        self._centred = self._columns.T.copy()
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
         self.object_features: Float64
         self.object_features, self._top = _sizes(self._points, self._columns, spreads, axes)
+        if self.view[0] > STEEP:
+            upper = without_walls(self._points)
+            _, columns, covariance = centred_columns(upper)
+            self.object_features, _ = _sizes(upper, columns, *principal_axes(covariance))
         _, middle, longest = self.object_features[3:6]  # extents
         self._spacing = np.sqrt(middle * longest / len(self._points))
 
@@ -153,13 +160,15 @@ class HandFrameFeatures:
         if not grasps:
             return np.empty((0, len(FEATURES)))
         columns = Grasps.of(grasps)
-        g1, g2 = (_into(self._turn.T[None], contact) for contact in (columns.g1, columns.g2))
-        hand = (self._turn[None, :, :, None] * columns.rotation[:, None, :, :]).sum(axis=2)
+        g1, g2, hand = columns.g1, columns.g2, columns.rotation
+        if self._is_turned:
+            g1, g2 = (_into(self._turn.T[None], contact) for contact in (g1, g2))
+            hand = (self._turn[None, :, :, None] * hand[:, None, :, :]).sum(axis=2)
         away = np.where(hand[:, 2, :1] < 0.0, -1.0, 1.0)
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
-        sizes = self.upper_features if upper else np.zeros(len(UPPER_FEATURES))
+        sizes = self.upper_features if upper else _UNKNOWN
         whole = np.concatenate([self.view, [self._spacing], sizes, self.object_features])
-        objects = np.tile(whole, (len(grasps), 1))
+        objects = np.broadcast_to(whole, (len(grasps), len(whole)))
         second = np.stack([hand[:, :, 0], -hand[:, :, 1], -hand[:, :, 2]], axis=2)  # z is where the finger closes to
         ends, fingers = np.concatenate([g1, g2]), np.concatenate([second, hand])
         contacts = self._contacts(ends, fingers) if surroundings else np.zeros((len(ends), len(_CONTACT_FEATURES)))

@@ -8,7 +8,7 @@ K grasps ─ unit sphere ──────────────────�
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges
 from foretouch.types import AnyArray, Cloud, Grasp, Plane
+
+_FORMER: Final = ("sampler", "precision")  # settings in cards of earlier versions, of which a prediction never depended
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,8 @@ def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, AnyArray
     if card["kind"] != "network":
         raise ModelError(f"{card_path}: kind: {card['kind']!r} is not network")
     try:
-        config = ModelConfig.from_mapping(card["config"], f"{card_path}: config")
+        settings = {name: value for name, value in card["config"].items() if name not in _FORMER}
+        config = ModelConfig.from_mapping(settings, f"{card_path}: config")
     except ConfigError as err:
         raise ModelError(str(err)) from err
     weights = file_beside(card_path, card["weights"], "weights")

@@ -27,7 +27,6 @@ class ModelConfig(Settings):
 
     n_points: int = setting(750, "Points of a cloud as input: 750 in P2, 500 in P1", bounds=(8, 8192))
     channels: str = setting("xyz", "Values of each point", choices=tuple(_CHANNELS))
-    sampler: str = setting("random", "Method of choosing the points", choices=("random",))
     outputs: tuple[str, ...] = setting(MODALITIES, "Modalities to predict", choices=MODALITIES)
     use_grasp: bool = setting(True, "Use g1, g2 and R as inputs of the head, as in P2 but not in P1")
     metric_inputs: bool = setting(
@@ -46,11 +45,6 @@ class ModelConfig(Settings):
     head_widths: tuple[int, ...] = setting((1024, 512, 256), "Layers of the head", bounds=(1, 8192))
     head_norm: bool = setting(False, "Batch norm in the head")
     head_dropout: float = setting(0.0, "Dropout before the last layer, in training", bounds=(0.0, 0.9))
-    precision: str = setting(
-        "float32",
-        "Stated by cards of earlier versions; predictions are computed in float32",
-        choices=("float32", "bfloat16"),
-    )
     ranges: TactileRanges = TactileRanges()
 
     def __post_init__(self) -> None:

@@ -28,8 +28,6 @@ from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.subscription import InputTopic, SerializedMessage, type_name
 from foretouch_msgs.msg import ObjectArray, RecorderStatus
 
-_DEPTH: Final = 100
-_CLOUD_DEPTH: Final = 10
 _END_S: Final = 2.0  # for clients to hear of the end
 
 
@@ -62,9 +60,10 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self._channels_context = foxglove.Context()
         definitions = Definitions()
         others = {"objects": ObjectArray, "markers": MarkerArray, "recorder_status": RecorderStatus}
-        topics = sample_topics(self.config, depth=_DEPTH, cloud_depth=_CLOUD_DEPTH, points_depth=_CLOUD_DEPTH)
-        topics += [RecordedTopic(topic, kind, _DEPTH) for topic, kind in others.items()]
-        for topic in (*topics, RecordedTopic("/diagnostics", DiagnosticArray, _DEPTH)):
+        others |= {"/diagnostics": DiagnosticArray}
+        topics = sample_topics(self.config, points=True)
+        topics += [RecordedTopic(topic, kind) for topic, kind in others.items()]
+        for topic in topics:
             name, kind = self.resolve_topic_name(topic.name), type_name(topic.message)
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definitions.text(kind).encode())
             channel = foxglove.Channel(name, schema=schema, message_encoding="cdr", context=self._channels_context)

@@ -118,10 +118,9 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.reader: TactileReader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
         self._hold = self.advertise(TouchHold, "touch_hold")
-        # The depths are how many messages the middleware keeps while this process does not get to run.
-        topics = sample_topics(self.config, depth=1000, cloud_depth=100, points_depth=20 * self.config.points)
-        topics += depth_topics(self.config.depth, depth=100) if self.config.depth else []
-        others, missing = robot_topics(depth=1000)
+        topics = sample_topics(self.config, points=self.config.points)
+        topics += depth_topics(self.config.depth) if self.config.depth else []
+        others, missing = robot_topics()
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
         self.inputs = RecorderInputs(self, [*topics, *others])

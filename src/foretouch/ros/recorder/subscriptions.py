@@ -22,6 +22,8 @@ from foretouch.ros.runtime.subscription import InputTopic, SerializedMessage
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TablePlane, TopicAccount, TouchPredictionArray
 
+_IMAGES_KEPT: Final = 100  # depth images, or clouds of objects, that may wait in the middleware
+_CLOUDS_KEPT: Final = 20  # clouds of the camera that may wait there
 _LATCHED_KEPT: Final = 50  # messages of latched topics that are kept for the sessions to come
 
 #: Topics of the robot, for viewers: no sample is made of them. With the types of their messages.
@@ -36,48 +38,42 @@ _LATCHED: Final = ("/tf_static", "/robot_description")
 
 @dataclass(frozen=True)
 class RecordedTopic(InputTopic):
-    """A topic whose messages are received serialised."""
+    """A topic whose messages are received serialised; `depth` of them wait while this process does not get to run."""
 
+    depth: int = 1000
     raw: bool = True
     role: Role | Literal["touch", "table", "scene", "info", ""] = ""  # of its messages in samples or checks
     optional: bool = False  # whether nothing is reported of it until a message arrives
 
 
-def sample_topics(config: TactileInput, *, depth: int, cloud_depth: int, points_depth: int) -> list[RecordedTopic]:
+def sample_topics(config: TactileInput, *, points: bool) -> list[RecordedTopic]:
     """List the topics of samples, the hand's first.
 
     Args:
         config: Topic and type of the hand's messages.
-        depth: Messages that may wait in the middleware.
-        cloud_depth: The same of `object_cloud`.
-        points_depth: The same of the camera's clouds; 0 leaves them out.
+        points: Whether the camera's clouds are among them.
     """
     topics = [
-        RecordedTopic(config.tactile_topic, message_class(config.tactile.message_type), depth, role="tactile"),
-        RecordedTopic(CLOUD_TOPIC, PointCloud2, cloud_depth, role="cloud"),
-        RecordedTopic("table", TablePlane, depth, role="table"),
-        RecordedTopic(GRASPS_TOPIC, GraspArray, depth, role="grasps"),
-        RecordedTopic("touch", TouchPredictionArray, depth, role="touch"),
-        RecordedTopic(EXECUTED_TOPIC, ExecutedGrasp, depth, role="executed"),
+        RecordedTopic(config.tactile_topic, message_class(config.tactile.message_type), role="tactile"),
+        RecordedTopic(CLOUD_TOPIC, PointCloud2, _IMAGES_KEPT, role="cloud"),
+        RecordedTopic("table", TablePlane, role="table"),
+        RecordedTopic(GRASPS_TOPIC, GraspArray, role="grasps"),
+        RecordedTopic("touch", TouchPredictionArray, role="touch"),
+        RecordedTopic(EXECUTED_TOPIC, ExecutedGrasp, role="executed"),
     ]
-    if points_depth:
-        topics.append(RecordedTopic("points", PointCloud2, points_depth, role="scene"))
+    if points:
+        topics.append(RecordedTopic("points", PointCloud2, _CLOUDS_KEPT, role="scene"))
     return topics
 
 
-def depth_topics(images: str, depth: int) -> list[RecordedTopic]:
-    """List the topic of depth images, and of the camera infos beside it.
-
-    Args:
-        images: Topic of the images, raw or `compressedDepth`.
-        depth: Images that may wait in the middleware.
-    """
+def depth_topics(images: str) -> list[RecordedTopic]:
+    """List a topic of depth images, raw or `compressedDepth`, and the topic of the camera infos beside it."""
     kind = CompressedImage if images.endswith("/compressedDepth") else Image
-    infos = RecordedTopic(info_topic(images), CameraInfo, 10 * depth, role="info")
-    return [RecordedTopic(images, kind, depth, role="scene"), infos]
+    infos = RecordedTopic(info_topic(images), CameraInfo, role="info")
+    return [RecordedTopic(images, kind, _IMAGES_KEPT, role="scene"), infos]
 
 
-def robot_topics(depth: int) -> tuple[list[RecordedTopic], list[str]]:
+def robot_topics() -> tuple[list[RecordedTopic], list[str]]:
     """List the topics of the robot, which are recorded as far as they are published, and the packages that are missing for some."""
     topics, missing = [], set()
     for name, type_name in _ROBOT_TOPICS.items():
@@ -86,7 +82,7 @@ def robot_topics(depth: int) -> tuple[list[RecordedTopic], list[str]]:
         except MissingDependencyError:
             missing.add(type_name.partition("/")[0])
         else:
-            topics.append(RecordedTopic(name, message, depth, optional=True, latched=name in _LATCHED))
+            topics.append(RecordedTopic(name, message, optional=True, latched=name in _LATCHED))
     return topics, sorted(missing)
 
 

@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-_WINDOW: Final = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
+_WINDOW: Final = 300  # latest inputs for quantiles: ten seconds at 30 Hz
+_RATE_S: Final = 10.0  # latest time for rates
 
 
 @dataclass
@@ -49,7 +50,7 @@ class InputSummary:
     dropped: Mapping[str, int]  # inputs that will not be answered, by reason
     waiting: int  # inputs not yet answered
     lost: int  # messages that the middleware lost before they arrived; not part of `received`
-    rate_hz: float  # answers per second over the latest inputs
+    rate_hz: float  # answers per second over the latest ten seconds
     input_age_ms: tuple[float, float] | None  # p50 and p95 from the stamp of an input to the start of the work
     latency_ms: tuple[float, float] | None  # p50 and p95 from arrival to publication; None before the first
     idle_s: float | None  # time since the last arrival; None before the first
@@ -65,7 +66,7 @@ class InputStatistics:
         self._reported: Counter[str] = Counter()  # drops and losses that are in the reports so far
         self._ages: deque[float] = deque(maxlen=_WINDOW)
         self._latencies: deque[float] = deque(maxlen=_WINDOW)
-        self._answers: deque[float] = deque(maxlen=_WINDOW)
+        self._answers: deque[float] = deque(maxlen=2 * _WINDOW)
         self._last_arrival: float | None = None
 
     def receive(self) -> float:
@@ -105,14 +106,15 @@ class InputStatistics:
         now = time.monotonic()
         with self._lock:
             dropped = dict(self._dropped)
-            span = now - self._answers[0] if self._answers else 0.0
+            recent = [answered for answered in self._answers if now - answered < _RATE_S]
+            span = now - recent[0] if recent else 0.0
             return InputSummary(
                 received=self._received,
                 used=self._used,
                 dropped=dropped,
                 waiting=self._received - self._used - sum(dropped.values()),
                 lost=self._lost,
-                rate_hz=len(self._answers) / span if span > 0.0 else 0.0,
+                rate_hz=len(recent) / span if span > 0.0 else 0.0,
                 input_age_ms=_quantiles(self._ages),
                 latency_ms=_quantiles(self._latencies),
                 idle_s=None if self._last_arrival is None else now - self._last_arrival,

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar, cast
+from typing import Any, ClassVar, Final, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
@@ -41,6 +41,8 @@ from foretouch.topics import NAMESPACE
 _C = TypeVar("_C", bound="NodeConfig")
 REQUESTS = QoSProfile(depth=5000)
 """Of services: what exceeds the depth is lost without a trace, with rclpy's own of 10 already 190 of 200 requests at once."""
+# Each event would take as long as a subscription in every wait of rclpy's executor.
+_NO_EVENTS: Final = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +88,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.conflicts: tuple[str, ...] = ()  # signs of a second graph in the namespace, a line each
         self.past_conflicts: list[str] = []  # all that there have been
         self._input_group = MutuallyExclusiveCallbackGroup()
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10, event_callbacks=_NO_EVENTS)
         self.every(self.config.diagnostics_period_s, self._publish_report)
         self.every(0.5, self._look)
 
@@ -139,8 +141,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions(overridden),
-            # Each event would take as long as a subscription in every wait of rclpy's executor.
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            event_callbacks=_NO_EVENTS,
         )
         self.closing.callback(self.destroy_lifecycle_publisher, publisher)
         return publisher

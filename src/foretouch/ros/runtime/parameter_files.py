@@ -30,7 +30,7 @@ Nodes = Mapping[str, Callable[[], type[Any]]]
 _ALIKE: Final = 0.8  # of two names that are taken for one, misspelled
 
 
-def check_parameters(arguments: Sequence[str], nodes: Nodes, own: Sequence[str], namespace: str) -> None:
+def check_parameters(arguments: Sequence[str], nodes: Nodes, own: Sequence[str], namespace: str = NAMESPACE) -> None:
     """Check the parameter files and parameters of a command line.
 
     Args:
@@ -102,14 +102,10 @@ def _taken_for(name: str, known: Iterable[str]) -> bool:
 
 def _require_known(place: str, names: Sequence[str], given: Mapping[str, Any], nodes: Nodes) -> None:
     """Refuse a parameter that none of some nodes has, or that has no value."""
-    known = [info for name in names for info in _parameters_of(nodes[name]())]
+    known = [info.name for name in names for info in setting_infos(nodes[name]().config_class)]
     for parameter, value in given.items():
         if parameter not in known and parameter.partition(".")[0] not in _SHARED:
             rule = _CHANGED.get(parameter, f"unknown parameter{nearest(parameter, known)}")
             raise ConfigError(f"{place}: {parameter}: {rule}")
         if value is EMPTY:
             raise ConfigError(f"{place}: {parameter}: is empty")
-
-
-def _parameters_of(node: type[Any]) -> list[str]:
-    return [info.name for info in setting_infos(node.config_class)]

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import Pose, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.type_support import check_for_type_support
 from std_msgs.msg import Header
 
@@ -158,17 +158,16 @@ def _levelled(candidates: Sequence[_Candidate]) -> list[_Candidate]:
 
 
 def _fields(candidates: Sequence[_Candidate], header: Header) -> dict[str, Any]:
-    """Make what results and feedback have in common."""
+    """Make what results and feedback have in common.
+
+    A pose is of the tool frame of a described hand; without one, of the hand by GeoGrasp.
+    """
+    poses = [c.grasp.pose_of_hand if tool_of(c.grasp.hand) else c.grasp.pose for c in candidates]
     return {
-        "grasp_candidates": [PoseStamped(header=header, pose=_pose_for_arm(c.grasp)) for c in candidates],
+        "grasp_candidates": [PoseStamped(header=header, pose=pose) for pose in poses],
         "costs": [c.cost for c in candidates],
         "grasps": [c.grasp for c in candidates],
     }
-
-
-def _pose_for_arm(grasp: Grasp) -> Pose:
-    """Choose the pose of the tool frame of a described hand; without one, the pose by GeoGrasp."""
-    return grasp.pose_of_hand if tool_of(grasp.hand) else grasp.pose
 
 
 def planner_action_class() -> tuple[Any, str]:

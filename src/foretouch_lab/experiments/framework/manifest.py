@@ -173,7 +173,8 @@ def write_summary(
         if table.rows:
             header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
             lines += [*(f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]), ""]
-        lines += [*(f"- {note}" for note in table.notes), *[""] * bool(table.notes)]
+        if table.notes:
+            lines += [*(f"- {note}" for note in table.notes), ""]
     write_text(file, "\n".join(lines[:-1]) + "\n")
 
 

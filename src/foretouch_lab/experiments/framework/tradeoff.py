@@ -127,8 +127,11 @@ class Area(Experiment):
         times = {(row["variant"], row["request"]): times_text(row, rows) for row in rows}
         body = [
             [
-                row["variant"] + " *" * (row["factor"] == "shipped"),
-                *("• " * (row["variant"] in lines[skill]) + (_interval(row, skill) or "–") for skill in skills),
+                row["variant"] + (" *" if row["factor"] == "shipped" else ""),
+                *(
+                    f"{'• ' if row['variant'] in lines[skill] else ''}{_interval(row, skill) or '–'}"
+                    for skill in skills
+                ),
                 *(times.get((row["variant"], request), "–") for request in requests),
             ]
             for row in {row["variant"]: row for row in rows}.values()

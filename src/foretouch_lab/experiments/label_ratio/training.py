@@ -205,7 +205,13 @@ class PointnetTrainer(SrganTrainer):
 
 
 def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganConfig) -> tuple[Float64, int]:
-    """Train a network.
+    """Train a network, and predict the test samples.
+
+    Args:
+        data: The samples.
+        split: Training, unlabelled and test side.
+        model: `pointnet` or `srgan`.
+        config: Settings of the networks.
 
     Returns:
         (J, M) predictions of the test samples [counts], and the number of updates.
@@ -220,6 +226,12 @@ def train_and_predict(data: TrainingSet, split: Fold, model: str, config: SrganC
 
 def error_row(data: Dataset, outputs: Sequence[str], split: Fold, predicted: Float64) -> Row:
     """Return squared errors of (J, M) predictions of some modalities and of the training mean, for each test sample.
+
+    Args:
+        data: The samples.
+        outputs: Modalities of the predictions.
+        split: Whose test side was predicted.
+        predicted: (J, M) predictions [counts].
 
     Returns:
         By object, in order of the samples, both means over the modality's values [counts²].

@@ -112,6 +112,11 @@ def predict_run(
 ) -> dict[str, dict[str, Float64]]:
     """Return predictions of the last run of a recording from each of the sources, and half widths of those with intervals.
 
+    Args:
+        shown: The readings of the recording, in order of time.
+        tracker: Parameters that were fitted to other objects.
+        ending: The same of a tracker that ends with its object.
+
     Returns:
         `counts` and `half`, both by sources, (S, 50) [counts].
     """
@@ -247,7 +252,7 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
 
 def _with_lines(rows: Rows) -> list[Row]:
     """Return rows with the name of their `line` in tables and figure, rows of one source together."""
-    named = [{**row, "line": row["sources"] + " + vision" * (row["vision"] != CONSTANT)} for row in rows]
+    named = [{**row, "line": row["sources"] + ("" if row["vision"] == CONSTANT else " + vision")} for row in rows]
     return sorted(named, key=lambda row: SOURCES.index(row["sources"]))
 
 

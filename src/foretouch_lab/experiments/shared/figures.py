@@ -25,7 +25,15 @@ class Line(NamedTuple):
 def save_panels(
     path: Path, width: float, lines: Sequence[Line], *, modalities: Sequence[str] = MODALITIES, **shared: Any
 ) -> list[Path]:
-    """Draw lines of panels below each other; `shared` are axes that panels share, as in matplotlib's `subplots`."""
+    """Draw lines of panels below each other.
+
+    Args:
+        path: File to write.
+        width: Of the figure [inch].
+        lines: Lines of panels, one below the other.
+        modalities: Panels of a line.
+        shared: Axes that panels share, as in `subplots` of matplotlib.
+    """
     figure = new_figure(width, sum(line.height for line in lines))
     heights = [line.height for line in lines]
     grid = figure.subplots(len(lines), len(modalities), squeeze=False, height_ratios=heights, **shared)
@@ -76,7 +84,16 @@ def draw_series(
 def draw_intervals(
     axes: Axes, rows: Rows, column: str, names: Sequence[str], lowest: float, colour: Callable[[Mapping[str, Any]], str]
 ) -> None:
-    """Draw skill and interval of each row, the names of a column one below the other; an arrow marks those below `lowest`."""
+    """Draw skill and interval of each row, the names of a column one below the other.
+
+    Args:
+        axes: Where to draw.
+        rows: Rows with `skill`, `skill_low` and `skill_high`.
+        column: Column with the names.
+        names: Names in order, the first on top.
+        lowest: Skill at the left end; an arrow marks what is below.
+        colour: Gives the colour of a row.
+    """
     for row in rows:
         y, value = names.index(row[column]), row["skill"]
         shown = colour(row)

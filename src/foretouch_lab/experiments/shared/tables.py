@@ -93,7 +93,9 @@ def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
         if single:
             body = pivot(single, "object", lambda row: short(row["skill"]), names=names)
             by_object.append(Table(f"{table}: {MODEL}, by object", SKILL_COLUMNS, body))
-    legend = [_LEGEND] + [_VERDICTS.format(references=", then from ".join(references))] * bool(references)
+    legend = [_LEGEND]
+    if references:
+        legend.append(_VERDICTS.format(references=", then from ".join(references)))
     return with_notes([*tables, *by_object], [*legend, *notes])
 
 

@@ -94,7 +94,7 @@ def make_folds(samples: Sequence[Sample | SampleFacts], split: str, seed: int | 
     least = {"": len(objects)} if split == "random" else dict(zip(names.tolist(), counts.tolist(), strict=True))
     for name, count in least.items():
         if count < FOLDS:
-            raise DatasetError(f"folds: {count} samples{f' of {name}' * bool(name)} are fewer than {FOLDS} folds")
+            raise DatasetError(f"folds: {count} samples{f' of {name}' if name else ''} are fewer than {FOLDS} folds")
     if split == "random":  # shuffled samples, in parts whose sizes differ by at most one
         tests = np.array_split(np.random.default_rng(seed).permutation(len(objects)), FOLDS)
         return _folds(len(objects), tests, [f"random {k}" for k in range(FOLDS)])

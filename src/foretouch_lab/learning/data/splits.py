@@ -96,7 +96,8 @@ def read_splits(path: str | Path) -> DatasetSplits:
 def parse_splits(text: bytes, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     """Parse the text of a `splits.json`; raises `FileError`, which names `file`, as `read_splits`."""
     content = require_schema(file, json_in(file, text), dict)
-    if (version := content.get("schema_version")) != _VERSION:
+    version = content.get("schema_version")
+    if version != _VERSION:
         raise FileError(file, f"{shown(version)} is not {_VERSION}", field="schema_version")
     require_schema(file, content, {"splits": dict, "omitted?": dict})
     kinds, omitted = content["splits"], content.get("omitted", {})

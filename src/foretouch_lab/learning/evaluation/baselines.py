@@ -144,7 +144,14 @@ def _level(days: Float64, other: Float64) -> Float64:
 
 
 def predict_part(baseline: Baseline, samples: Sequence[Sample], seed: int, fold: Fold) -> Float64:
-    """Return (T, D) predictions of the test side of a fold by a baseline that is fitted to its training side [counts]."""
+    """Return (T, D) predictions of the test side of a fold by a baseline that is fitted to its training side [counts].
+
+    Args:
+        baseline: The baseline.
+        samples: All samples.
+        seed: For what is drawn at random.
+        fold: Its sides.
+    """
     train, test = fold.sides(samples)
     return baseline(train, labels_of(train), test, seed)
 

@@ -147,7 +147,15 @@ class ObjectErrors:
     def of_predictions(
         cls, objects: Sequence[str], predicted: Float64, labels: Float64, reference: Float64, channels: Channels
     ) -> Self:
-        """Sum the squared errors of predictions by object, for the arguments of `error_rows`."""
+        """Sum the squared errors of predictions by object.
+
+        Args:
+            objects: (S,) label of each sample.
+            predicted: (S, D) predictions [counts].
+            labels: (S, D) readings [counts].
+            reference: (D,) or (S, D) predictions that have skill 0 [counts].
+            channels: What the D values are.
+        """
         return cls.of_rows(error_rows(objects, predicted, labels, reference), channels)
 
     def only(self, name: str) -> Self:

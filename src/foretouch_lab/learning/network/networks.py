@@ -107,7 +107,16 @@ def save_network(
     calibration: CardCalibration | None = None,
     fallback: Fallback | None = None,
 ) -> Path:
-    """Write a network and return the path of its card."""
+    """Write a network and return the path of its card.
+
+    Args:
+        folder: Folder of its files.
+        name: Name of the model.
+        net: The network.
+        facts: Further fields of the card.
+        calibration: Calibration to store with it, if any.
+        fallback: What is predicted for clouds that are not like the training, if anything.
+    """
     facts = {"familiar": None, "config": net.config.to_mapping(), **facts}
     return save_model(Path(folder) / f"{name}.json", "network", _arrays(net), facts, calibration, fallback)
 

@@ -161,7 +161,7 @@ def _facts(learner: Learner, data: Dataset) -> dict[str, Any]:
             "name": data.name, "sha256": data.sha256, "samples": len(data.samples),
             "sample_hashes": "".join(sorted(data.hashes(learner.split.train))),
             **{key: value for key, value in data.origin.items() if key != "limits"},
-            "recipe": f"foretouch train {config.name} data={data.name}{' release=true' * config.release}",
+            "recipe": f"foretouch train {config.name} data={data.name}{' release=true' if config.release else ''}",
         },
         "split": {"name": config.split, **{part: len(getattr(learner.split, part)) for part in _PARTS}},
         "limits": ["Bounds are null: the model was trained with calibrate=false."],

@@ -262,9 +262,15 @@ def set_precision(module: nn.Module, precision: str) -> None:
 def shuffled_batches(
     index: Indices, size: int, rng: np.random.Generator, *, partial: bool = False
 ) -> Iterator[Indices]:
-    """Iterate over batches of shuffled samples. The remainder is left out of this epoch, or with `partial` is a last batch.
+    """Iterate over batches of shuffled samples.
 
     A remainder of a single sample is always left out, since batch norm has no statistics of it.
+
+    Args:
+        index: (S,) the samples.
+        size: Samples of a batch.
+        rng: Shuffles them.
+        partial: Whether the remainder is a last batch; else it is left out of this epoch.
     """
     shuffled = rng.permutation(index)
     for start in range(0, len(shuffled), size):
