@@ -107,12 +107,9 @@ def split_clusters(
         return list(windows), counts
     window = _in_one_window(windows) if len(windows) > 1 else windows[0]
     h, w = window.labels.shape
-    coarse = np.s_[::_STRIDE, ::_STRIDE]
-    solid, view = window.solid[coarse], xyz[window.rows :, window.columns :]
-    depths, standing = view[:h, :w, 2][coarse][solid], reasons[window.labels[coarse][solid]] == 0
-    if not len(depths):
+    depth = _depth_of(xyz[window.rows :, window.columns :][:h, :w, 2], window, reasons)
+    if depth is None:
         return list(windows), counts
-    depth = median(depths[standing] if standing.any() else depths)  # a wall is far behind the objects
     side = pitch * depth  # of a pixel [m]
     arm, touching = max(1, round(_ARM_M / side)), np.empty(2, np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
@@ -162,6 +159,16 @@ def split_window(
     if counts[0] < 0:
         raise MemoryError("split_clusters")
     return labels, counts.tolist()
+
+
+def _depth_of(depths: Float32, window: Clusters, reasons: Int64) -> float | None:
+    """Return the median depth of what stands on the table [m], else of the background; None where there is neither."""
+    coarse = np.s_[::_STRIDE, ::_STRIDE]
+    solid = window.solid[coarse]
+    seen, standing = depths[coarse][solid], reasons[window.labels[coarse][solid]] == 0
+    if not len(seen):
+        return None
+    return median(seen[standing] if standing.any() else seen)  # a wall is far behind the objects
 
 
 def _cell_of(noise_per_m: float, least_m: float, depth: float, side: float) -> int:
