@@ -3,8 +3,10 @@
 
 import argparse
 import hashlib
+import operator
 import tempfile
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from functools import partial
 from importlib.util import find_spec
 from itertools import islice
@@ -16,12 +18,13 @@ import numpy as np
 from benchmarks.clutter import frontier, lccp, models, physics, piles, rooms, whole
 from benchmarks.clutter.metrics import SceneScore, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder, load_scenes, recorded_objects, segment_anew
-from benchmarks.common import add_data, cpu_ms, markdown, print_rows, replace_marked, write_csv
+from benchmarks.common import add_data, cpu_ms, markdown, print_rows, read_csv, replace_marked, write_csv
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Int32
 
 HERE: Final = Path(__file__).parent
 OURS, CLUSTERS, LCCP, PERFECT = "foretouch", "clusters alone", "LCCP of PCL", "perfect splitting of the clusters"
+_METHODS: Final = (OURS, CLUSTERS, PERFECT, LCCP)
 _REPEATS: Final = 5
 _PEER_RUNS: Final = 3
 _COLUMNS: Final = ("precision", "recall", "f", "found", "merged", "cut", "none")
@@ -44,7 +47,7 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
         found[PERFECT].append((score(np.where(clusters > 0, true, 0), true), nan, nan))
         every.append(clusters)
     if (program := lccp.program()) is None:
-        print(f"{LCCP} is left out: apt-get install libpcl-dev g++")
+        print(f"{LCCP} is not measured (apt-get install libpcl-dev g++); the written rows keep the day they were taken")
     else:
         peers = lccp.split([scene.cloud for scene in scenes], every, program, _PEER_RUNS)
         found[LCCP] = [
@@ -59,6 +62,7 @@ def table(name: str, scenes: Sequence[LabelledCloud]) -> list[dict[str, Any]]:
             row = {"scenes": name, "kind": kind, "count": len(some), "method": method}
             row |= {column: round(means[column], 3) for column in _COLUMNS}
             row |= {"whole_ms": _median([ms for _, ms, _ in some]), "splitting_ms": _median([ms for *_, ms in some])}
+            row["taken"] = datetime.now(tz=UTC).date().isoformat()
             rows.append(row)
     return rows
 
@@ -86,9 +90,23 @@ def pieces(name: str, scenes: Sequence[LabelledCloud]) -> dict[str, Any]:
     }
 
 
+def kept(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The measured rows, and those of the written table that could not be measured now, with the day they were taken: PCL's without PCL."""
+    key = operator.itemgetter("scenes", "kind", "method")
+    kinds = list(dict.fromkeys((row["scenes"], row["kind"]) for row in rows))
+    old = [
+        row for row in read_csv(HERE / "results.csv") if key(row)[:2] in kinds and key(row) not in set(map(key, rows))
+    ]
+    both = [*rows, *({name: row.get(name, "") for name in rows[0]} for row in old)]
+    return sorted(both, key=lambda row: (kinds.index(key(row)[:2]), _METHODS.index(row["method"])))
+
+
 def made(kind: str, write: Callable[[Path], object], *identity: object) -> Path:
     """A folder of scenes that are made once for each version of what makes them."""
-    sources = [Path(module.__file__ or "").read_bytes() for module in (piles, rooms, models, physics)]
+    sources = [
+        Path(module.__file__ or "").read_bytes()
+        for module in (piles, models, physics, *([rooms] if kind == "rooms" else []))
+    ]
     name = hashlib.sha256(b"".join([*sources, repr(identity).encode()])).hexdigest()[:16]
     folder = cache_folder() / f"{kind}-{name}"
     if not folder.is_dir():
@@ -117,6 +135,8 @@ def main() -> None:
     if find_spec("mujoco") is None:
         raise SystemExit("piles need MuJoCo: pip install 'foretouch[physics]'")
     sets["piles"] = made("piles", lambda out: piles.write_piles(out, options.count, options.seed, data), options.count, *identity)  # fmt: skip
+    if options.frontier and data is not None and (data / "real_scenes").is_dir():
+        sets["images"] = data / "real_scenes"
     if options.frontier:
         frontier.run({name: list(islice(load_scenes(folder), 0, None, options.every)) for name, folder in sets.items()}, write=options.write)  # fmt: skip
         return
@@ -140,8 +160,9 @@ def main() -> None:
         print()
         print_rows(more)
     if options.write:
+        rows = kept(rows)
         write_csv(HERE / "results.csv", rows)
-        tables = (markdown(list(some[0]), [["" if cell is None else cell for cell in row.values()] for row in some]) for some in (rows, alone, views) if some)  # fmt: skip
+        tables = (markdown(list(some[0]), [["" if cell is None else cell for cell in row.values()] for row in some]) for some in (rows, alone, views, in_rooms) if some)  # fmt: skip
         replace_marked(HERE / "README.md", "\n".join(tables).strip())
 
 

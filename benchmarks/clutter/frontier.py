@@ -31,6 +31,27 @@ def run(sets: Mapping[str, Sequence[LabelledCloud]], *, write: bool) -> None:
     print_rows(rows)
     if write:
         write_csv(CSV, rows)
+        draw(rows, CSV.with_suffix(".png"))
+
+
+def draw(rows: Sequence[Mapping[str, str]], path: Path) -> None:
+    """Draw the F of each set against time, a marker for each setting, and the frontier as a line."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    times = np.array([float(row["time"]) for row in rows])
+    for name in (column for column in rows[0] if column.startswith("f_")):
+        values = np.array([float(row[name]) for row in rows])
+        (line,) = axes.plot(times, values, "o", ms=4, label=name.removeprefix("f_"))
+        best = values >= np.maximum.accumulate(values)
+        axes.plot(times[best], values[best], color=line.get_color(), lw=1)
+    for row in rows:
+        if row["place"] == "knee":
+            axes.axvline(float(row["time"]), color="0.6", ls=":", label="knee")
+    axes.set(xlabel="time, relative to clusters alone on all pixels", ylabel="overlap F")
+    axes.legend()
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
 
 
 def measure(sets: Mapping[str, Sequence[LabelledCloud]]) -> list[dict[str, Any]]:

@@ -143,7 +143,9 @@ class RealSenseCamera:
             self._drop("bad_frame")
             self._on_silence(now, f"the library refuses the frame ({' '.join(str(err).split())})")
             return None
-        self._heard_s, self._streaming, self._failures = now, True, 0
+        self._heard_s = now
+        self._streaming = True
+        self._failures = 0
         self._update(delivered=self.status.delivered + 1)
         self._set_state("streaming", "")
         return frame

@@ -130,7 +130,9 @@ class _Tables:
         if len(image) == 2:
             info = {"is_depth_map": True, "depth_unit": "mm", "intrinsics": None}
             self._features[_DEPTH] = {"dtype": "image", "shape": [*image, 1], "names": _SIDES, "info": info}
-        self._root, self._columns, self._fps = root, sensor.channels.finger_columns, fps or rate
+        self._root = root
+        self._columns = sensor.channels.finger_columns
+        self._fps = fps or rate
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, dict[str, AnyArray]] = {}  # of all frames so far
         self._frames = self._episodes = 0  # written so far

@@ -417,7 +417,9 @@ def _slopes(ends: Float64) -> Float64:
     slopes = np.full((2, *ends.shape), np.nan)
     slopes[0, ..., _NEAR:] = (ends[..., _NEAR:] - ends[..., :-_NEAR]) / (_NEAR * _STEP_M)
     slopes[1, ..., :-_NEAR] = slopes[0, ..., _NEAR:]
-    return np.asarray(np.nan_to_num(np.sqrt((slopes * slopes).mean(axis=0)), nan=1.0), np.float64)
+    squares = slopes * slopes
+    slope = np.sqrt((squares[0] + squares[1]) / 2.0)
+    return np.where(np.isnan(slope), 1.0, slope)
 
 
 def best_grasps(

@@ -57,7 +57,9 @@ class GraspHold:
 
     def next_cloud(self) -> None:
         """Forget the objects that the last cloud did not hold."""
-        self._last, self._fresh, self._measured = self._fresh, [], None
+        self._last = self._fresh
+        self._fresh = []
+        self._measured = None
 
     def _measure(self, cloud: Cloud) -> _Place:
         """`_measure` of a cloud, for which it is asked twice."""

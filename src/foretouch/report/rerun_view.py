@@ -100,7 +100,9 @@ class _Writer:
     """Writes steps one by one, and at the end the taxels of all, whose scale of colours needs all of them."""
 
     def __init__(self, rerun: Any, recording: Any, view: TaxelView) -> None:
-        self._rr, self._to, self._view = rerun, recording, view
+        self._rr = rerun
+        self._to = recording
+        self._view = view
         self._steps: list[ViewStep] = []  # without their clouds
         self._seen = False  # whether any step has a cloud
         self._skin = skin_axes() if view.sensor.is_biotac else None  # semi-axes [m]

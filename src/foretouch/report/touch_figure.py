@@ -60,19 +60,7 @@ def save_touch_picture(
     """
     view = TaxelView(sensor)
     tared = all(view.has_rest(grasp.rest) for grasp in grasps if grasp.read or grasp.prediction.ok)
-    # Finger, `predicted` or `read`, touch and its levels in each panel of taxels; panels of a finger are side by side.
-    panels = [
-        [
-            (finger, what, touch, view.levels(touch.values, grasp.rest if tared else None, finger))
-            for finger in range(len(view.fingers))
-            for what, touch in (
-                ("predicted", grasp.prediction.value if grasp.prediction.ok else None),
-                ("read", grasp.read),
-            )
-            if touch is not None
-        ]
-        for grasp in grasps
-    ]
+    panels = [_panels(grasp, view, tared=tared) for grasp in grasps]
     most = max(map(len, panels))
     left = [2.6, 1.9][not scenes :] if any(grasp.target for grasp in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
@@ -105,6 +93,17 @@ def save_touch_picture(
         label = taxel_label(view, tared=tared, ringed=ringed)
         figure.colorbar(drawn, label=label, cax=below.subplots(), orientation="horizontal")
     return save(figure, Path(path), dpi=100)
+
+
+def _panels(grasp: DrawnGrasp, view: TaxelView, *, tared: bool) -> list[tuple[int, str, Touch, Float64]]:
+    """Return finger, `predicted` or `read`, touch and its levels of each panel of taxels; panels of a finger are side by side."""
+    touches = {"predicted": grasp.prediction.value if grasp.prediction.ok else None, "read": grasp.read}
+    return [
+        (finger, what, touch, view.levels(touch.values, grasp.rest if tared else None, finger))
+        for finger in range(len(view.fingers))
+        for what, touch in touches.items()
+        if touch is not None
+    ]
 
 
 def _inside(drawn: DrawnGrasp) -> Bool | None:

@@ -86,7 +86,9 @@ class FingerContact:
         if self._against < CONFIRM and not drift:
             self.touching = touching
             return None
-        self.touching, self._against, self._since_ns = not touching, 0, self._first_ns
+        self.touching = not touching
+        self._against = 0
+        self._since_ns = self._first_ns
         event = ContactEvent(self.finger, "release" if touching else "onset", self._first_ns)
         if touching and self.score >= RELEASE_LEVEL:
             self.reset()  # not a release but drift: the reference is no longer valid
@@ -95,7 +97,9 @@ class FingerContact:
 
     def reset(self) -> None:
         """Discard the reference, for instance after a clock jump or a sensor dropout."""
-        self.touching, self.score, self._reference = None, 0.0, None
+        self.touching = None
+        self.score = 0.0
+        self._reference = None
         self._recent.clear()
         self._against = 0
 

@@ -73,11 +73,17 @@ class LiveTare:
         """Restart, after the clock has jumped or a contact was taken for rest."""
         self._detector.reset()
         self._recent.clear()
-        self._rest, self._tare, self.fault = [], None, ""
+        self._rest = []
+        self._tare = None
+        self.fault = ""
 
     def _renew(self, stamp_ns: int, now_s: float) -> None:
         newest = stamp_ns - self._lag_ns
         rest = [counts for stamp, counts in self._recent if stamp <= newest]
         if len(rest) >= 5 and newest - self._recent[0][0] >= 0.8 * self._window_ns:
-            self._rest, self._rest_ns, self._rest_s = rest, newest, now_s - self._lag_ns / SECOND_NS
-            self._tare, self.fault, self._since_renewal = None, "", 0
+            self._rest = rest
+            self._rest_ns = newest
+            self._rest_s = now_s - self._lag_ns / SECOND_NS
+            self._tare = None
+            self.fault = ""
+            self._since_renewal = 0

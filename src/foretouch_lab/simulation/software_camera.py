@@ -118,9 +118,14 @@ def _software_device(frame: RenderedFrame, fps: int, serial: str) -> tuple[Any, 
     device.register_info(rs.camera_info.serial_number, serial)
     sensor = device.add_sensor("Stereo Module")
     stream = rs.video_stream()
-    stream.type, stream.index, stream.uid, stream.fps = rs.stream.depth, 0, int(rs.stream.depth), fps
+    stream.type = rs.stream.depth
+    stream.index = 0
+    stream.uid = int(rs.stream.depth)
+    stream.fps = fps
     stream.height, stream.width = frame.depth_mm.shape
-    stream.bpp, stream.fmt, stream.intrinsics = _PIXEL_BYTES, rs.format.z16, _intrinsics(frame)
+    stream.bpp = _PIXEL_BYTES
+    stream.fmt = rs.format.z16
+    stream.intrinsics = _intrinsics(frame)
     profile = sensor.add_video_stream(stream).as_video_stream_profile()
     sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
     device.create_matcher(rs.matchers.default)
@@ -142,7 +147,9 @@ def _video_frame(profile: Any, depth_mm: npt.NDArray[np.uint16], number: int, st
     rs = realsense()
     frame = rs.software_video_frame()
     frame.pixels = np.ascontiguousarray(depth_mm)  # the library copies it
-    frame.bpp, frame.stride, frame.depth_units = _PIXEL_BYTES, depth_mm.shape[1] * _PIXEL_BYTES, _DEPTH_UNIT_M
+    frame.bpp = _PIXEL_BYTES
+    frame.stride = depth_mm.shape[1] * _PIXEL_BYTES
+    frame.depth_units = _DEPTH_UNIT_M
     frame.timestamp, frame.domain = stamp_ms, rs.timestamp_domain.system_time
     frame.frame_number, frame.profile = number, profile
     return frame

@@ -38,81 +38,90 @@ def expected(points: list[tuple[float, ...]]) -> Any:
     return xyz
 
 
+FORMATS = {"ascii": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}
+COLOURS = ("red", "green", "blue")
+
+
+class Ply:
+    """Lines of the header and numbers of the data of a file that is being drawn."""
+
+    def __init__(self, draw: Any, order: str) -> None:
+        self.draw, self.order = draw, order
+        self.lines = ["ply", f"format {FORMATS[order]} 1.0"]
+        self.numbers: list[tuple[str, float]] = []  # of the data, with their types
+
+    def add_list(self, kind: str, entries: list[int]) -> None:
+        self.numbers += [("uchar", len(entries)), *((kind, entry) for entry in entries)]
+
+    def add_any_list(self, kind: str) -> None:
+        self.add_list(kind, self.draw(st.lists(st.integers(0, 9), max_size=3)))
+
+    def add_camera(self) -> None:
+        self.lines += ["element camera 1", "property float view", "property list uchar int32 names"]
+        self.numbers.append(("float", 1.5))
+        self.add_any_list("int32")
+
+    def add_vertices(self, points: list[tuple[float, ...]], colours: Any) -> None:
+        """Add the points, with further properties, in any order."""
+        numbers, lists = st.sampled_from([*WORDS]), st.sampled_from(["int32", "float"])
+        parts = [(axis, self.draw(st.sampled_from(["float", "float64"]))) for axis in "xyz"]
+        parts += [(name, "uchar") for name in COLOURS if colours is not None]
+        parts += [(f"more{k}", kind) for k, kind in enumerate(self.draw(st.lists(numbers, max_size=2)))]
+        parts += [(f"row{k}", kind) for k, kind in enumerate(self.draw(st.lists(lists, max_size=1)))]
+        parts = self.draw(st.permutations(parts))
+        self.lines.append(f"element vertex {len(points)}")
+        self.lines += [
+            f"property {'list uchar ' if name.startswith('row') else ''}{kind} {name}" for name, kind in parts
+        ]
+        for k, point in enumerate(points):
+            known = dict(zip("xyz", point, strict=True))
+            known |= {} if colours is None else dict(zip(COLOURS, colours[k], strict=True))
+            for name, kind in parts:
+                if name.startswith("row"):
+                    self.add_any_list(kind)
+                else:
+                    self.numbers.append((kind, known[name] if name in known else self.draw(st.integers(0, 99))))
+
+    def add_grid(self, place: list[int]) -> None:
+        self.lines += [f"element range_grid {len(place)}", "property list uchar int32 vertex_indices"]
+        for pixel in place:
+            self.add_list("int32", [pixel] if pixel >= 0 else [])
+
+    def content(self) -> bytes:
+        newline = self.draw(st.sampled_from(["\n", "\r\n"]))
+        head = newline.join([*self.lines, "end_header", ""]).encode()
+        if self.order != "ascii":
+            return head + b"".join(struct.pack(self.order + WORDS[kind], value) for kind, value in self.numbers)
+        gaps = st.sampled_from([" ", "\n", " \r\n"])  # lines have no meaning
+        return head + "".join(f"{value!r}{self.draw(gaps)}" for _, value in self.numbers).encode()
+
+
 @st.composite
 def ply_files(draw: Any) -> tuple[bytes, Any, Any]:
     """A file, its points as they are read, and its colours."""
-    order = draw(st.sampled_from(["ascii", "<", ">"]))
-    points = draw(st.lists(_POINT, max_size=7))
-    kinds = draw(st.lists(st.sampled_from(["float", "float64"]), min_size=3, max_size=3))
-    parts = [(f"property {kind} {axis}", axis) for kind, axis in zip(kinds, "xyz", strict=True)]
-    colours = draw(
-        st.none() | st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=len(points), max_size=len(points))
-    )
-    if colours is not None:
-        parts += [(f"property uchar {name}", name) for name in ("red", "green", "blue")]
-    parts += [
-        (f"property {kind} more{k}", kind)
-        for k, kind in enumerate(draw(st.lists(st.sampled_from([*WORDS]), max_size=2)))
-    ]
-    parts += [
-        (f"property list uchar {kind} row{k}", [kind])
-        for k, kind in enumerate(draw(st.lists(st.sampled_from(["int32", "float"]), max_size=1)))
-    ]
-    parts = draw(st.permutations(parts))
-    numbers: list[tuple[str, float]] = []  # of the data, with their types
-
-    def lists(kind: str) -> None:
-        entries = draw(st.lists(st.integers(0, 9), max_size=3))
-        numbers.extend([("uchar", len(entries)), *((kind, entry) for entry in entries)])
-
-    lines = [
-        f"format {dict(zip(['ascii', '<', '>'], ['ascii', 'binary_little_endian', 'binary_big_endian'], strict=True))[order]} 1.0"
-    ]
-    lines += draw(
-        st.lists(st.sampled_from(["comment made up", "obj_info is_mesh 0", "comment end_header of it"]), max_size=2)
-    )
+    ply, points = Ply(draw, draw(st.sampled_from([*FORMATS]))), draw(st.lists(_POINT, max_size=7))
+    some = st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=len(points), max_size=len(points))
+    colours = draw(st.none() | some)
+    remarks = st.sampled_from(["comment made up", "obj_info is_mesh 0", "comment end_header of it"])
+    ply.lines += draw(st.lists(remarks, max_size=2))
+    xyz, rgb = expected(points), None if colours is None else np.array(colours, np.uint8).reshape(-1, 3)
     place = None
-    if draw(st.booleans()) and points:  # an image whose pixels are in an element of their own
-        place = draw(
-            st.lists(st.integers(-1, len(points) - 1), min_size=4, max_size=6).filter(lambda one: len(one) % 2 == 0)
-        )
-        lines += ["obj_info num_cols 2", f"obj_info num_rows {len(place) // 2}"]
-    if draw(st.booleans()):
-        lines += ["element camera 1", "property float view", "property list uchar int32 names"]
-        numbers.append(("float", 1.5))
-        lists("int32")
-    lines += [f"element vertex {len(points)}", *(line for line, _ in parts)]
-    for k, point in enumerate(points):
-        for line, name in parts:
-            if isinstance(name, list):
-                lists(name[0])
-            elif name in ("x", "y", "z"):
-                numbers.append((line.split()[1], point["xyz".index(name)]))
-            elif name in ("red", "green", "blue"):
-                numbers.append(("uchar", colours[k][("red", "green", "blue").index(name)]))
-            else:
-                numbers.append((name, draw(st.integers(0, 99))))
-    if draw(st.booleans()):
-        lines += ["element face 1", "property list uchar int32 vertex_indices"]
-        lists("int32")
-    if place is not None:
-        lines += [f"element range_grid {len(place)}", "property list uchar int32 vertex_indices"]
-        for one in place:
-            numbers.extend([("uchar", 1), ("int32", one)] if one >= 0 else [("uchar", 0)])
-    newline = draw(st.sampled_from(["\n", "\r\n"]))
-    if order == "ascii":  # lines have no meaning
-        body = "".join(
-            f"{value!r}{draw(st.sampled_from([' ', chr(10), ' ' + chr(13) + chr(10)]))}" for _, value in numbers
-        ).encode()
-    else:
-        body = b"".join(struct.pack(order + WORDS[kind], value) for kind, value in numbers)
-    xyz = expected(points)
-    rgb = None if colours is None else np.array(colours, np.uint8).reshape(-1, 3)
-    if place is not None:
+    if draw(st.booleans()) and points:  # an image whose pixels are in their own element
+        pixels = st.lists(st.integers(-1, len(points) - 1), min_size=4, max_size=6)
+        place = draw(pixels.filter(lambda drawn: len(drawn) % 2 == 0))
+        ply.lines += ["obj_info num_cols 2", f"obj_info num_rows {len(place) // 2}"]
         index = np.array(place).reshape(-1, 2)
         rgb = None if rgb is None else np.where(index[..., None] >= 0, rgb[index], 0)
         xyz = np.where(index[..., None] >= 0, xyz[index], np.nan)
-    return newline.join(["ply", *lines, "end_header", ""]).encode() + body, xyz, rgb
+    if draw(st.booleans()):
+        ply.add_camera()
+    ply.add_vertices(points, colours)
+    if draw(st.booleans()):
+        ply.lines += ["element face 1", "property list uchar int32 vertex_indices"]
+        ply.add_any_list("int32")
+    if place is not None:
+        ply.add_grid(place)
+    return ply.content(), xyz, rgb
 
 
 @QUICK

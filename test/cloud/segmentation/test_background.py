@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
+from every_case import every_case
 from scipy.spatial import ConvexHull
 
-from foretouch.cloud.segmentation.segment import Segmentation, segment
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
 
@@ -19,6 +20,9 @@ BIN = (
     ((-0.20, -0.14, 0.0), (0.20, -0.135, 0.12)),
     ((-0.20, 0.155, 0.0), (0.20, 0.16, 0.12)),
 )  # its sides
+# On the table, and on the top of a box beside it.
+SHELF = (CAN, ((0.12, -0.20, 0.0), (0.45, 0.30, 0.15)), ((0.22, 0.0, 0.15), (0.30, 0.06, 0.21)))
+ON_SHELF = (0.2464, -0.0423, 0.7465)  # in `room(*SHELF, tilt_deg=35.0, distance_m=0.9)`
 
 
 def room(*boxes, tilt_deg: float = 40.0, distance_m: float = 0.8, noise_m: float = 0.0005) -> tuple[Cloud, np.ndarray]:
@@ -92,6 +96,16 @@ def test_the_sides_of_a_bin_are_walls_and_what_lies_in_it_are_objects(tilt: floa
     assert labelled(found, labels) == [3, 4]
     assert set(reasons(found, labels).values()) == {"wall"}
     assert set(reasons(found, labels)) <= {5, 6, 7, 8}
+
+
+def test_of_several_planes_the_chosen_one_carries_the_objects() -> None:
+    cloud, labels = room(*SHELF, tilt_deg=35.0, distance_m=0.9)
+
+    def check(table: str, point: tuple[float, ...], expected: list[int]) -> None:
+        config = SegmentationConfig().updated({"plane.table": table, "plane.point": point})
+        assert labelled(segment(cloud, config), labels) == expected
+
+    every_case([("largest", (), [3]), ("nearest", (), [5]), ("point", ON_SHELF, [5])], check)
 
 
 def test_large_boxes_whose_tops_are_seen_are_no_bin() -> None:

@@ -2,7 +2,6 @@
 """Readings that are shown beside a prediction are those that the recorder would have recorded."""
 
 import threading
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -75,23 +74,3 @@ def test_reasons_are_counted_by_kind_however_many_numbers_they_hold():
     assert monitor.view().last_reasons[kind] == reason
     assert len(reasons) <= 101
     assert reasons.total() == 2000
-
-
-def test_a_day_without_an_object_takes_no_memory():
-    monitor = MonitorNode.__new__(MonitorNode)
-    monitor._lock, monitor._view, monitor._closed, monitor._count = threading.Lock(), View(), False, None
-    monitor._on_touch = None
-
-    def see_nothing(count: int) -> None:
-        for k in range(count):
-            reason = f"no object: the nearest is {k / 7:.3f} m away of {k} points"
-            monitor._receive_touch(TouchPredictionArray(status=Status.NO_OBJECT, reason=reason))
-
-    see_nothing(100)
-    tracemalloc.start()
-    try:
-        see_nothing(20_000)
-        grown, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert grown < 100_000

@@ -278,7 +278,10 @@ class _PlyData:
     """The elements of a PLY file in order; without an `order` of bytes, all numbers are float64."""
 
     def __init__(self, path: Path, body: bytes, order: str | None) -> None:
-        self._path, self._body, self._order, self._start = path, body, order, 0
+        self._path = path
+        self._body = body
+        self._order = order
+        self._start = 0
 
     def read(self, element: _Element) -> tuple[_Records, list[int]]:
         """Return the (count,) records of single numbers, and the first entry of the first list of each, -1 of an empty one."""

@@ -108,12 +108,9 @@ def split_clusters(
     window = _in_one_window(windows) if len(windows) > 1 else windows[0]
     view, (h, w) = xyz[window.rows :, window.columns :], window.labels.shape
     first = xyz.reshape(-1, 3)[window.rows * xyz.shape[1] + window.columns :]
-    coarse = np.s_[::_STRIDE, ::_STRIDE]
-    solid = window.solid[coarse]
-    depths, standing = view[:h, :w, 2][coarse][solid], reasons[window.labels[coarse][solid]] == 0
-    if not len(depths):
+    depth = _depth_of(view[:h, :w, 2], window, reasons)
+    if depth is None:
         return list(windows), counts
-    depth = median(depths[standing] if standing.any() else depths)
     side = pitch * depth  # of a pixel [m]
     arm, numbers = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
@@ -122,9 +119,7 @@ def split_clusters(
         return list(windows), counts
     if write is not None and len(windows) > 1:
         write(window.rows, window.rows + h, window.columns, window.columns + w)
-    least = _UNKNOWN_CELL_PER_M if threshold.noise_per_m < _NO_NOISE else _CELL_PER_M
-    cell_m = max(config.cell_m, max(least, _CELL_NOISE * threshold.noise_per_m) * depth**2)
-    cell = min(max(round(cell_m / side), 1), _MAX_CELL)
+    cell = _cell_of(threshold.noise_per_m, config.cell_m, depth, side)
     settings = [
         np.radians(config.angle_deg),
         _STEP_M,
@@ -140,9 +135,27 @@ def split_clusters(
     if numbers[0] < 0:
         raise MemoryError("split_clusters")
     parts, *joined, _ = numbers.tolist()
-    clusters = int(np.count_nonzero(np.bincount(window.labels.ravel())[1:]))
-    counts = dict(zip(counts, (clusters, parts, *joined), strict=True))
+    clusters = np.zeros(window.n_labels + 1, np.bool_)
+    clusters[window.labels[window.solid]] = True  # in a fifth of the time of a bincount of all pixels
+    counts = dict(zip(counts, (int(np.count_nonzero(clusters)), parts, *joined), strict=True))
     return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns)], counts
+
+
+def _depth_of(depths: Float32, window: Clusters, reasons: Int64) -> float | None:
+    """Return the median depth of what stands on the table [m], else of the background; None where there is neither."""
+    coarse = np.s_[::_STRIDE, ::_STRIDE]
+    solid = window.solid[coarse]
+    seen, standing = depths[coarse][solid], reasons[window.labels[coarse][solid]] == 0
+    if not len(seen):
+        return None
+    return median(seen[standing] if standing.any() else seen)  # a wall is far behind the objects
+
+
+def _cell_of(noise_per_m: float, least_m: float, depth: float, side: float) -> int:
+    """Return the side of a cell in pixels, by the noise of the threshold, the depth and the side of a pixel [m]."""
+    least = _UNKNOWN_CELL_PER_M if noise_per_m < _NO_NOISE else _CELL_PER_M
+    cell_m = max(least_m, max(least, _CELL_NOISE * noise_per_m) * depth**2)
+    return min(max(round(cell_m / side), 1), _MAX_CELL)
 
 
 def split_list(

@@ -63,7 +63,10 @@ class Operator:
     def __init__(
         self, writer: RecordingWriter, assembler: SampleAssembler, plan: Sequence[str], clock_ns: Callable[[], int]
     ) -> None:
-        self._writer, self._assembler, self._plan, self._clock_ns = writer, assembler, plan, clock_ns
+        self._writer = writer
+        self._assembler = assembler
+        self._plan = plan
+        self._clock_ns = clock_ns
         self._log: EditLog = read_edits(writer.path)
         self._first = len(self._log.edits)
         self._grasps: dict[str, GraspSummary] = {}  # by id as recorded

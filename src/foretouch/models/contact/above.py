@@ -40,7 +40,7 @@ _MOST_CELLS: Final = 1 << 22  # of an array with a number for each
 _TOP_SHARE, _TOP_M = 0.05, 0.004  # of the visible height, or so much: the top
 _AWAY_M: Final = np.arange(-0.008, 0.0121, 0.002)  # along the view from the middle of the top: places of the line
 _UNLIKE_M: Final = 0.005  # difference of heights that counts as much as a place which the camera sees through
-_TWINS: Final = 400  # points at most, by which a line is chosen
+_TWINS: Final = 400  # points at most, by which a line is evaluated
 
 
 def seen_from_above(points: Float64, centre: Float64, table: Plane | None) -> tuple[Float64, Float64, Float64]:
@@ -86,7 +86,7 @@ def upper_side(points: Float64, turn: Float64, tilt: float) -> Float64:
     along = _along_object(points @ turn.T) @ turn
     turned = points @ along.T
     x, y, z = np.ascontiguousarray(turned.T)  # reductions over rows of three take several times as long
-    low, edge = np.array([x.min(), y.min()]), _edge(turned, _UPPER_M)
+    low, edge = np.array([x.min(), y.min()]), _edge(x, y, _UPPER_M)
     column, row = (np.floor((values - values.min()) / edge).astype(np.int64) for values in (x, y))
     columns, rows = int(column.max()) + 1, int(row.max()) + 1
     cells = column * rows + row
@@ -109,14 +109,14 @@ def without_walls(points: Float64) -> Float64:
     Args:
         points: (N, 3) float64 [m], about one over each cell, as from `seen_from_above`.
     """
-    edge = _edge(points, _CELL_M)
+    edge = _edge(points[:, 0], points[:, 1], _CELL_M)
     upper: Float64 = points[_falls(points, points[:, :2].min(axis=0), edge) <= _STEEP_WALL * edge]
     return upper if len(upper) >= _FEWEST else points
 
 
-def _edge(points: Float64, least: float) -> float:
-    """Return the edge of square cells [m], of which there are not too many over all points."""
-    return max(least, float(np.ptp(points[:, :2], axis=0).max()) / _MOST_ALONG)
+def _edge(x: Float64, y: Float64, least: float) -> float:
+    """Return the edge of square cells [m], of which there are not too many over all points at (N,) x and y."""
+    return max(least, float(np.ptp(x)) / _MOST_ALONG, float(np.ptp(y)) / _MOST_ALONG)
 
 
 def _falls(points: Float64, low: Float64, edge: float) -> Float64:
@@ -130,7 +130,7 @@ def _falls(points: Float64, low: Float64, edge: float) -> Float64:
 
 def _along_object(points: Float64) -> Float64:
     """Return (3, 3) turn about the vertical after which an object is longest along x, so that its cells turn with it."""
-    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
+    x, y = (values - values.mean() for values in np.ascontiguousarray(points[:, :2].T))
     angle = 0.5 * np.arctan2(2.0 * (x @ y), x @ x - y @ y)
     cosine, sine = np.cos(angle), np.sin(angle)
     place = cosine * x + sine * y
@@ -209,8 +209,8 @@ def _middle(seen: Float64, edge: float, turn: Float64, points: Float64) -> Float
 
 def _half_turn(points: Float64, middle: Float64) -> Float64:
     """Turn (..., 3) points by half a turn about the vertical lines through (..., 2) middles."""
-    places = 2.0 * middle - points[:, :2]
-    return np.concatenate([places, np.broadcast_to(points[:, 2:], (*places.shape[:-1], 1))], axis=-1)
+    x, y = (2.0 * middle[..., axis] - points[:, axis] for axis in (0, 1))  # by columns in a fifth of the time
+    return np.stack([x, y, np.broadcast_to(points[:, 2], x.shape)], axis=-1)
 
 
 def _is_hidden(places: Float64, points: Float64) -> Bool:

@@ -61,7 +61,9 @@ def sample_topics(config: TactileInput, *, points: bool) -> list[RecordedTopic]:
         RecordedTopic("touch", TouchPredictionArray, role="touch"),
         RecordedTopic(EXECUTED_TOPIC, ExecutedGrasp, role="executed"),
     ]
-    return topics + [RecordedTopic("points", PointCloud2, _CLOUDS_KEPT, role="scene")] * points
+    if points:
+        topics.append(RecordedTopic("points", PointCloud2, _CLOUDS_KEPT, role="scene"))
+    return topics
 
 
 def depth_topics(images: str) -> list[RecordedTopic]:

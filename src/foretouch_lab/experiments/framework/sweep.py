@@ -63,7 +63,9 @@ class Sweep:
     ) -> None:
         if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
             raise FileError(out, "already exists; --resume continues a sweep")
-        self._experiment, self._settings, self._out = experiment, settings, out
+        self._experiment = experiment
+        self._settings = settings
+        self._out = out
         self._path = experiment.prepare(settings, source, out)
         self._data = experiment.load(settings, self._path)
         self.data_sha256: str = self._data.sha256

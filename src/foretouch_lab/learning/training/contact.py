@@ -255,7 +255,9 @@ class ContactPredictor:
         self.rest, _ = rest_level(train)
         self.rows = describe_samples(train)
         self._thinned = describe_thinned(train, config)
-        self._train, self._labels, self._config = list(train), labels, config
+        self._train = list(train)
+        self._labels = labels
+        self._config = config
         self._ranges = ranges_of(config, self._channels)
         self._resting = resting_labels(train, labels, self.rest)
         self._predicted: dict[str, tuple[Float64, np.bool_]] = {}  # by the id of a sample

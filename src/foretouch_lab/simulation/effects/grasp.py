@@ -65,11 +65,9 @@ def _fingers(job: Job, state: SampleState) -> None:
     lower = job.scene.grasps.insertion_m * _UP
     g1, g2 = world.view.to_world(grasp.g1) - lower, world.view.to_world(grasp.g2) - lower
     rotation = world.view.R_world_camera
-    state.fingers, state.pad_angles, state.turn = (
-        _finger_frames(g1, g2, rotation @ grasp.rotation, _UP),
-        np.zeros((2, 2)),
-        np.eye(3),
-    )
+    state.fingers = _finger_frames(g1, g2, rotation @ grasp.rotation, _UP)
+    state.pad_angles = np.zeros((2, 2))
+    state.turn = np.eye(3)
     if job.scene.hand:
         approach = -_UP if grasp.way is None else rotation @ grasp.way.approach
         state.fingers, state.pad_angles = _described_frames(load_hand(job.scene.hand), g1, g2, approach)

@@ -134,7 +134,9 @@ def _render(job: Job, state: SampleState) -> None:
         flat_depth[nearer] = hit.t[nearer]
         flat_labels[nearer] = label
         hits.append(hit)
-    state.exact_depth, state.labels, state.hits = depth, labels, hits
+    state.exact_depth = depth
+    state.labels = labels
+    state.hits = hits
     state.depth = depth.copy()
 
 
