@@ -38,9 +38,7 @@ _PITCH: Final = 0.004  # of the outline, as a tangent: two pixels of 640 x 480
 _BEHIND_M: Final = 0.006  # what is so far behind a visible point is hidden by it
 _MOST_CELLS: Final = 1 << 22  # of an array with a number for each
 _TOP_SHARE, _TOP_M = 0.05, 0.004  # of the visible height, or so much: the top
-_AWAY_M: Final = np.arange(
-    -0.008, 0.0121, 0.002
-)  # places of the line, along the view from the middle of the visible top
+_AWAY_M: Final = np.arange(-0.008, 0.0121, 0.002)  # along the view from the middle of the top: places of the line
 _UNLIKE_M: Final = 0.005  # difference of heights that counts as much as a place which the camera sees through
 _TWINS: Final = 400  # points at most, by which a line is evaluated
 
