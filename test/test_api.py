@@ -72,6 +72,11 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
     assert scene.table is not None
     cases = [
         (scene.at, (5, 5), r"pixel: \(5, 5\) is the table; the objects are 1, 2, 3, 4"),
+        (
+            scene.at,
+            (231.4, 184.0),
+            r"pixel: \(231\.4, 184\.0\) is not two whole numbers, column and row; round a click",
+        ),
         (scene.at, (0, 999), r"pixel: \(0, 999\) is outside of the image, whose columns end at 479, rows at 359"),
         (ft.segment(ft.Cloud(hole)).at, (0, 0), r"pixel: \(0, 0\) is a pixel without depth"),
         (ft.segment(ft.Cloud(hole.reshape(-1, 3))).at, (0, 0), "has no pixels; select the object by a point"),
@@ -81,6 +86,9 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
             r"point: no object within 0\.03 m of \(0, 0, 0\.5\); the nearest is 0\.\d+ m away",
         ),
         (scene.near, ([0.0, np.nan, 0.5],), "point: .* is not three finite numbers"),
+        (ft.segment, (scene.cloud.xyz,), r"cloud: ndarray is not a Cloud, such as Cloud\.from_depth\(depth, K\)"),
+        (ft.plan, (scene,), r"target: Scene is not an object of a scene, such as segment\(cloud\)\.objects\[0\]"),
+        (ft.plan, (scene.cloud,), r"target: \w*Cloud is not an object .*; Pipeline\(\)\.run\(cloud, plane\) takes"),
     ]
 
     def check(find, arguments, message):

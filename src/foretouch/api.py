@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
+from foretouch.errors import CloudError
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
@@ -33,8 +34,12 @@ def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: Pipeline
         What cannot be used is in its status, such as `no_plane`, and not raised.
 
     Raises:
-        CloudError: If the mask does not fit the image.
+        CloudError: If the mask does not fit the image, or an array is passed for the cloud.
     """
+    if not isinstance(cloud, Cloud):
+        raise CloudError(
+            f"cloud: {type(cloud).__name__} is not a Cloud, such as Cloud.from_depth(depth, K) or Cloud(xyz)"
+        )
     return Pipeline(config).segment(cloud, mask=mask)
 
 
@@ -49,7 +54,13 @@ def plan(target: Object, *, count: int | None = None, config: PipelineConfig | N
     Returns:
         Columns of K grasps, best first: `g1`, `g2` (K, 3) and `pose` (K, 4, 4) [m] in the frame of the cloud, `score` (K,).
         Without a grasp K is 0, and `status` and `reason` say why.
+
+    Raises:
+        CloudError: If a scene or a cloud is passed for the object.
     """
+    if not isinstance(target, Object):
+        rule = "is not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
+        raise CloudError(f"target: {type(target).__name__} {rule}")
     pipeline = Pipeline(config)
     if count is not None:
         pipeline.config = pipeline.config.updated({"grasp.count": count}, "count")

@@ -20,7 +20,7 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig,
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
-from foretouch.errors import CloudError
+from foretouch.errors import CloudError, shown
 from foretouch.grasp import (
     GeoGraspConfig,
     GraspPlan,
@@ -102,8 +102,10 @@ class Scene:
             v: Row of the image, 0 at the top.
 
         Raises:
-            CloudError: If the pixel is outside the image, or no object is there; says what is.
+            CloudError: If the pixel is outside the image, or no object is there; says what is. If it is not whole numbers.
         """
+        if not all(isinstance(value, int | np.integer) for value in (u, v)):
+            raise CloudError(f"pixel: ({shown(u)}, {shown(v)}) is not two whole numbers, column and row; round a click")
         depth = self.cloud.xyz[..., 2]
         if depth.ndim != 2:
             raise CloudError(f"pixel: a list of {depth.size} points has no pixels; select the object by a point")

@@ -76,6 +76,20 @@ def test_words_and_numbers_of_no_use_are_usage_errors_with_the_nearest_word(caps
     every_case(cases, check)
 
 
+def test_numbers_that_begin_below_0_belong_to_their_option() -> None:
+    parser = command_parser("predict")
+    for option, text in (
+        ("--grasp", "-0.042,-.007,1.198,0.002,0.028,1.198"),
+        ("--point", "-.1,0,1"),
+        ("--plane", "-0,0,-1,1"),
+    ):
+        apart, joined = (
+            parser.parse_args(["predict", "x", option, text]),
+            parser.parse_args(["predict", "x", f"{option}={text}"]),
+        )
+        assert vars(apart) == vars(joined), option
+
+
 MAY_BE_ZERO = ("--seed", "--vary", "--wait-limit")
 CHECKED_LATER = {"grasp --tip-mm": "tip_mm", "grasp --count": "count", "grasp --slide-m": "slide_m"}
 """Options whose bounds are those of a setting, and its name in the error."""

@@ -127,15 +127,23 @@ class CommandParser(argparse.ArgumentParser):
         return self.commands[name]
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse, after misspelled options and commands are refused: argparse complains of what is absent first."""
-        words = list(args or ())
+        """Parse, after misspelled options and commands are refused: argparse complains of what is absent first.
+
+        Numbers that begin below 0, as in `--point -0.1,0,1`, are joined to their option: argparse takes them for one.
+        """
+        words: list[str] = []
+        for word in args or ():
+            if words and re.match(r"-[.\d]+[^,]*,", word) and re.fullmatch(r"--\w[\w-]*", words[-1]):
+                words[-1] += f"={word}"
+            else:
+                words.append(word)
         if self.commands:
             chosen = next((word for word in words if not word.startswith("-")), None)
             if chosen is not None and chosen not in self.commands:
                 self.error(f"{none_of(chosen, self.commands)}")
         else:
             self._check_options(words)
-        return super().parse_known_args(args, namespace)
+        return super().parse_known_args(words, namespace)
 
     def _check_options(self, words: list[str]) -> None:
         known = ["--help", *(name for action in self.declared for name in action.option_strings)]
