@@ -12,6 +12,7 @@ from kernels.references import closing as reference
 from seen_solids import Camera, Solid, ball, box, can
 
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, Obstacles, completed, hand, plan_grasps
+from foretouch.kernels import struct
 from foretouch.types import Cloud
 
 SOLIDS = {
@@ -36,8 +37,19 @@ class Recorder:
     def __call__(self, *arguments: Any) -> None:
         others = [np.empty_like(argument) for argument in arguments[-self._results :]]
         self._plain(*arguments[: -self._results], *others)
-        self._kernel(*arguments)
+        self._kernel(*(argument["struct"] if isinstance(argument, dict) else argument for argument in arguments))
         self.answers.append(([argument.copy() for argument in arguments[-self._results :]], others))
+
+
+def fields(name: str, **values: Any) -> dict[str, Any]:
+    """Keep the fields of a struct, and itself, in place of `struct`."""
+    return values | {"struct": struct(name, **values)}
+
+
+def unseen() -> Any:
+    """Return the outline of an object of which nothing is known to be unseen."""
+    nothing = np.empty((0, 0), np.float32)
+    return struct("Outline", camera=np.zeros(15), nearest=nothing, inside=nothing, rows=0, columns=0, per_cell=0.0)
 
 
 def planned(solid: Solid, camera: Camera, noise: np.random.Generator | None = None, **settings: Any) -> GraspPlan:
@@ -66,6 +78,7 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
         with monkeypatch.context() as patch:
             patch.setattr(completed, "_closing_lines", closing)
             patch.setattr(completed, "_complete_object", whole)
+            patch.setattr(completed, "struct", fields)
             planned(solid, camera, rng, obstacles=around(camera), **next(hands))
         for (points, shares, found), (others, parts, expected) in whole.answers:
             n, size = len(points) // 2, round(found[0])
@@ -107,19 +120,8 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     others = np.array([[0.05, 0.0, 0.04], [0.0, -0.03, 0.04], [0.08, 0.0, 0.04], [0.05, 0.0, 0.02]])
     found = np.empty((3, 3, 8))
     completed._closing_lines(
-        *(points, np.ones(len(points)), len(points), turns, 3, 3, settings, np.zeros(15)),
-        *(
-            np.zeros((1, 1), np.float32),
-            np.zeros((1, 1), np.float32),
-            0,
-            0,
-            others,
-            len(others),
-            np.zeros(2),
-            0,
-            0,
-            found,
-        ),
+        *(points, np.ones(len(points)), len(points), turns, 3, 3, settings, unseen()),
+        *(others, len(others), np.zeros(2), 0, 0, found),
     )
     np.testing.assert_allclose(found[0, :, 0], -0.0298, atol=0.0006)
     np.testing.assert_allclose(found[0, :, 1], 0.0302, atol=0.0006)
@@ -146,8 +148,8 @@ def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
         found = np.empty((1, 1, 8))
         palm = np.array([0.03, 0.01, *tilts, *[lift] * len(tilts), *[beside_middle] * 20, *[middle] * 20])
         completed._closing_lines(
-            *(points, np.ones(len(points)), len(points), np.array([[0.0, 0.0, np.nan]]), 1, 1, settings, np.zeros(15)),
-            *(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0, np.empty((0, 3)), 0),
+            *(points, np.ones(len(points)), len(points), np.array([[0.0, 0.0, np.nan]]), 1, 1, settings, unseen()),
+            *(np.empty((0, 3)), 0),
             *(palm, len(tilts), 20, found),
         )
         return found[0, 0]

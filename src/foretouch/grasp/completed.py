@@ -19,7 +19,7 @@ Every measure is a quantile or a mean, so that it changes little when the cloud 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from foretouch.grasp.config import HandConfig
 from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.hand import TILTS, UNLIMITED_M
 from foretouch.grasp.pose import cross
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane, WayIn
 
 _closing_lines = Kernel("closing_lines")
@@ -164,7 +164,7 @@ class CompletedObject:
         xyz, weights = np.empty((2 * n, 3)), np.empty(2 * n)
         heights = seen[points.inlier > 0.5, 2]
         top = _quantile(heights, 1.0 - _END_SHARE) if len(heights) else np.nan
-        _complete_object(seen, points.inlier, n, top, shift, *self._camera(), xyz, weights, result)
+        _complete_object(seen, points.inlier, n, top, shift, self._view(), xyz, weights, result)
         size = int(result[0])
         if size < 0:
             raise CloudError("xyz: the points of the object are too far apart")
@@ -185,12 +185,24 @@ class CompletedObject:
             raise MemoryError("outline")
         return grid, nearest, inside
 
-    def _camera(self) -> tuple[Float64, Float32, Float32, int, int]:
-        """Return the outline and the pose of the table's frame in the camera's, as the kernels read them."""
-        if not self._in_view:
-            return np.zeros(15), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 0, 0
-        grid, nearest, inside = self._seen
-        return np.concatenate([self._basis.T.ravel(), self._foot, grid]), nearest, inside, *nearest.shape
+    def _view(self) -> Any:
+        """Return the outline in the image and the present pose of the table's frame in the camera's, as the kernels read them.
+
+        It has no cells if nothing is known to be unseen.
+        """
+        camera, nearest, inside, per_cell = (
+            np.zeros(15),
+            np.empty((0, 0), np.float32),
+            np.empty((0, 0), np.float32),
+            0.0,
+        )
+        if self._in_view:
+            grid, nearest, inside = self._seen
+            camera, per_cell = np.concatenate([self._basis.T.ravel(), self._foot, grid]), 1.0 / grid[2]
+        rows, columns = nearest.shape
+        return struct(
+            "Outline", camera=camera, nearest=nearest, inside=inside, rows=rows, columns=columns, per_cell=per_cell
+        )
 
     def _close(self, turns: Float64, n_lines: int) -> Float64:
         """Return (A, n_lines, 8) float64, what `closing_lines` finds for (A, 2) directions [rad] and places beside the centre [m]."""
@@ -201,7 +213,7 @@ class CompletedObject:
         n_tilts = len(TILTS) if self.has_palm else 0
         measured = np.empty((len(turns), n_lines, 8))
         _closing_lines(
-            *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, *self._camera()),
+            *(self._xyz, self._weights, len(self._xyz), turns, len(turns), n_lines, settings, self._view()),
             *(others, len(others), palm, n_tilts, (len(palm) - 2) // 2 - n_tilts, measured),
         )
         return measured

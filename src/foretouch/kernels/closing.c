@@ -32,14 +32,6 @@
 #define BEHIND_M 0.004    /* behind the seen surface, from where on a mirrored point is unseen */
 #define FAR_M 0.6         /* from the centre: no hand reaches it */
 
-typedef struct {
-    const double *camera; /* rotation (9) and origin (3) of the table's frame in the camera's; column, row and pitch of the grid */
-    const float *nearest; /* (rows, columns) depth of the nearest point of a cell, infinite in a gap */
-    const float *inside;  /* (rows, columns) how certainly a cell is inside of the outline, 0 ... 1 */
-    int64_t rows, columns;
-    double per_cell; /* 1 / pitch */
-} Outline;
-
 INLINE double smooth(double value, double low, double high) {
     const double t = (value - low) * (1.0 / (high - low)), inside = t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t);
     return inside * inside * (3.0 - 2.0 * inside);
@@ -158,15 +150,14 @@ INLINE int centre_of_columns(const double *points, const double *weights, int64_
  *
  * top: height of the top, NaN where nothing is to be mirrored. shift (2): of the grasps. completed (2 n, 3): from the centre of mass, shifted. shares (2 n): their
  * weights, 0 where no hand reaches. found (3): their number, -1 where they are too far apart or there is no memory; and the place of that centre. */
-void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift, const double *camera, const float *nearest,
-                     const float *inside, int64_t rows, int64_t columns, double *completed, double *shares, double *found) {
-    const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
+void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift, const Outline *seen, double *completed,
+                     double *shares, double *found) {
     int64_t size = n;
     double centre[2];
     memcpy(completed, points, (size_t)n * 3 * sizeof(double));
     memcpy(shares, weights, (size_t)n * sizeof(double));
     found[0] = -1.0;
-    if (rows > 0 && !isnan(top)) {
+    if (seen->rows > 0 && !isnan(top)) {
         const double below = TOP_SHARE * top > TOP_M ? TOP_SHARE * top : TOP_M;
         if (!centre_of_columns(points, weights, n, TOP_CELL_M, top - 1.5 * below, top - 0.5 * below, centre)) {
             return;
@@ -174,7 +165,7 @@ void complete_object(const double *points, const double *weights, int64_t n, dou
         for (int64_t i = 0; i < n; i++) {
             double *one = completed + 3 * size;
             one[0] = 2.0 * centre[0] - points[3 * i], one[1] = 2.0 * centre[1] - points[3 * i + 1], one[2] = points[3 * i + 2];
-            shares[size] = weights[i] * hidden_by(&seen, one[0], one[1], one[2], BEHIND_M);
+            shares[size] = weights[i] * hidden_by(seen, one[0], one[1], one[2], BEHIND_M);
             size += shares[size] > 0.0;
         }
     }
@@ -459,11 +450,9 @@ INLINE double fit_palm(const Palm *palm, double offset, double width, double top
  * found (angles, lines, 8): both ends, height, top, the first of `others` in the way of a finger, or -1, how certainly the object is at both ends,
  * 0 ... 1, how much deeper the object is than the hand, and how far the line was raised for it. The first two, the fifth and the sixth are NaN where a fingertip meets no points, and all where the line meets none or there is no memory. */
 VECTORISED void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
-                              int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns,
-                              const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free, double *found) {
+                              int64_t lines, const double *settings, const Outline *seen, const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free, double *found) {
     const double step = settings[0], tip = settings[1], floor_m = settings[2], share = settings[3], horizontal = settings[4];
     const double shift = settings[5], way = settings[6], middle = ALONGS / 2;
-    const Outline seen = {camera, nearest, inside, rows, columns, 1.0 / camera[14]};
     Palm hand = {palm + 2 + n_tilts, palm + 2 + 2 * n_tilts, n_tilts < TILTS ? n_tilts : TILTS, n_free, palm[1], palm[0], {{0.0f}}, 0, 0, {0.0}, {0.0}, {0.0}};
     for (int64_t i = 0; i < hand.n_tilts; i++) {
         hand.cosine[i] = cos(palm[2 + i]), hand.sine[i] = sin(palm[2 + i]);
@@ -544,7 +533,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             const double top = quantile(&heights, 0.95) * (double)HEIGHT_M;
             const double width = (high - low) * (double)ALONG_M, offset = beside_m + (double)(line + 2 - bins / 2) * step;
             const double mid = ((low + high) / 2.0 - middle) * (double)ALONG_M;
-            double grip = rows > 0 ? hidden_middle(&seen, c, s, mid, offset, top, tip) : top / 2.0;
+            double grip = seen->rows > 0 ? hidden_middle(seen, c, s, mid, offset, top, tip) : top / 2.0;
             if (horizontal < 0.5 && top > 1.2 * width && width > 0.0) {
                 const double from_end = SIDE * (high - low), reach = AROUND * (high - low);
                 const double near = height_around(&all, line, from, to, low + from_end, reach);
@@ -568,7 +557,7 @@ VECTORISED void closing_lines(const double *points, const double *weights, int64
             }
             find_ends(&alongs, share, &low, &high);
             one[0] = (low - middle) * (double)ALONG_M, one[1] = (high - middle) * (double)ALONG_M;
-            one[4] = -1.0, one[5] = rows > 0 ? hidden_ends(&seen, c, s, one, offset, z) : 1.0;
+            one[4] = -1.0, one[5] = seen->rows > 0 ? hidden_ends(seen, c, s, one, offset, z) : 1.0;
         }
         for (int64_t i = 0; i < m; i++) { /* the lines beside which it stands */
             const double ahead = c * others[3 * i] + s * others[3 * i + 1], y = c * others[3 * i + 1] - s * others[3 * i];

@@ -28,13 +28,19 @@ void find_background(const Parts *of, int64_t *reasons, double *outline, int64_t
 /* closing.c */
 void outline(const double *points, int64_t n, const double *grid, int64_t rows, int64_t columns, float *nearest,
     float *inside);
+typedef struct { /* of an object in the image */
+    const double *camera; /* rotation (9) and origin (3) of the table's frame in the camera's; column, row and pitch */
+    const float *nearest; /* (rows, columns) depth of the nearest point of a cell, infinite in a gap */
+    const float *inside;  /* (rows, columns) how certainly a cell is inside of the outline, 0 ... 1 */
+    int64_t rows;
+    int64_t columns;
+    double per_cell; /* 1 / pitch */
+} Outline;
 void complete_object(const double *points, const double *weights, int64_t n, double top, const double *shift,
-    const double *camera, const float *nearest, const float *inside, int64_t rows, int64_t columns, double *completed,
-    double *shares, double *found);
+    const Outline *seen, double *completed, double *shares, double *found);
 void closing_lines(const double *points, const double *weights, int64_t n, const double *turns, int64_t angles,
-    int64_t lines, const double *settings, const double *camera, const float *nearest, const float *inside,
-    int64_t rows, int64_t columns, const double *others, int64_t m, const double *palm, int64_t n_tilts, int64_t n_free,
-    double *found);
+    int64_t lines, const double *settings, const Outline *seen, const double *others, int64_t m, const double *palm,
+    int64_t n_tilts, int64_t n_free, double *found);
 
 /* clusters.c */
 void grid_patches(const float *grid, int64_t h, int64_t w, int64_t stride, int64_t min_nodes, const double *settings,

@@ -26,7 +26,7 @@ GROUPS: Final = ("known", "new")
 """Objects in the training distribution, and out of it."""
 
 _TRACKER: Final = "tracker/"
-_MIN_VALUE: Final = 1e-9  # [resolution²] of a variance; that of rounding is 0.08
+_MIN_VALUE: Final = 1e-9  # [resolution²] of a variance; rounding alone has 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Calibration:
 
     @cached_property
     def tracker_parameters(self) -> TrackerParameters:
-        """The fitted ones, or else those of the groups, by B of known objects split into sensors and objects.
+        """Return the fitted ones, or else the ones of the groups, by B of known objects split into sensors and objects.
 
         On an object that the model knows, what stays is of the sensors; what stays beyond it on new ones, of the object.
 

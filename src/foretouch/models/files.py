@@ -113,7 +113,7 @@ class TensorRecord:
                 raise ModelError(f"{name}: holds a value that is not within [{low:g}, {high:g}]")
 
     def _rules(self) -> Rules:
-        """`RULES`, or those that depend on the record."""
+        """Return `RULES`, or rules that depend on the record."""
         return self.RULES
 
 

@@ -5,7 +5,7 @@
 Another object forgets the last one's part and keeps the state of the sensors.
 
 The file of a hand is a safetensors file that is replaced as a whole and holds a hash of its content. Its age needs no
-limit: while nothing is read, the tracker's variance grows back to that of an unknown sensor.
+limit: while nothing is read, the tracker's variance grows back to the variance of an unknown sensor.
 """
 
 import copy

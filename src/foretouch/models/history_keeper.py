@@ -17,10 +17,10 @@ class HistoryKeeper:
     """The history of a hand, with its file in `folder` ("" for the default) if the hand has a name.
 
     Readings are compared with the predictions of `model`. A file that cannot be used does not stop the node: it is set
-    aside, or not written, and `fault` says why. `lock` is that of `history`.
+    aside, or not written, and `fault` says why. `lock` is the lock of `history`.
 
     Raises:
-        ConfigError: If the name of the hand cannot be that of a file.
+        ConfigError: If the name of the hand cannot name a file.
     """
 
     def __init__(

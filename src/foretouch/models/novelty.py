@@ -91,7 +91,7 @@ class Fallback(TensorRecord):
         return cls(channels, centre, scale, known, np.array([low, max(high, low + 1e-9)]), labels.mean(axis=0))
 
     def score(self, sizes: Float64) -> float:
-        """1 for a cloud of (8,) sizes like those of training, 0 for one unlike them; compare with `IN_DISTRIBUTION`."""
+        """Compare (8,) sizes of a cloud with the training: 1 where they are alike, 0 where not; see `IN_DISTRIBUTION`."""
         apart = np.abs(self.known - (sizes - self.centre) / self.scale).sum(axis=1)
         low, high = self.span
         return float(np.clip((high - np.partition(apart, _NEAREST - 1)[:_NEAREST].mean()) / (high - low), 0.0, 1.0))

@@ -32,7 +32,7 @@ NEW, KNOWN = 0, 1
 SLOW_TIME_S: Final = 10.0 * 86400.0
 FAST_TIME_S: Final = 3600.0
 TARE_NOISE: Final = 0.1
-"""Variance of a tare over that of a grasp, where no tares were recorded: assumed, not measured."""
+"""Variance of a tare over the variance of a grasp, where no tares were recorded: assumed, not measured."""
 
 _ALARM: Final = (10.0, 7.7)
 """Limits of the innovation test without a fit: of the mean square as on the public recordings, whose noise has heavier
@@ -234,7 +234,7 @@ class StateFilter:
         self.covariance[1, 1] += self.prior[1] * lost[1]
 
     def start_object(self, variance: Float64) -> None:
-        """Forget the object's part; that of the next one has a (K,) prior variance."""
+        """Forget the object's part; the part of the next object has a (K,) prior variance."""
         self.prior[2] = variance
         self.mean[2] = 0.0
         self.covariance[2] = 0.0

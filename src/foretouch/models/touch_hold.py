@@ -71,7 +71,7 @@ class TouchHold(TensorRecord):
 
 
 def load_touch_hold(card_path: Path | None = None) -> tuple[TouchHold, dict[str, Any]]:
-    """Return the model and its card, whose `config` names the fingers; by default that of the package.
+    """Return the model and its card, whose `config` names the fingers; by default the model of the package.
 
     Raises:
         ModelError: Names the file and what is wrong with it.

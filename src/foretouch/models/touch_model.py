@@ -50,7 +50,7 @@ class Estimate:
     """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
 
     counts: Float64  # (K, D) float64 [counts]
-    in_distribution: Bool  # (K,) bool: whether cloud and grasp resemble those of training
+    in_distribution: Bool  # (K,) bool: whether cloud and grasp resemble the training
     where: Float64 | None = None  # (K, P) features of the grasps, by which touches of one object are compared
     reasons: Mapping[str, Bool] = field(
         default_factory=dict

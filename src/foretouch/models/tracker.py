@@ -66,7 +66,7 @@ class Level:
     thermal: Float64  # (D,) the part of the offset that follows from the temperature [counts]
     variance: Float64  # (D,) of the offset, without the noise of a grasp [counts²]
     same_object: bool  # whether it is for the current object
-    similar: bool  # whether places on the object are compared with those of its earlier touches
+    similar: bool  # whether places on the object are compared with its earlier touches
     kind: int  # of the object, KNOWN or NEW
     evidence: Evidence  # readings behind it
 
@@ -82,7 +82,7 @@ class SensorTracker:
         parameters: Of the model that predicts by vision.
 
     Attributes:
-        touches: Number of those of the current object.
+        touches: Number of touches of the current object.
         revision: Changes whenever a reading is added or an object begins.
         similar: Touches of the current object by where it was touched.
         tdc_readings: Readings with the temperature of a finger at least.

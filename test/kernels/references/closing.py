@@ -24,10 +24,9 @@ def outline(points, n: int, grid, rows: int, columns: int, nearest, inside) -> N
     inside[:] = grey_closing(filled, size=(5, 5), mode="constant")
 
 
-def complete_object(
-    points, weights, n, top, shift, camera, nearest, inside, rows, columns, completed, shares, found
-) -> None:
-    """See the kernel, whose arguments these are."""
+def complete_object(points, weights, n, top, shift, seen, completed, shares, found) -> None:
+    """See the kernel, whose arguments these are; `seen` is a mapping."""
+    camera, nearest, inside, rows = (seen[name] for name in ("camera", "nearest", "inside", "rows"))
     xyz, weight, certain = points[:n], weights[:n], weights[:n] > 0.5
     if rows and not np.isnan(top):
         below = max(0.12 * top, 0.004)
@@ -53,28 +52,10 @@ def _columns(xyz: Array, cell_m: float) -> tuple[Array, Array]:
     return (cells + 0.5) * cell_m, highest
 
 
-def closing_lines(
-    points,
-    weights,
-    n,
-    turns,
-    angles,
-    lines,
-    settings,
-    camera,
-    nearest,
-    inside,
-    rows,
-    columns,
-    others,
-    m,
-    palm,
-    n_tilts,
-    n_free,
-    found,
-):
+def closing_lines(points, weights, n, turns, angles, lines, settings, seen, others, m, palm, n_tilts, n_free, found):
     """See the kernel, whose arguments these are; of a hand without a palm."""
     assert n_free == 0
+    camera, nearest, inside, rows = (seen[name] for name in ("camera", "nearest", "inside", "rows"))
     step, tip, floor_m, share, horizontal, shift, way = settings
     found[:] = np.nan
     points, weights = points[weights > 0.0], weights[weights > 0.0]

@@ -13,6 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from foretouch.cloud.geometry.columns import centred_columns
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
@@ -87,9 +88,10 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
     if len(xyz) < 3:
         return None, 0.0, f"{len(xyz)} points span no plane"
     fitted, some, _ = _first_draws(len(xyz))
-    points = xyz[fitted].astype(np.float64)
-    origin = points.mean(axis=0)  # float32 scoring stays exact far from the origin
-    points -= origin
+    origin, columns, _ = centred_columns(
+        xyz[fitted].astype(np.float64)
+    )  # float32 scoring stays exact far from the origin
+    points = np.ascontiguousarray(columns.T)
     scored = points[some].astype(np.float32)
     near = min(1.0, abs(float(origin[2])) / _FULL_REACH_M)
     fits: list[PlaneFit] = []
@@ -253,9 +255,8 @@ def _residuals(points: Float64, along: Float64, offset: float, reach: float, dep
 
 def _eigen_plane(points: Float64) -> tuple[Float64, float, float, float]:
     """Least-squares plane: unit normal, offset, rms distance, and spread along the second axis."""
-    centre = np.ones(len(points)) @ points / len(points)  # mean(axis=0) over rows of three is slower
-    moved = points - centre
-    values, vectors = np.linalg.eigh(moved.T @ moved / len(points))
+    centre, _, covariance = centred_columns(points)
+    values, vectors = np.linalg.eigh(covariance)
     values = np.sqrt(np.maximum(values, 0.0))
     normal = vectors[:, 0]
     return normal, -float(normal @ centre), float(values[0]), float(values[1])

@@ -38,9 +38,7 @@ _PITCH: Final = 0.004  # of the outline, as a tangent: two pixels of 640 x 480
 _BEHIND_M: Final = 0.006  # what is so far behind a visible point is hidden by it
 _MOST_CELLS: Final = 1 << 22  # of an array with a number for each
 _TOP_SHARE, _TOP_M = 0.05, 0.004  # of the visible height, or so much: the top
-_AWAY_M: Final = np.arange(
-    -0.008, 0.0121, 0.002
-)  # places of the line, along the view from the middle of the visible top
+_AWAY_M: Final = np.arange(-0.008, 0.0121, 0.002)  # along the view from the middle of the top: places of the line
 _UNLIKE_M: Final = 0.005  # difference of heights that counts as much as a place which the camera sees through
 _TWINS: Final = 400  # points at most, by which a line is evaluated
 
@@ -123,11 +121,15 @@ def _edge(x: Float64, y: Float64, least: float) -> float:
 
 def _falls(points: Float64, low: Float64, edge: float) -> Float64:
     """Return (N,) [m], how far points are below the highest one over their cell and those around it. The first cell begins at `low`."""
-    column, row = np.maximum(np.floor((points[:, :2] - low) / edge), 0.0).astype(np.int64).T  # a mean may round below
+    x, y, z = np.ascontiguousarray(points.T)
+    column, row = (  # a mean may round below
+        np.maximum(np.floor((values - first) / edge), 0.0).astype(np.int64)
+        for values, first in zip((x, y), low, strict=True)
+    )
     height = np.full((int(column.max()) + 1, int(row.max()) + 1), np.inf)
-    np.minimum.at(height, (column, row), points[:, 2])
+    np.minimum.at(height, (column, row), z)
     around = minimum_filter(height, 3, mode="constant", cval=np.inf)
-    return np.asarray(points[:, 2] - around[column, row], np.float64)
+    return np.asarray(z - around[column, row], np.float64)
 
 
 def _along_object(points: Float64) -> Float64:
@@ -154,7 +156,7 @@ def _completed(seen: Float64, edge: float, turn: Float64, points: Float64) -> Fl
 
 def _cells(points: Float64, edge: float) -> tuple[Int64, int]:
     """Return (N,) number of the cell of the table over which each point is, and the number of cells."""
-    x, y = points[:, 0], points[:, 1]
+    x, y = np.ascontiguousarray(points[:, :2].T)
     column = np.floor((x - x.min()) / edge).astype(np.int64)
     row = np.floor((y - y.min()) / edge).astype(np.int64)
     rows = int(row.max()) + 1
@@ -168,10 +170,10 @@ def _cells(points: Float64, edge: float) -> tuple[Int64, int]:
 
 def _highest(points: Float64, edge: float) -> Float64:
     """Return the highest point over each cell, by cells; of equal ones, the first."""
-    cells, count = _cells(points, edge)
+    (cells, count), height = _cells(points, edge), points[:, 2].copy()
     highest = np.full(count, np.inf)
-    np.minimum.at(highest, cells, points[:, 2])
-    best = np.flatnonzero(points[:, 2] == highest[cells])
+    np.minimum.at(highest, cells, height)
+    best = np.flatnonzero(height == highest[cells])
     chosen = np.full(count, -1)  # index of the point of each cell
     chosen[cells[best[::-1]]] = best[::-1]  # the first is written last
     result: Float64 = points[chosen[chosen >= 0]]

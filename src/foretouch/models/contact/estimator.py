@@ -116,7 +116,7 @@ class KnownSizes(TensorRecord):
         return centre, turn, (sizes - centre) @ turn
 
     def scores(self, sizes: Float64) -> Float64:
-        """Return (K,) of (K, 11): 1 for sizes like those of training, 0 for others."""
+        """Return (K,) of (K, 11): 1 for sizes as in training, 0 for others."""
         moved = ((sizes - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
         start, end = self.span
         return np.asarray(np.clip((end - cdist(moved, self.known).min(axis=1)) / (end - start), 0.0, 1.0), np.float64)
@@ -168,10 +168,10 @@ class Limits(TensorRecord):
 
 @dataclass(frozen=True, eq=False)
 class NoveltyDetector:
-    """Whether a cloud and a grasp, in the frame of the hand, resemble those that a model was trained on.
+    """Whether a cloud and a grasp, in the frame of the hand, resemble the training of a model.
 
-    In a view as in training, the sizes of all points are compared. In another view other walls are seen, and those of the upper side are
-    compared instead. Conditions under which the training data say nothing are unfamiliar too: too few points, another width or direction of the
+    In a view as in training, the sizes of all points are compared. In another view other walls are seen, and the sizes of
+    the upper side are compared instead. Conditions under which the training data say nothing are unfamiliar too: too few points, another width or direction of the
     hand. No view is.
     """
 
@@ -209,7 +209,7 @@ class NoveltyDetector:
         return {"novelty/whole": self.whole, "novelty/upper": self.upper, "novelty/limits": self.limits}
 
     def scores(self, rows: Float64) -> Float64:
-        """Return (K,) shares for (K, F) rows: 1 where they are like those of training, 0 where unlike.
+        """Return (K,) shares for (K, F) rows: 1 where they are as in training, 0 where not.
 
         Compare with `IN_DISTRIBUTION`.
         """

@@ -155,7 +155,7 @@ class HandFrameFeatures:
     def describe(self, grasps: Sequence[Grasp], *, surroundings: bool = True, upper: bool = True) -> Float64:
         """Return (K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp.
 
-        Without `surroundings`, the columns that describe the points around each contact are 0; without `upper`, those of the upper side.
+        Without `surroundings`, the columns that describe the points around each contact are 0. Without `upper`, the sizes of the upper side are 0.
         """
         if not grasps:
             return np.empty((0, len(FEATURES)))
@@ -257,7 +257,7 @@ def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float6
 
     Returns:
         (U,) weights, (U, 3) means from the contact, (U, 3) standard deviations along the principal axes, ascending, and
-        (U, 3, 3) these axes as columns. All are zero, and the axes those of the frame, where there is no weight.
+        (U, 3, 3) these axes as columns. Without a weight all are zero, and the axes are the axes of the frame.
     """
     total = sums[:, 0]
     scaled = sums[:, 1:10] / np.maximum(total, _NOTHING)[:, None]

@@ -47,7 +47,7 @@ class Forest(TensorRecord):
         roots: (T,) int32, root nodes of the trees.
         feature: (N,) int16, the column that a node compares; -1 at a leaf.
         threshold: (N,) float64; a row goes left where its column is not above.
-        children: (N, 2) int32, left and right; those of a leaf are the leaf.
+        children: (N, 2) int32, left and right; both children of a leaf are the leaf.
         leaf: (N,) int32, row of `value` at a leaf, else 0.
         value: (L, M) float16. The rounding, 1e-3 of a deviation, is far below the error of the trees.
     """

@@ -37,7 +37,7 @@ class NetworkEstimator:
     config: ModelConfig
     network: FoldedNetwork
     lengths: LengthRangeCheck | None = None  # ranges over its training samples; None if its card holds none
-    fallback: Fallback | None = None  # for objects unlike those of training; None if it was not stored
+    fallback: Fallback | None = None  # for objects unlike the training objects; None if it was not stored
 
     def __post_init__(self) -> None:
         missing = [name for name in MODALITIES if name not in self.config.outputs]
