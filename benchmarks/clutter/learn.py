@@ -32,8 +32,9 @@ from benchmarks.clutter.physics import Pile, Placed
 from benchmarks.clutter.piles import Scene, alone, look, make, save
 from benchmarks.clutter.scenes import LabelledCloud, cache_folder
 from foretouch.cloud.segmentation import parts
+from foretouch.cloud.segmentation.clusters import Clusters
 from foretouch.cloud.segmentation.segment import segment
-from foretouch.types import Cloud, Float32, Float64
+from foretouch.types import Cloud, Float32, Float64, Int32
 from foretouch_lab.simulation.solids import about_z
 from foretouch_lab.simulation.world import SampleKey
 
@@ -294,22 +295,22 @@ def bare(scene: LabelledCloud, rng: Rng) -> LabelledCloud:
 
 
 class Recorder:
-    """The kernel that splits, called by segmentation, with what it rates, and the trees it rates with."""
+    """Splitting, called by segmentation, with the trees it rates with and the pairs that it rates."""
 
     def __init__(self) -> None:
-        self._kernel, self._rows = parts._split, np.zeros((_ROWS, FEATURES + 2))  # noqa: SLF001  the only way to its rows
-        self._at: tuple[int, int, int, int] | None = None
-        parts._split = self  # type: ignore[assignment]  # noqa: SLF001
+        self._split, self._rows = parts.split_window, np.zeros((_ROWS, FEATURES + 2))
+        self._at: tuple[Clusters, int, int] | None = None
+        parts.split_window = self  # type: ignore[assignment]
 
     def use(self, trees: Float32) -> None:
         """Rate with these trees from now on."""
         parts._trees = lambda: trees  # type: ignore[assignment]  # noqa: SLF001
 
-    def __call__(self, *arguments: Any) -> None:
-        """The kernel's arguments."""
-        self._kernel(*arguments[:-2], self._rows, _ROWS)
-        first, _, _, w, k = arguments[:5]
-        self._at = first.ctypes.data, w, k, int(arguments[8][-1])
+    def __call__(self, xyz: Float32, window: Clusters, cell: int, settings: Float64) -> tuple[Int32, list[int]]:
+        """Split a window, and keep what is rated."""
+        labels, counts = self._split(xyz, window, cell, settings, self._rows)
+        self._at = window, cell, min(counts[-1], _ROWS)
+        return labels, counts
 
     def pairs(self, scene: LabelledCloud) -> tuple[Float64, Float64]:
         """Features (n, FEATURES) of what is rated in a scene, and whether both are one object (n,)."""
@@ -317,11 +318,10 @@ class Recorder:
         segment(scene.cloud)
         if self._at is None:
             return np.zeros((0, FEATURES)), np.zeros(0)
-        address, w, k, count = self._at
-        xyz, rows = scene.cloud.xyz, self._rows[: min(count, _ROWS)]
-        top, left = divmod((address - xyz.ctypes.data) // (3 * xyz.itemsize), xyz.shape[1])
-        v, u = np.divmod(rows[:, :2].astype(np.int64), -(-w // k) * k)
-        of = scene.labels[np.minimum(v + top, xyz.shape[0] - 1), np.minimum(u + left, xyz.shape[1] - 1)]
+        window, k, count = self._at
+        (h, w), rows = scene.labels.shape, self._rows[:count]
+        v, u = np.divmod(rows[:, :2].astype(np.int64), -(-window.labels.shape[1] // k) * k)
+        of = scene.labels[np.minimum(v + window.rows, h - 1), np.minimum(u + window.columns, w - 1)]
         known = of.any(axis=1)
         return rows[known, 2:].copy(), ((of[:, 0] == of[:, 1]) & (of[:, 0] > 0))[known].astype(np.float64)
 

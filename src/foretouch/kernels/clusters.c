@@ -1,6 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Labels the image of a cloud, for cloud/segmentation/clusters.py; test/kernels/references/segmentation.py
- * states each step in NumPy.
+/* Clusters of an image: connected points above the table (docs/segmentation.md). test/kernels/references/segmentation.py states
+ * each step in NumPy.
+ *
+ * - Patches: connected pixels of the coarse grid above the table, each with a window of the image around it (grid_patches).
+ * - Clusters of a window: neighbours of the grid are connected on faces that are not too steep, small sets on steeper ones; their
+ *   labels grow to all pixels; flying pixels are dropped, and those at the foot of an object are added (label_window).
+ * - Points of each cluster (collect_members), and its id in the image (write_ids).
  *
  * `settings` are, in this order, float32 numbers but for the rays: */
 #include "sets.h"
@@ -83,15 +88,15 @@ INLINE int32_t number_sets(int32_t *parent, int32_t *number, int64_t n, int64_t 
 
 /* Patches of the coarse grid (h, w, 3) above the table; diagonal neighbours are in one patch.
  *
- * number: (h, w), from 1 in the order of their first pixels, without those of fewer than `min_nodes` pixels or nowhere
+ * of->number: written, from 1 in the order of their first pixels, without those of fewer than `min_nodes` pixels or nowhere
  * high; -1 for pixels above the table but beside their ray. boxes: (h w / min_nodes + 1, 4), first row, end, first column,
  * end of each. found: the number of patches, -1 without memory; and whether a pixel is beside its ray. */
-VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t stride, int64_t min_nodes, const double *settings,
-                             int32_t *number, int64_t *boxes, int64_t *found) {
-    const int64_t n = h * w;
+VECTORISED void grid_patches(const float *grid, const Patches *of, int64_t *boxes, int64_t *found) {
+    const int64_t h = of->h, w = of->w, stride = of->stride, n = h * w;
+    int32_t *number = of->number;
     int32_t *parent = n < INT32_MAX ? calloc((size_t)n + 1, 2 * sizeof(int32_t) + 1) : NULL;
     double s[RAY_Y + 3];
-    memcpy(s, settings, sizeof s);
+    memcpy(s, of->settings, sizeof s);
     found[0] = -1, found[1] = 0;
     if (!parent) {
         return;
@@ -112,8 +117,7 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
                 continue;
             }
             if (s[CHECKED] > 0.0 && is_beside(grid + 3 * i, (double)(row * stride), (double)(column * stride), s)) {
-                number[i] = -1;
-                found[1] = 1;
+                number[i] = -1, found[1] = 1;
                 continue;
             }
             if (column && number[i - 1] > 0) {
@@ -126,7 +130,7 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
             }
         }
     }
-    const int32_t last = number_sets(parent, number, n, min_nodes, tall, count);
+    const int32_t last = number_sets(parent, number, n, of->min_nodes, tall, count);
     for (int64_t k = 0; k < last; k++) {
         boxes[4 * k] = h, boxes[4 * k + 1] = 0, boxes[4 * k + 2] = w, boxes[4 * k + 3] = 0;
     }
@@ -152,10 +156,10 @@ typedef struct {
     uint8_t *kind;                /* the same shape, not set around the window */
     int32_t *nodes;               /* (gh, gw), labels of the grid */
     const double *s;
-} window;
+} view; /* of a window */
 
 /* Whether two neighbours of the grid, `step` numbers apart for each of `stride` pixels, are joined: up to a depth per depth. */
-INLINE int is_joined(const window *v, int64_t first, int64_t step, double slope) {
+INLINE int is_joined(const view *v, int64_t first, int64_t step, double slope) {
     const float *z = v->z + first;
     const uint8_t *kind = v->kind + first;
     int hole = 0;
@@ -174,7 +178,7 @@ INLINE int is_joined(const window *v, int64_t first, int64_t step, double slope)
 }
 
 /* Joins sets of nodes of which one is small across larger steps in depth. size: (gh gw), zeros. */
-INLINE void join_small(const window *v, int32_t *parent, int32_t *size, int64_t min_nodes) {
+INLINE void join_small(const view *v, int32_t *parent, int32_t *size, int64_t min_nodes) {
     for (int64_t i = 0; i < v->gh * v->gw; i++) {
         size[root_of(parent, (int32_t)i)]++;
     }
@@ -195,7 +199,7 @@ INLINE void join_small(const window *v, int32_t *parent, int32_t *size, int64_t 
 }
 
 /* Labels the nodes of one patch and drops small components; the largest label, -1 without memory. */
-INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, int64_t patch, int64_t min_nodes) {
+INLINE int64_t label_nodes(view *v, const int32_t *patches, int64_t across, int64_t patch, int64_t min_nodes) {
     const int64_t gh = v->gh, gw = v->gw;
     int32_t *parent = calloc((size_t)(gh * gw + 1), 3 * sizeof(int32_t));
     int64_t last = -1;
@@ -226,7 +230,7 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
 }
 
 /* The label of a pixel in a cell whose corners have different ones: that of the corner which is nearest in depth. */
-INLINE int32_t nearest_label(const window *v, const int64_t *corners, float z) {
+INLINE int32_t nearest_label(const view *v, const int64_t *corners, float z) {
     int nearest = 0;
     float least = INFINITY;
     for (int i = 0; i < 4; i++) {
@@ -241,7 +245,7 @@ INLINE int32_t nearest_label(const window *v, const int64_t *corners, float z) {
 }
 
 /* The labels of the grid at full resolution. */
-INLINE void grow(const window *v, int32_t *labels) {
+INLINE void grow(const view *v, int32_t *labels) {
     memset(labels, 0, (size_t)(v->h * v->w) * sizeof(int32_t));
     for (int64_t top = 0; top < v->gh; top++) {
         const int64_t bottom = top + 1 < v->gh ? top + 1 : top;
@@ -270,7 +274,7 @@ INLINE void grow(const window *v, int32_t *labels) {
 }
 
 /* Whether a pixel is in the air between two surfaces. */
-INLINE int is_flying(const window *v, const float *z) {
+INLINE int is_flying(const view *v, const float *z) {
     const float near = step_at(*z, v->s[SUPPORTED], v->s);
     const float *up = z - v->line, *down = z + v->line;
     const float steps[8] = {up[-1] - *z, up[0] - *z,    up[1] - *z,  z[-1] - *z,
@@ -288,7 +292,7 @@ INLINE int is_flying(const window *v, const float *z) {
 enum { NO, SOLID, FLYING, BASE }; /* of a pixel while the outlines are refined */
 
 /* Whether a solid pixel around a flying one has its label. */
-INLINE int is_outline(const window *v, const int32_t *labels, const uint8_t *solid, int64_t row, int64_t column) {
+INLINE int is_outline(const view *v, const int32_t *labels, const uint8_t *solid, int64_t row, int64_t column) {
     const int32_t own = labels[row * v->w + column];
     for (int64_t i = row ? row - 1 : 0; i <= row + 1 && i < v->h; i++) {
         for (int64_t j = column ? column - 1 : 0; j <= column + 1 && j < v->w; j++) {
@@ -301,7 +305,7 @@ INLINE int is_outline(const window *v, const int32_t *labels, const uint8_t *sol
 }
 
 /* The label of the last solid pixel around a low one that is at its depth, or 0. */
-INLINE int32_t owner_of(const window *v, const int32_t *labels, const uint8_t *solid, int64_t row, int64_t column) {
+INLINE int32_t owner_of(const view *v, const int32_t *labels, const uint8_t *solid, int64_t row, int64_t column) {
     const float own = v->z[row * v->line + column], near = step_at(own, v->s[SUPPORTED], v->s);
     int32_t owner = 0;
     for (int64_t i = row ? row - 1 : 0; i <= row + 1 && i < v->h; i++) {
@@ -316,7 +320,7 @@ INLINE int32_t owner_of(const window *v, const int32_t *labels, const uint8_t *s
 
 /* Removes flying pixels from the labels and adds base pixels; `solid` marks which are left or added. `least` is the
  * smallest depth, with which a cheap superset of the flying pixels is found first; jump: (w). */
-INLINE void refine(const window *v, float least, int32_t *jump, int32_t *labels, uint8_t *solid) {
+INLINE void refine(const view *v, float least, int32_t *jump, int32_t *labels, uint8_t *solid) {
     const int64_t h = v->h, w = v->w;
     const float limit = step_at(least, v->s[SUPPORTED], v->s);
     for (int64_t row = 0; row < h; row++) {
@@ -363,7 +367,7 @@ INLINE void rays_of(double row, int64_t column, int64_t w, const double *slopes,
 }
 
 /* Depth and kind of a row of a window; the smallest depth so far. Points beside their ray become holes. */
-INLINE float read_row(const window *v, const float *points, int64_t row, const float *ray_x, const float *ray_y, float least,
+INLINE float read_row(const view *v, const float *points, int64_t row, const float *ray_x, const float *ray_y, float least,
                       uint8_t *marks, int64_t *any_beside, int32_t *kinds) {
     const double *s = v->s;
     float *z = v->z + row * v->line;
@@ -418,25 +422,22 @@ INLINE float read_row(const window *v, const float *points, int64_t row, const f
     return least;
 }
 
-/* Labels one window of an image.
+/* Labels one window of an image: that around the `patch`-th of the patches.
  *
- * xyz: the image, whose rows have `across` points; the window is at `row`, `column`, of h x w. patches: the coarse grid,
- * whose rows have `grid_across` numbers. marks: a part of the image, from marks_row and marks_column, with rows of
- * marks_across: TAKEN, pixels that are solid in a window, which others leave out; BESIDE, pixels in range beside their ray.
- * labels, solid: (h, w), written. found: the largest label, -1 without memory; and whether there are pixels BESIDE. */
-VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int64_t column, int64_t h, int64_t w,
-                             const int32_t *patches, int64_t grid_across, int64_t stride, int64_t patch, int64_t min_nodes,
-                             const double *settings, int64_t marks_row, int64_t marks_column, int64_t marks_across,
-                             uint8_t *marks, int32_t *labels, uint8_t *solid, int64_t *found) {
+ * of->labels, of->solid: written. marks: TAKEN, pixels that are solid in a window, which others leave out; BESIDE, pixels in range
+ * beside their ray. found: the largest label, -1 without memory; and whether there are pixels BESIDE. */
+VECTORISED void label_window(const Labelled *of, const Patches *patches, int64_t patch, const Marks *marks, int64_t *found) {
+    const int64_t h = of->h, w = of->w, row = of->row, column = of->column, stride = patches->stride;
+    int32_t *labels = of->labels;
+    uint8_t *solid = of->solid, *first = marks->marks + (row - marks->row) * marks->across + column - marks->column;
     const int64_t line = w + 2;
     const size_t size = (size_t)((h + 2) * line);
     double s[RAY_Y + 3];
-    memcpy(s, settings, sizeof s);
+    memcpy(s, patches->settings, sizeof s);
     const size_t nodes = (size_t)(((h + stride - 1) / stride) * ((w + stride - 1) / stride));
     float *memory = h * w < INT32_MAX ? malloc((size + 3 * (size_t)w + nodes) * sizeof(float) + size) : NULL;
-    window v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, line, NULL, NULL, NULL, s};
-    found[0] = -1;
-    found[1] = 0;
+    view v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, line, NULL, NULL, NULL, s};
+    found[0] = -1, found[1] = 0;
     if (memory) {
         v.z = memory + line + 1;
         float *ray_x = memory + size, *ray_y = ray_x + w, least = INFINITY;
@@ -459,25 +460,25 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
                     ray_y[j] = y;
                 }
             }
-            least = read_row(&v, xyz + 3 * ((row + i) * across + column), i, s[CHECKED] > 0.0 ? ray_x : NULL, ray_y, least,
-                             marks + (row + i - marks_row) * marks_across + column - marks_column, found + 1, row_of_flags);
+            least = read_row(&v, of->xyz + 3 * ((row + i) * of->across + column), i, s[CHECKED] > 0.0 ? ray_x : NULL, ray_y, least,
+                             first + i * marks->across, found + 1, row_of_flags);
         }
-        found[0] = label_nodes(&v, patches + row / stride * grid_across + column / stride, grid_across, patch, min_nodes);
+        found[0] = label_nodes(&v, patches->number + row / stride * patches->w + column / stride, patches->w, patch, patches->min_nodes);
         if (found[0] >= 0) {
             grow(&v, labels);
             refine(&v, least, row_of_flags, labels, solid);
             for (int64_t i = 0; i < h; i++) { /* base pixels may lie between two patches: they belong to the first */
-                uint8_t *mark = marks + (row + i - marks_row) * marks_across + column - marks_column, *one = solid + i * w;
+                uint8_t *mark = first + i * marks->across, *own = solid + i * w;
                 uint8_t any = 0;
                 for (int64_t j = 0; j < w; j++) {
                     any |= mark[j];
-                    one[j] = ((one[j] == SOLID) | (one[j] == BASE)) & ~mark[j] & TAKEN;
+                    own[j] = ((own[j] == SOLID) | (own[j] == BASE)) & ~mark[j] & TAKEN;
                 }
                 for (int64_t j = 0; j < w && any & TAKEN; j++) {
                     labels[i * w + j] = mark[j] & TAKEN ? 0 : labels[i * w + j];
                 }
                 for (int64_t j = 0; j < w; j++) {
-                    mark[j] |= one[j]; /* TAKEN is 1 */
+                    mark[j] |= own[j]; /* TAKEN is 1 */
                 }
             }
         }
@@ -498,20 +499,19 @@ INLINE int64_t end_of_run(const int32_t *labels, const uint8_t *solid, int64_t f
     return i;
 }
 
-/* The solid pixels of a window (h, w) by label, in their order within.
+/* The solid pixels of a window by label, in their order within.
  *
  * ends: (labels + 1), the end of each label in the list; the last is n, the number of solid pixels. pixels: (n), flat
- * indices into the image, xyz, whose rows have `across` points. points: (n, 3). columns: (3, n). bounds: (labels + 1, 6),
- * smallest and largest x, y, z of each label. tops: (labels + 1), the largest heights above the plane (4). */
-VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int64_t h, int64_t w, int64_t row, int64_t column,
-                                const float *xyz, int64_t across, const float *plane, int64_t n_labels, int64_t *ends,
-                                int64_t *pixels, float *points, double *columns, float *bounds, float *tops) {
+ * indices into the image. points: (n, 3). columns: (3, n). bounds: (labels + 1, 6), smallest and largest x, y, z of each
+ * label. tops: (labels + 1), the largest heights above the plane (4). */
+VECTORISED void collect_members(const Labelled *of, const float *plane, int64_t n_labels, int64_t *ends, int64_t *pixels,
+                                float *points, double *columns, float *bounds, float *tops) {
     memset(ends, 0, (size_t)(n_labels + 1) * sizeof(int64_t));
-    for (int64_t i = 0; i < h; i++) {
-        const int32_t *label = labels + i * w;
-        for (int64_t j = 0, end; j < w; j = end) {
-            end = end_of_run(label, solid + i * w, j, w);
-            ends[label[j]] += solid[i * w + j] ? end - j : 0;
+    for (int64_t i = 0; i < of->h; i++) {
+        const int32_t *label = of->labels + i * of->w;
+        for (int64_t j = 0, end; j < of->w; j = end) {
+            end = end_of_run(label, of->solid + i * of->w, j, of->w);
+            ends[label[j]] += of->solid[i * of->w + j] ? end - j : 0;
         }
     }
     int64_t n = 0;
@@ -520,15 +520,15 @@ VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int
         ends[i] = n;
         n += count;
     }
-    for (int64_t i = 0; i < h; i++) {
-        const int32_t *label = labels + i * w;
-        for (int64_t j = 0, end; j < w; j = end) {
-            end = end_of_run(label, solid + i * w, j, w);
-            if (solid[i * w + j]) {
+    for (int64_t i = 0; i < of->h; i++) {
+        const int32_t *label = of->labels + i * of->w;
+        for (int64_t j = 0, end; j < of->w; j = end) {
+            end = end_of_run(label, of->solid + i * of->w, j, of->w);
+            if (of->solid[i * of->w + j]) {
                 int64_t *to = pixels + ends[label[j]];
                 ends[label[j]] += end - j;
                 for (int64_t k = 0; k < end - j; k++) {
-                    to[k] = (row + i) * across + column + j + k;
+                    to[k] = (of->row + i) * of->across + of->column + j + k;
                 }
             }
         }
@@ -537,7 +537,7 @@ VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int
     for (int64_t label = 0; label <= n_labels; start = ends[label++]) {
         float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, top = -INFINITY;
         for (int64_t i = start; i < ends[label]; i++) {
-            const float *p = xyz + 3 * pixels[i];
+            const float *p = of->xyz + 3 * pixels[i];
             const float height = p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + plane[3];
             top = height > top ? height : top;
             for (int axis = 0; axis < 3; axis++) {

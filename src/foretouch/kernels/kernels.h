@@ -43,14 +43,25 @@ void closing_lines(const double *points, const double *weights, int64_t n, const
     int64_t n_tilts, int64_t n_free, double *found);
 
 /* clusters.c */
-void grid_patches(const float *grid, int64_t h, int64_t w, int64_t stride, int64_t min_nodes, const double *settings,
-    int32_t *number, int64_t *boxes, int64_t *found);
-void label_window(const float *xyz, int64_t across, int64_t row, int64_t column, int64_t h, int64_t w,
-    const int32_t *patches, int64_t grid_across, int64_t stride, int64_t patch, int64_t min_nodes,
-    const double *settings, int64_t marks_row, int64_t marks_column, int64_t marks_across, uint8_t *marks,
-    int32_t *labels, uint8_t *solid, int64_t *found);
-void collect_members(const int32_t *labels, const uint8_t *solid, int64_t h, int64_t w, int64_t row, int64_t column,
-    const float *xyz, int64_t across, const float *plane, int64_t n_labels, int64_t *ends, int64_t *pixels,
+typedef struct {
+    const float *xyz;            /* the image */
+    int64_t across, row, column; /* width of the image, first pixel of the window */
+    int64_t h, w;
+    int32_t *labels; /* (h, w) its clusters or parts, 0 is none */
+    uint8_t *solid;  /* (h, w) whether it is labelled, with a reliable depth */
+} Labelled;
+typedef struct {
+    int32_t *number; /* (h, w) of the patches of a coarse grid of pixels */
+    int64_t h, w, stride, min_nodes;
+    const double *settings; /* see clusters.c */
+} Patches;
+typedef struct {
+    uint8_t *marks; /* of a part of the image, from `row` and `column`, with rows of `across` */
+    int64_t row, column, across;
+} Marks;
+void grid_patches(const float *grid, const Patches *of, int64_t *boxes, int64_t *found);
+void label_window(const Labelled *of, const Patches *patches, int64_t patch, const Marks *marks, int64_t *found);
+void collect_members(const Labelled *of, const float *plane, int64_t n_labels, int64_t *ends, int64_t *pixels,
     float *points, double *columns, float *bounds, float *tops);
 void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t column, const int32_t *ids,
     int64_t across, int32_t *image, int64_t *count);
@@ -171,11 +182,14 @@ void residuals_near(const double *points, const double *along, int64_t n, double
 void decode_rvl(const uint8_t *data, int64_t words, int64_t pixels, uint16_t *depth, int64_t *decoded);
 
 /* split.c */
-void split_clusters(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, const double *settings,
-    const uint8_t *solid, int32_t *labels, int64_t *counts, const float *trees, int64_t count, int64_t depth,
-    double *rows, int64_t room);
-void concave_nodes(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t stride, int64_t arm, double sag,
-    double noise, const int32_t *labels, int64_t *counts);
+typedef struct {
+    const float *nodes; /* (count, 3 * 2^depth - 2) each a complete tree: nodes (feature, threshold) and leaves, as a heap */
+    int64_t count, depth;
+    double *rows; /* (room, 2 + FEATURES), where the first that are rated are kept */
+    int64_t room;
+} Trees;
+void concave_nodes(const Labelled *of, int64_t stride, int64_t arm, double sag, double noise, int64_t *counts);
+void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts);
 
 /* voxels.c */
 void voxel_cells(const float *xyz, int64_t n, double cells_per_m, int64_t *cell, int64_t *counts, int64_t *found);

@@ -1,16 +1,20 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Parts of clusters, by local convexity: two convex objects that touch meet in a concave edge or at a step in depth.
+/* Objects that touch: clusters are divided into fragments, and those of one object joined again (docs/segmentation.md).
  *
- * A window is divided into square cells of a few millimetres. A surface is fitted to the inverse depth of each cell and its
- * neighbours: the image of a plane is linear in it, and the noise of a stereo camera has the same size everywhere. Across each
- * edge between two cells the normals some cells away from it are compared: `bend`, positive where concave, STEP where the
- * depth jumps. Fragments are the watersheds of the distance from such edges. Two fragments that have a border in common, or
- * that continue each other behind a nearer one, are joined where boosted trees rate them as one object, by FEATURES numbers
- * that describe both and their border; the most certain ones first, and again with what they have become. */
+ * - Cells: squares of some pixels, with their mean point. Normals are fitted over five of them, to the inverse depth: in it the image
+ *   of a plane is linear, and the noise of a stereo camera is even.
+ * - Edges between two cells: how much they `bend`, positive where concave, by the normals on both sides; STEP where the depth jumps.
+ * - Fragments: watersheds of the distance from concave edges and steps, so that necks divide as well.
+ * - Input of the trees: sums over each fragment, over the border of two, and over the lines on which one continues in the other
+ *   behind a nearer one; from these the shape of a fragment, and FEATURES numbers of both and their border.
+ * - Joining: tiny fragments first, then the pairs that the trees rate highest, again with what they have become, then small parts.
+ * - Parts: what the fragments of cells have become, for each pixel. */
 #include "eigen.h"
+#include "sets.h"
 
-enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4 };      /* of `settings` */
-enum { PARTS, BY_SIZE, BY_BORDER, BY_VIEW, RATED, COUNTS };           /* of `counts` */
+enum { BEND, STEP_M, PART_M2, SAME, PLANE, PITCH = PLANE + 4 };  /* of `settings` */
+enum { PARTS, BY_SIZE, BY_BORDER, BY_VIEW, RATED, COUNTS };       /* of `counts` */
+enum { TINY_ONES, RATED_ONES, SMALL_ONES };                       /* that are joined, in this order */
 
 #define STEP 2.0f   /* bend of a step in depth: chord of opposite normals */
 #define FULL 0.7f   /* a sharper bend counts as much as this one, of 40 degrees, and a convex one as none */
@@ -29,8 +33,7 @@ enum { PARTS, BY_SIZE, BY_BORDER, BY_VIEW, RATED, COUNTS };           /* of `cou
 /* Sums over the cells of a fragment: of points p about an origin, and where there is a normal n of p, n and m = p x n. */
 enum { CELLS, AREA, OUTLINE, P, PP = P + 3, SEEN = PP + 6, HOLLOWS, PN, Q, N = Q + 3, NN = N + 3, NM = NN + 6, MM = NM + 9, SUMS = MM + 6 };
 /* and over the edges of a border: `before` those where the first is nearer less the others, then lines behind a nearer part. */
-enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, EDGES };
-enum { FEATURES = 38 }; /* see `describe` */
+enum { LENGTH, BENT, STEPS, CONVEX, SIGNED, BEFORE, STEPPED, LINES, AGREE, EDGES, FEATURES = 38 };
 
 typedef struct {
     float p[3], d, n[3]; /* mean point [m], its inverse depth, normal towards the camera; NAN where there is none */
@@ -44,8 +47,8 @@ typedef struct {
 
 typedef struct {
     double sum[SUMS], top, bottom; /* heights above the table */
-    shape is;
-    int32_t to, first, seed; /* the fragment that it has joined, its first border, the innermost cell of its largest */
+    shape is;              /* of the sums, once it is `known` */
+    int32_t known, to, first, seed; /* the fragment that it has joined, its first border, the innermost cell of its largest */
 } fragment;
 
 typedef struct {
@@ -54,49 +57,63 @@ typedef struct {
 } border;
 
 typedef struct {
-    int64_t h, w, n, n_fragments, n_borders, k;
+    const Labelled *of;   /* of which a cell has k x k pixels, */
+    const float *first; /* and its first point */
+    const double *s;    /* settings */
+    const Trees *trees;
+    int64_t k, h, w, n, n_fragments, n_borders; /* cells; fragments count from 1 */
     cell *cells;
-    float *bends; /* right and down (n, 2); NAN where there is no edge */
+    float *bends; /* of the edges to the right and down (n, 2); NAN where there is none */
     int32_t *root;
     fragment *fragments;
     border *borders;
-    const double *s;
-    const float *trees;
-    double *rows, origin[3];
-    int64_t count, depth, room, *counts;
+    double origin[3]; /* of the sums */
+    int64_t *counts;
 } graph;
 
-INLINE int broken(const cell *c, const cell *o, const cell *before, const cell *after, float step) {
-    const float limit = step * c->d * o->d, by = o->d - c->d;
-    const float slope = SLOPE * sqrtf((o->p[0] - c->p[0]) * (o->p[0] - c->p[0]) + (o->p[1] - c->p[1]) * (o->p[1] - c->p[1]));
-    const float left = before && before->label == c->label ? by - (c->d - before->d) : NAN;
-    const float right = after && after->label == c->label ? by - (after->d - o->d) : NAN;
-    if (left != left && right != right) {
-        return fabsf(by) > limit + slope * c->d * o->d;
+/* Whether clusters of a window call for splitting or joining, from every `stride`-th pixel: the nodes that lie deeper than the
+ * middle between two of their cluster `arm` pixels away by more than sag + noise z^2, and those next to another cluster. */
+void concave_nodes(const Labelled *v, int64_t stride, int64_t arm, double sag, double noise, int64_t *counts) {
+    counts[0] = counts[1] = 0;
+    for (int dir = 0; dir < 2; dir++) {
+        const int64_t row = dir ? arm : 0, column = dir ? 0 : arm;
+        for (int64_t y = row; y < v->h - row; y += stride) {
+            for (int64_t x = column; x < v->w - column; x += stride) {
+                const int32_t *label = v->labels + y * v->w + x, first = label[-row * v->w - column], last = label[row * v->w + column];
+                if (first && last && first == *label && first == last) {
+                    const float *p = v->xyz + 3 * ((v->row + y) * v->across + v->column + x) + 2;
+                    const float d = 0.5f / p[-3 * (row * v->across + column)] + 0.5f / p[3 * (row * v->across + column)], z = *p;
+                    counts[0] += z - 1.0f / d > (float)sag + (float)noise * z * z;
+                } else {
+                    counts[1] += first && last && first != last;
+                }
+            }
+        }
     }
-    return fabsf(by) > limit + slope / 2 * c->d * o->d && !(fabsf(left) <= limit) && !(fabsf(right) <= limit);
 }
 
-static void make_cells(graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, const int32_t *labels,
-                       const uint8_t *solid, int64_t k) {
+/* CELLS. The mean point of each, by its cluster: of those pixels whose depth is near that of one in the middle. */
+static void make_cells(graph *g) {
+    const Labelled *v = g->of;
+    const int64_t k = g->k, h = v->h, w = v->w;
     for (int64_t i = 0; i < g->h; i++) {
         for (int64_t j = 0; j < g->w; j++) {
             cell *c = g->cells + i * g->w + j;
             const int64_t bottom = (i + 1) * k < h ? (i + 1) * k : h, right = (j + 1) * k < w ? (j + 1) * k : w;
             const int64_t y0 = (i * k + bottom) / 2, x0 = (j * k + right) / 2;
             int64_t at = y0 * w + x0;
-            for (int64_t y = i * k; y < bottom && !solid[at]; y++) { /* a point at the middle, else any */
+            for (int64_t y = i * k; y < bottom && !v->solid[at]; y++) { /* a point at the middle, else any */
                 for (int64_t x = j * k; x < right; x++) {
-                    at = solid[y * w + x] ? y * w + x : at;
+                    at = v->solid[y * w + x] ? y * w + x : at;
                 }
             }
-            const float z = xyz[3 * (at / w * across + at % w) + 2], gap = (float)g->s[STEP_M];
+            const float z = g->first[3 * (at / w * v->across + at % w) + 2], gap = (float)g->s[STEP_M];
             float sum[4] = {0.0f};
-            c->label = solid[at] ? labels[at] : 0;
+            c->label = v->solid[at] ? v->labels[at] : 0;
             for (int64_t y = i * k; y < bottom && c->label; y++) {
                 for (int64_t x = j * k; x < right; x++) {
-                    const float *p = xyz + 3 * (y * across + x);
-                    if (solid[y * w + x] && labels[y * w + x] == c->label && fabsf(p[2] - z) < gap) {
+                    const float *p = g->first + 3 * (y * v->across + x);
+                    if (v->solid[y * w + x] && v->labels[y * w + x] == c->label && fabsf(p[2] - z) < gap) {
                         const float d = 1.0f / p[2];
                         sum[0] += p[0] * d, sum[1] += p[1] * d, sum[2] += d, sum[3] += 1.0f;
                     }
@@ -107,6 +124,18 @@ static void make_cells(graph *g, const float *xyz, int64_t across, int64_t h, in
             c->p[0] = sum[0] / sum[3] / c->d, c->p[1] = sum[1] / sum[3] / c->d, c->p[2] = 1.0f / c->d;
         }
     }
+}
+
+/* EDGES. Whether the depth jumps between two cells, by more than it changes before and after them. */
+INLINE int broken(const cell *c, const cell *o, const cell *before, const cell *after, float step) {
+    const float limit = step * c->d * o->d, by = o->d - c->d;
+    const float slope = SLOPE * sqrtf((o->p[0] - c->p[0]) * (o->p[0] - c->p[0]) + (o->p[1] - c->p[1]) * (o->p[1] - c->p[1]));
+    const float left = before && before->label == c->label ? by - (c->d - before->d) : NAN;
+    const float right = after && after->label == c->label ? by - (after->d - o->d) : NAN;
+    if (left != left && right != right) {
+        return fabsf(by) > limit + slope * c->d * o->d;
+    }
+    return fabsf(by) > limit + slope / 2 * c->d * o->d && !(fabsf(left) <= limit) && !(fabsf(right) <= limit);
 }
 
 /* The step in depth across each edge, before there are normals. */
@@ -138,6 +167,7 @@ INLINE int64_t walk(const graph *g, int64_t i, int dir, int sign, int most) {
     return i;
 }
 
+/* A plane through the inverse depth of the cells around each, without a step between. */
 static void make_normals(graph *g) {
     for (int64_t i = 0; i < g->n; i++) {
         cell *c = g->cells + i;
@@ -184,14 +214,7 @@ static void make_bends(graph *g) {
     }
 }
 
-INLINE int32_t root_of(int32_t *root, int32_t i) {
-    while (root[i] != i) {
-        i = root[i] = root[root[i]];
-    }
-    return i;
-}
-
-/* Distance of cells from the nearest edge that is concave, a step, or that of the cluster: in halves of a cell, 2 to a neighbour
+/* FRAGMENTS. Distance of cells from the nearest edge that is concave, a step, or that of the cluster: in halves of a cell, 2 to a neighbour
  * and 3 to a diagonal one; 1 beside such an edge, 0 without a normal. Returns the largest. */
 static int32_t find_depths(graph *g) {
     int32_t most = 0;
@@ -236,11 +259,11 @@ static void make_fragments(graph *g) {
                 if (edges[side] < 0 || !(g->bends[edges[side]] <= (float)g->s[BEND]) || g->root[o] < 0) {
                     continue;
                 }
-                const int32_t one = root_of(g->root, (int32_t)o), a = g->cells[one].inside, b = g->cells[own].inside;
+                const int32_t next = root_of(g->root, (int32_t)o), a = g->cells[next].inside, b = g->cells[own].inside;
                 if (own != i && (a < b ? a : b) < level + NECK) {
-                    g->root[a > b ? own : one] = a > b ? one : own;
+                    g->root[a > b ? own : next] = a > b ? next : own;
                 }
-                own = own == i || a > b ? one : own;
+                own = own == i || a > b ? next : own;
             }
             g->root[i] = own;
         }
@@ -255,7 +278,7 @@ static void make_fragments(graph *g) {
     g->n_fragments = count;
 }
 
-/* The border of two fragments, made if there is none. */
+/* INPUT OF THE TREES. The border of two fragments, made if there is none. */
 static border *border_of(graph *g, int32_t a, int32_t b) {
     const int32_t first = a < b ? a : b, second = a < b ? b : a;
     int32_t *at = &g->fragments[first].first;
@@ -287,6 +310,7 @@ INLINE void add(double *sum, const double *p) {
     }
 }
 
+/* Adds a cell to the sums of its fragment. */
 static void add_cell(graph *g, int64_t i) {
     const cell *c = g->cells + i;
     fragment *f = g->fragments + c->part;
@@ -310,6 +334,7 @@ static void add_cell(graph *g, int64_t i) {
     }
 }
 
+/* Sums of all fragments, and of all borders. */
 static void measure(graph *g) {
     for (int64_t i = 0; i <= g->n_fragments; i++) {
         g->fragments[i] = (fragment){.top = -INFINITY, .bottom = INFINITY, .to = (int32_t)i, .first = -1};
@@ -332,14 +357,70 @@ static void measure(graph *g) {
             }
             g->fragments[c->part].sum[OUTLINE] += 1.0, g->fragments[o->part].sum[OUTLINE] += 1.0;
             if (bend == bend) {
-                border *one = border_of(g, c->part, o->part);
-                const double before = (c->p[2] < o->p[2]) == (c->part == one->a) ? 1.0 : -1.0;
+                border *of = border_of(g, c->part, o->part);
+                const double before = (c->p[2] < o->p[2]) == (c->part == of->a) ? 1.0 : -1.0;
                 const int step = bend == STEP;
-                one->sum[LENGTH] += 1.0, one->sum[BENT] += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
-                one->sum[STEPS] += step, one->sum[CONVEX] += bend < -CONVEX_BEND, one->sum[SIGNED] += step ? 0.0f : bend;
-                one->sum[BEFORE] += before, one->sum[STEPPED] += step ? before : 0.0;
+                of->sum[LENGTH] += 1.0, of->sum[BENT] += bend > FULL ? FULL : bend < 0.0f ? 0.0f : bend;
+                of->sum[STEPS] += step, of->sum[CONVEX] += bend < -CONVEX_BEND, of->sum[SIGNED] += step ? 0.0f : bend;
+                of->sum[BEFORE] += before, of->sum[STEPPED] += step ? before : 0.0;
             }
         }
+    }
+}
+
+/* Depth of the plane of cell a on the ray of cell b, minus that of b [m]. */
+INLINE float behind(const cell *a, const cell *b) {
+    const float *n = a->n, u = b->p[0] * b->d, v = b->p[1] * b->d;
+    return (n[0] * a->p[0] + n[1] * a->p[1] + n[2] * a->p[2]) / (n[0] * u + n[1] * v + n[2]) - b->p[2];
+}
+
+/* The first cell beyond a nearer part that hides the surface of cell `i` along a line of cells; -1 if there is none. */
+static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
+    const int64_t to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w, length = dir ? g->h : g->w;
+    int hidden = 0, open = 0; /* cells */
+    for (int64_t t = 1; at + t < length; t++) {
+        const cell *o = g->cells + i + t * to;
+        if (!o->label) {
+            continue;
+        }
+        const float u = o->p[0] * o->d, v = o->p[1] * o->d;
+        const float d = (a->n[0] * u + a->n[1] * v + a->n[2]) / (a->n[0] * a->p[0] + a->n[1] * a->p[1] + a->n[2] * a->p[2]);
+        if (o->part == g->cells[i].part) {
+            return -1;
+        }
+        if (o->d > d + (float)g->s[STEP_M] * d * d) {
+            hidden++;
+        } else if (hidden) {
+            return i + t * to;
+        } else if (++open > 2) { /* nothing hides the surface */
+            return -1;
+        }
+    }
+    return -1;
+}
+
+/* Lines of cells from a fragment to another one behind a nearer one, and those on which their surfaces agree. */
+static void look_behind(graph *g) {
+    for (int64_t k = 0; k < 2 * g->n; k++) {
+        const int dir = k & 1;
+        const int64_t i = k / 2, to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w;
+        if (!g->cells[i].label || at + 1 >= (dir ? g->h : g->w) || g->cells[i + to].part == g->cells[i].part) {
+            continue;
+        }
+        const cell *a = g->cells + walk(g, i, dir, -1, REACH);
+        const int64_t other = a->part == g->cells[i].part && a->n[0] == a->n[0] ? beyond(g, i, a, dir) : -1;
+        if (other < 0) {
+            continue;
+        }
+        const cell *b = g->cells + walk(g, other, dir, 1, REACH);
+        float chord = 0.0f, apart = 0.0f;
+        for (int x = 0; x < 3; x++) {
+            chord += (a->n[x] - b->n[x]) * (a->n[x] - b->n[x]), apart += (a->p[x] - b->p[x]) * (a->p[x] - b->p[x]);
+        }
+        const float limit = (float)g->s[STEP_M] + SKEW * sqrtf(apart);
+        border *of = border_of(g, g->cells[i].part, g->cells[other].part);
+        of->sum[AGREE] += chord < TURN * TURN && fabsf(behind(a, b)) < limit && fabsf(behind(b, a)) < limit;
+        of->sum[LINES] += 1.0;
     }
 }
 
@@ -396,10 +477,10 @@ static void derive(const double *s, shape *is) {
 
 /* Features of two fragments, from which the trees predict whether they are one object: of their border, of the smaller and the
  * larger one, and of both together [m, share]. */
-static void describe(const graph *g, const border *one, double *x) {
-    const int swap = g->fragments[one->a].sum[AREA] < g->fragments[one->b].sum[AREA];
-    const fragment *large = g->fragments + (swap ? one->b : one->a), *small = g->fragments + (swap ? one->a : one->b), *both[2] = {small, large};
-    const double *b = one->sum, *t = g->s + PLANE, sign = swap ? 1.0 : -1.0, length = b[LENGTH] > 0.0 ? b[LENGTH] : 1.0;
+static void describe(const graph *g, const border *of, double *x) {
+    const int swap = g->fragments[of->a].sum[AREA] < g->fragments[of->b].sum[AREA];
+    const fragment *large = g->fragments + (swap ? of->b : of->a), *small = g->fragments + (swap ? of->a : of->b), *both[2] = {small, large};
+    const double *b = of->sum, *t = g->s + PLANE, sign = swap ? 1.0 : -1.0, length = b[LENGTH] > 0.0 ? b[LENGTH] : 1.0;
     const double firm = b[LENGTH] > b[STEPS] ? b[LENGTH] - b[STEPS] : 1.0, side = sqrt(small->sum[AREA] / small->sum[CELLS]);
     double sum[SUMS], apart[3], turn[3], away[3], beside[3];
     shape all;
@@ -426,33 +507,38 @@ static void describe(const graph *g, const border *one, double *x) {
     *x++ = all.miss, *x++ = all.next, *x++ = fabs(dot(all.u, t)), *x++ = all.thin;
 }
 
-/* Log odds of one object, by trees of nodes (feature, threshold) and leaves, each tree complete. With room for it, the row is kept
- * for learning, after the pixels in the middle of both fragments. */
-static void rate(graph *g, border *one) {
+/* JOINING. Rates a border by trees: log odds that its fragments are one object. With room for it, the row is kept for learning, after the
+ * pixels in the middle of both fragments. */
+static void rate(graph *g, border *of) {
     double x[FEATURES + 2] = {0.0};
-    const int64_t inner = ((int64_t)1 << g->depth) - 1;
-    describe(g, one, x + 2);
-    one->score = one->sum[LENGTH] > 0.0 && one->sum[BENT] < one->sum[LENGTH] * g->s[BEND] ? SMOOTH : 0.0, one->rated = 1;
-    for (const float *tree = g->trees; tree < g->trees + g->count * (3 * inner + 1); tree += 3 * inner + 1) {
+    const int64_t inner = ((int64_t)1 << g->trees->depth) - 1, size = 3 * inner + 1;
+    for (int k = 0; k < 2; k++) {
+        fragment *f = g->fragments + (k ? of->b : of->a);
+        x[k] = (double)((f->seed / g->w * g->k + g->k / 2) * g->w * g->k + f->seed % g->w * g->k + g->k / 2);
+        if (!f->known) {
+            derive(f->sum, &f->is);
+            f->known = 1;
+        }
+    }
+    describe(g, of, x + 2);
+    of->score = of->sum[LENGTH] > 0.0 && of->sum[BENT] < of->sum[LENGTH] * g->s[BEND] ? SMOOTH : 0.0, of->rated = 1;
+    for (const float *tree = g->trees->nodes; tree < g->trees->nodes + g->trees->count * size; tree += size) {
         int64_t at = 0;
         while (at < inner) {
             at = 2 * at + 1 + (x[2 + (int)tree[2 * at]] > tree[2 * at + 1]);
         }
-        one->score += tree[inner + at];
+        of->score += tree[inner + at];
     }
-    for (int k = 0; k < 2; k++) {
-        const int32_t seed = g->fragments[k ? one->b : one->a].seed;
-        x[k] = (double)((seed / g->w * g->k + g->k / 2) * g->w * g->k + seed % g->w * g->k + g->k / 2);
-    }
-    if (g->counts[RATED] < g->room) {
-        memcpy(g->rows + g->counts[RATED] * (FEATURES + 2), x, sizeof x);
+    if (g->counts[RATED] < g->trees->room) {
+        memcpy(g->trees->rows + g->counts[RATED] * (FEATURES + 2), x, sizeof x);
     }
     g->counts[RATED]++;
 }
 
-static void join(graph *g, int32_t a, int32_t b) {
+/* Joins b to a: their sums, and their borders with others. */
+static void join_pair(graph *g, int32_t a, int32_t b) {
     fragment *to = g->fragments + a, *from = g->fragments + b;
-    to->seed = from->sum[CELLS] > to->sum[CELLS] ? from->seed : to->seed;
+    to->known = 0, to->seed = from->sum[CELLS] > to->sum[CELLS] ? from->seed : to->seed;
     to->top = to->top > from->top ? to->top : from->top, to->bottom = to->bottom < from->bottom ? to->bottom : from->bottom;
     for (int k = 0; k < SUMS; k++) {
         to->sum[k] += from->sum[k];
@@ -463,124 +549,62 @@ static void join(graph *g, int32_t a, int32_t b) {
     }
     int64_t kept = 0;
     for (int64_t k = 0; k < g->n_borders; k++) {
-        border one = g->borders[k];
-        one.a = one.a == b ? a : one.a, one.b = one.b == b ? a : one.b;
-        if (one.a == one.b) {
-            to->sum[OUTLINE] -= 2.0 * one.sum[LENGTH];
+        border of = g->borders[k];
+        of.a = of.a == b ? a : of.a, of.b = of.b == b ? a : of.b;
+        if (of.a == of.b) {
+            to->sum[OUTLINE] -= 2.0 * of.sum[LENGTH];
             continue;
         }
-        if (one.a > one.b) {
-            const int32_t first = one.b;
-            one.b = one.a, one.a = first, one.sum[BEFORE] = -one.sum[BEFORE], one.sum[STEPPED] = -one.sum[STEPPED];
+        if (of.a > of.b) {
+            const int32_t first = of.b;
+            of.b = of.a, of.a = first, of.sum[BEFORE] = -of.sum[BEFORE], of.sum[STEPPED] = -of.sum[STEPPED];
         }
-        const int32_t other = one.a == a ? one.b : one.b == a ? one.a : 0;
+        const int32_t other = of.a == a ? of.b : of.b == a ? of.a : 0;
         const int64_t same = other ? g->fragments[other].first : -1;
-        one.rated = other ? 0 : one.rated;
+        of.rated = other ? 0 : of.rated;
         for (int j = 0; j < EDGES && same >= 0; j++) {
-            g->borders[same].sum[j] += one.sum[j];
+            g->borders[same].sum[j] += of.sum[j];
         }
         if (same < 0) {
             g->fragments[other].first = (int32_t)kept;
-            g->borders[kept++] = one;
+            g->borders[kept++] = of;
         }
     }
     g->n_borders = kept;
 }
 
-/* Joins tiny fragments across the border that bends least, across a step only where nothing else is beside them; then those that are rated highest, as long as they are rated as one
- * object; at last those that are smaller than the smallest part. */
+/* The two fragments that a pass joins next, NULL if none are left: tiny ones across the border that bends least, across a step
+ * only where nothing else is beside them; the pair that is rated highest, while that is as one object; at last the small parts. */
+static const border *next_to_join(graph *g, int pass) {
+    const border *best = NULL;
+    double most = pass == RATED_ONES ? g->s[SAME] : -INFINITY;
+    for (border *of = g->borders; of < g->borders + g->n_borders; of++) {
+        const double *a = g->fragments[of->a].sum, *b = g->fragments[of->b].sum;
+        const int tiny = a[CELLS] < TINY || b[CELLS] < TINY, small = a[AREA] < g->s[PART_M2] || b[AREA] < g->s[PART_M2];
+        if (pass != TINY_ONES && !of->rated) {
+            rate(g, of);
+        }
+        const double score = pass == TINY_ONES ? -(of->sum[BENT] + of->sum[STEPS]) / of->sum[LENGTH] : of->score;
+        if (score > most && (pass == RATED_ONES || (of->sum[LENGTH] > 0.0 && (pass == TINY_ONES ? tiny : small)))) {
+            most = score, best = of;
+        }
+    }
+    return best;
+}
+
 static void join_all(graph *g) {
-    for (int pass = 0; pass < 3;) {
-        const border *best = NULL;
-        double most = pass == 1 ? g->s[SAME] : -INFINITY;
-        for (border *one = g->borders; one < g->borders + g->n_borders; one++) {
-            const double *a = g->fragments[one->a].sum, *b = g->fragments[one->b].sum;
-            if (pass && !one->rated) {
-                rate(g, one);
-            }
-            const int tiny = a[CELLS] < TINY || b[CELLS] < TINY, little = a[AREA] < g->s[PART_M2] || b[AREA] < g->s[PART_M2];
-            const double score = pass ? one->score : -(one->sum[BENT] + one->sum[STEPS]) / one->sum[LENGTH];
-            if (score > most && (pass == 1 || (one->sum[LENGTH] > 0.0 && (pass ? little : tiny)))) {
-                most = score, best = one;
-            }
+    for (int pass = TINY_ONES; pass <= SMALL_ONES; pass++) {
+        for (const border *best; (best = next_to_join(g, pass));) {
+            g->counts[pass != RATED_ONES ? BY_SIZE : best->sum[LENGTH] > 0.0 ? BY_BORDER : BY_VIEW]++;
+            join_pair(g, best->a, best->b);
         }
-        if (best) {
-            g->counts[pass != 1 ? BY_SIZE : best->sum[LENGTH] > 0.0 ? BY_BORDER : BY_VIEW]++;
-            const int32_t a = best->a;
-            join(g, a, best->b);
-            if (pass) {
-                derive(g->fragments[a].sum, &g->fragments[a].is);
-            }
-        }
-        for (int64_t i = 1; i <= g->n_fragments && !best && !pass; i++) { /* the shapes of those that are left */
-            if (g->fragments[i].to == i) {
-                derive(g->fragments[i].sum, &g->fragments[i].is);
-            }
-        }
-        pass += !best;
     }
     for (int64_t i = 0; i < g->n; i++) {
         g->cells[i].part = g->fragments[g->cells[i].part].to;
     }
 }
 
-/* Depth of the plane of cell a on the ray of cell b, minus that of b [m]. */
-INLINE float behind(const cell *a, const cell *b) {
-    const float *n = a->n, u = b->p[0] * b->d, v = b->p[1] * b->d;
-    return (n[0] * a->p[0] + n[1] * a->p[1] + n[2] * a->p[2]) / (n[0] * u + n[1] * v + n[2]) - b->p[2];
-}
-
-/* The first cell beyond a nearer part that hides the surface of cell `i` along a line of cells; -1 if there is none. */
-static int64_t beyond(const graph *g, int64_t i, const cell *a, int dir) {
-    const int64_t to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w, length = dir ? g->h : g->w;
-    int hidden = 0, open = 0; /* cells */
-    for (int64_t t = 1; at + t < length; t++) {
-        const cell *o = g->cells + i + t * to;
-        if (!o->label) {
-            continue;
-        }
-        const float u = o->p[0] * o->d, v = o->p[1] * o->d;
-        const float d = (a->n[0] * u + a->n[1] * v + a->n[2]) / (a->n[0] * a->p[0] + a->n[1] * a->p[1] + a->n[2] * a->p[2]);
-        if (o->part == g->cells[i].part) {
-            return -1;
-        }
-        if (o->d > d + (float)g->s[STEP_M] * d * d) {
-            hidden++;
-        } else if (hidden) {
-            return i + t * to;
-        } else if (++open > 2) { /* nothing hides the surface */
-            return -1;
-        }
-    }
-    return -1;
-}
-
-/* Lines of cells from a fragment to another one behind a nearer one, and those on which their surfaces agree. */
-static void look_behind(graph *g) {
-    for (int64_t k = 0; k < 2 * g->n; k++) {
-        const int dir = k & 1;
-        const int64_t i = k / 2, to = dir ? g->w : 1, at = dir ? i / g->w : i % g->w;
-        if (!g->cells[i].label || at + 1 >= (dir ? g->h : g->w) || g->cells[i + to].part == g->cells[i].part) {
-            continue;
-        }
-        const cell *a = g->cells + walk(g, i, dir, -1, REACH);
-        const int64_t other = a->part == g->cells[i].part && a->n[0] == a->n[0] ? beyond(g, i, a, dir) : -1;
-        if (other < 0) {
-            continue;
-        }
-        const cell *b = g->cells + walk(g, other, dir, 1, REACH);
-        float chord = 0.0f, apart = 0.0f;
-        for (int x = 0; x < 3; x++) {
-            chord += (a->n[x] - b->n[x]) * (a->n[x] - b->n[x]), apart += (a->p[x] - b->p[x]) * (a->p[x] - b->p[x]);
-        }
-        const float limit = (float)g->s[STEP_M] + SKEW * sqrtf(apart);
-        border *one = border_of(g, g->cells[i].part, g->cells[other].part);
-        one->sum[AGREE] += chord < TURN * TURN && fabsf(behind(a, b)) < limit && fabsf(behind(b, a)) < limit;
-        one->sum[LINES] += 1.0;
-    }
-}
-
-/* The part of cells all of whose neighbours that are of a cluster are of it, else 0. */
+/* PARTS. The part of cells all of whose neighbours that are of a cluster are of it, else 0. */
 static void find_sole_parts(graph *g) {
     for (int64_t i = 0; i < g->h; i++) {
         for (int64_t j = 0; j < g->w; j++) {
@@ -615,22 +639,24 @@ static int32_t nearest_part(const graph *g, int64_t y, int64_t x, float z, int32
     return part;
 }
 
-static int64_t write_parts(graph *g, const float *xyz, int64_t across, int64_t h, int64_t w, int32_t *labels) {
+/* Writes the parts of pixels over the labels of their clusters, numbered from 1; their number. */
+static int64_t write_parts(graph *g) {
+    const Labelled *v = g->of;
     int32_t *names = g->root, count = 0;
     memset(names, 0, (size_t)g->n * sizeof(int32_t));
     find_sole_parts(g);
-    for (int64_t y = 0; y < h; y++) {
+    for (int64_t y = 0; y < v->h; y++) {
         for (int64_t j = 0; j < g->w; j++) {
             const cell *c = g->cells + y / g->k * g->w + j;
-            for (int64_t x = j * g->k; x < (j + 1) * g->k && x < w; x++) {
-                const int32_t label = labels[y * w + x];
+            for (int64_t x = j * g->k; x < (j + 1) * g->k && x < v->w; x++) {
+                const int32_t label = v->labels[y * v->w + x];
                 if (label) {
-                    const float z = xyz[3 * (y * across + x) + 2];
+                    const float z = g->first[3 * (y * v->across + x) + 2];
                     const int32_t part = c->inside && label == c->label ? c->inside : nearest_part(g, y, x, z, label);
                     if (part && !names[part - 1]) {
                         names[part - 1] = ++count;
                     }
-                    labels[y * w + x] = part ? names[part - 1] : 0;
+                    v->labels[y * v->w + x] = part ? names[part - 1] : 0;
                 }
             }
         }
@@ -638,16 +664,12 @@ static int64_t write_parts(graph *g, const float *xyz, int64_t across, int64_t h
     return count;
 }
 
-/* Splits the clusters of a window (h, w) of an image, at `xyz`, whose rows have `across` points.
+/* Splits the clusters of a window into parts, whose labels, from 1, replace those of the clusters.
  *
- * k: side of a cell in pixels. solid: (h, w), pixels with a reliable depth. labels: (h, w), in: the clusters, out: the parts, from
- * 1. counts: (COUNTS), the number of parts, those that were joined for each reason, and the borders that were rated; -1 in the
- * first without memory. trees: `count` of them, of a depth. rows: (room, 2 + FEATURES), the first that were rated, see `rate`. */
-VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t k, const double *settings,
-                               const uint8_t *solid, int32_t *labels, int64_t *counts, const float *trees, int64_t count,
-                               int64_t depth, double *rows, int64_t room) {
-    graph g = {.h = (h + k - 1) / k, .w = (w + k - 1) / k, .k = k, .s = settings, .trees = trees, .count = count, .depth = depth,
-               .rows = rows, .room = room, .counts = counts};
+ * k: side of a cell in pixels. counts: (COUNTS), the number of parts, those that were joined for each reason, and the borders that
+ * were rated; -1 in the first without memory. */
+VECTORISED void split_clusters(const Labelled *of, int64_t k, const double *settings, const Trees *trees, int64_t *counts) {
+    graph g = {.of = of, .first = of->xyz + 3 * (of->row * of->across + of->column), .k = k, .h = (of->h + k - 1) / k, .w = (of->w + k - 1) / k, .s = settings, .trees = trees, .counts = counts};
     const size_t n = (size_t)(g.n = g.h * g.w);
     memset(counts, 0, COUNTS * sizeof(int64_t));
     g.fragments = calloc(1, (n + 1) * (sizeof(fragment) + sizeof(cell) + sizeof(int32_t)) + (4 * n + 1) * sizeof(border) + 2 * n * sizeof(float));
@@ -657,7 +679,7 @@ VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int6
     }
     g.borders = (border *)(g.fragments + n + 1), g.cells = (cell *)(g.borders + 4 * n + 1);
     g.root = (int32_t *)(g.cells + n + 1), g.bends = (float *)(g.root + n + 1);
-    make_cells(&g, xyz, across, h, w, labels, solid, k);
+    make_cells(&g);
     find_steps(&g);
     make_normals(&g);
     make_bends(&g);
@@ -665,28 +687,6 @@ VECTORISED void split_clusters(const float *xyz, int64_t across, int64_t h, int6
     measure(&g);
     look_behind(&g);
     join_all(&g);
-    counts[PARTS] = write_parts(&g, xyz, across, h, w, labels);
+    counts[PARTS] = write_parts(&g);
     free(g.fragments);
-}
-
-/* Whether clusters of a window call for splitting or joining, from every `stride`-th pixel: the nodes that lie deeper than the
- * middle between two of their cluster `arm` pixels away by more than sag + noise z^2, and those next to another cluster. */
-void concave_nodes(const float *xyz, int64_t across, int64_t h, int64_t w, int64_t stride, int64_t arm, double sag, double noise,
-                   const int32_t *labels, int64_t *counts) {
-    counts[0] = counts[1] = 0;
-    for (int dir = 0; dir < 2; dir++) {
-        const int64_t row = dir ? arm : 0, column = dir ? 0 : arm;
-        for (int64_t y = row; y < h - row; y += stride) {
-            for (int64_t x = column; x < w - column; x += stride) {
-                const int32_t one = labels[(y - row) * w + x - column], two = labels[(y + row) * w + x + column];
-                if (one && two && one == labels[y * w + x] && one == two) {
-                    const float *p = xyz + 3 * (y * across + x) + 2;
-                    const float d = 0.5f / p[-3 * (row * across + column)] + 0.5f / p[3 * (row * across + column)], z = *p;
-                    counts[0] += z - 1.0f / d > (float)sag + (float)noise * z * z;
-                } else {
-                    counts[1] += one && two && one != two;
-                }
-            }
-        }
-    }
 }

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from kernels.references import split as reference
+from safetensors.numpy import load_file
 
 from foretouch.cloud.segmentation import parts
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS
@@ -194,7 +195,8 @@ def test_the_kernel_finds_the_parts_of_its_reference(angle_deg: float, monkeypat
         "behind a post": _scene([((-0.13, 0.02, 0.0), (0.13, 0.08, 0.08)), post])[0],
     }
     ours = {name: segment(Cloud(xyz), config) for name, xyz in images.items()}
-    monkeypatch.setattr(parts, "_split", reference.split_clusters)
+    trees = load_file(parts.TREES)["trees"]
+    monkeypatch.setattr(parts, "split_window", lambda *window: reference.split_window(*window, trees))
     for name, xyz in images.items():
         one, other = ours[name], segment(Cloud(xyz), config)
         assert len(one.objects) == len(other.objects), name

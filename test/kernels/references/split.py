@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `split_clusters` of `split.c` computes, in NumPy and SciPy and double precision."""
+"""What `split_window` computes with `split.c`, in NumPy and SciPy and double precision."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -332,11 +332,12 @@ def _odds(trees: Array, row: list[float]) -> float:
     return total
 
 
-def split_clusters(xyz, across, h, w, k, settings, solid, labels, counts, trees, *_) -> None:
-    """The kernel's arguments."""
-    points = np.lib.stride_tricks.as_strided(xyz, (h, w, 3), (across * 12, 12, 4))
-    one, found = Split(points, labels.copy(), solid, k, settings), [0] * 5
-    parts = one.pixels(one.joined(one.fragments(), trees, settings[3], found))
-    labels[...] = np.unique(np.append(parts, 0), return_inverse=True)[1][:-1].reshape(labels.shape)
-    found[0] = labels.max()
-    counts[:] = found
+def split_window(xyz: Array, window: Any, cell: int, settings: Array, trees: Array) -> tuple[Array, list[int]]:
+    """The parts of a window, their number, those joined for each reason, and the pairs that were rated."""
+    h, w = window.labels.shape
+    points = xyz[window.rows : window.rows + h, window.columns : window.columns + w]
+    one, counts = Split(points, window.labels.copy(), window.solid, cell, settings), [0] * 5
+    parts = one.pixels(one.joined(one.fragments(), trees, settings[3], counts))
+    labels = np.unique(np.append(parts, 0), return_inverse=True)[1][:-1].reshape(h, w).astype(np.int32)
+    counts[0] = int(labels.max())
+    return labels, counts

@@ -18,7 +18,7 @@ a grid would be the scene's, and a single far point would make it huge.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.kernels import Kernel
+from foretouch.kernels import Kernel, struct
 from foretouch.types import Bool, Float32, Float64, Int32, Int64, Plane
 
 _grid_patches = Kernel("grid_patches")
@@ -85,6 +85,12 @@ class Clusters(NamedTuple):
     rows: int = 0  # first row of the window, 0 if unorganised
     columns: int = 0  # first column of the window, 0 if unorganised
 
+    def as_struct(self, xyz: Float32) -> Any:
+        """Return the window as the kernels read and write it, in a cloud (H, W, 3) or (N, 3) float32."""
+        (h, w), across = self.labels.shape, xyz.shape[-2]
+        place = {"across": across, "row": self.rows, "column": self.columns, "h": h, "w": w}
+        return struct("Labelled", xyz=xyz, labels=self.labels, solid=self.solid.view(np.uint8), **place)
+
 
 class HeightThreshold(NamedTuple):
     """Height from which a point does not belong to the table; it grows with depth like stereo noise."""
@@ -130,32 +136,33 @@ def label_organised(
     image, shape, stride = xyz.shape[:2], grid.points.shape[:2], grid.stride
     min_nodes = max(1, config.min_points // (2 * stride * stride))  # of the grid, that may belong to an object
     settings = _settings(grid.pitch / stride, crop, threshold, config, rays)
-    patches, sizes = np.empty(shape, np.int32), np.empty(2, np.int64)
-    boxes = np.empty((patches.size // min_nodes + 1, 4), np.int64)
-    _grid_patches(grid.points, *shape, stride, min_nodes, settings, patches, boxes, sizes)
+    number, sizes = np.empty(shape, np.int32), np.empty(2, np.int64)
+    boxes = np.empty((number.size // min_nodes + 1, 4), np.int64)
+    sized = {"h": shape[0], "w": shape[1], "stride": stride, "min_nodes": min_nodes}
+    patches = struct("Patches", number=number, settings=settings, **sized)
+    _grid_patches(grid.points, patches, boxes, sizes)
     if sizes[0] < 0:
         raise MemoryError("grid_patches")
     if sizes[1] and rays is not None:
-        rows, columns = np.nonzero(patches < 0)
+        rows, columns = np.nonzero(number < 0)
         rays.dropped.append(stride * (rows * image[1] + columns))
     spans = boxes[: sizes[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
     spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
     low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
     marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
-    marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
+    marked = struct("Marks", marks=marks, row=int(low[0]), column=int(low[2]), across=marks.shape[1])
     windows: list[Clusters] = []
     beside = 0
-    for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
+    for patch, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
         if write is not None:
             write(top, bottom, left, right)
         labels = np.empty((bottom - top, right - left), np.int32)
-        solid = np.empty(labels.shape, np.uint8)
-        rest = (shape[1], stride, number, min_nodes, settings, *marked, labels, solid, sizes)
-        _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
+        window = Clusters(labels, np.empty(labels.shape, np.bool_), 0, top, left)
+        _label_window(window.as_struct(xyz), patches, patch, marked, sizes)
         if sizes[0] < 0:
             raise MemoryError("label_window")
         beside += int(sizes[1])
-        windows.append(Clusters(labels, solid.view(np.bool_), int(sizes[0]), top, left))
+        windows.append(window._replace(n_labels=int(sizes[0])))
     if beside and rays is not None:
         rows, columns = np.nonzero(marks & 2)
         rays.dropped.append((rows + low[0]) * image[1] + columns + low[2])

@@ -107,10 +107,8 @@ def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterat
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
     columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
-    place = (*window.labels.shape, window.rows, window.columns)
-    solid, table = window.solid.view(np.uint8), plane.coefficients.astype(np.float32)
-    members = (ends, pixels, points, columns, bounds, tops)
-    _collect_members(window.labels, solid, *place, flat.xyz, width, table, window.n_labels, *members)
+    image, table = flat.xyz.reshape(-1, width, 3), plane.coefficients.astype(np.float32)
+    _collect_members(window.as_struct(image), table, window.n_labels, ends, pixels, points, columns, bounds, tops)
     start = 0
     for cluster, end in enumerate(ends.tolist()):
         if end > start:

@@ -25,8 +25,8 @@ from safetensors.numpy import load_file
 from foretouch.cloud.geometry.columns import median
 from foretouch.cloud.segmentation.clusters import Clusters, HeightThreshold, WritePoints
 from foretouch.config import Settings, setting
-from foretouch.kernels import Kernel
-from foretouch.types import Float32, Int64
+from foretouch.kernels import Kernel, struct
+from foretouch.types import Float32, Float64, Int32, Int64
 
 _split = Kernel("split_clusters")
 _write_ids = Kernel("write_ids")
@@ -34,7 +34,7 @@ _concave = Kernel("concave_nodes")
 
 SPLIT_COUNTS = ("clusters", "parts", "joined_small", "joined_border", "joined_hidden")
 TREES = Path(__file__).with_name("same_object.safetensors")
-_NO_ROWS = np.empty(0)
+_NO_ROWS = np.empty((0, 40))
 _MAX_CELL = 8  # pixels
 _ARM_M = 0.02  # over which a concave surface is looked for
 _SAG_M = 0.002  # its depth below the straight line between both ends
@@ -106,16 +106,15 @@ def split_clusters(
     if config.angle_deg >= 180.0 or not windows or pitch <= 0.0:
         return list(windows), counts
     window = _in_one_window(windows) if len(windows) > 1 else windows[0]
-    view, (h, w) = xyz[window.rows :, window.columns :], window.labels.shape
-    first = xyz.reshape(-1, 3)[window.rows * xyz.shape[1] + window.columns :]
-    depth = _depth_of(view[:h, :w, 2], window, reasons)
+    h, w = window.labels.shape
+    depth = _depth_of(xyz[window.rows :, window.columns :][:h, :w, 2], window, reasons)
     if depth is None:
         return list(windows), counts
     side = pitch * depth  # of a pixel [m]
-    arm, numbers = max(1, round(_ARM_M / side)), np.zeros(len(SPLIT_COUNTS), np.int64)
+    arm, touching = max(1, round(_ARM_M / side)), np.empty(2, np.int64)
     stride = min(_STRIDE, max(1, round(_STRIDE_M / side)))
-    _concave(first, xyz.shape[1], h, w, stride, arm, _SAG_M, threshold.noise_per_m, window.labels, numbers)
-    if numbers[:2].max() < _FEW:
+    _concave(window.as_struct(xyz), stride, arm, _SAG_M, threshold.noise_per_m, touching)
+    if touching.max() < _FEW:
         return list(windows), counts
     if write is not None and len(windows) > 1:
         write(window.rows, window.rows + h, window.columns, window.columns + w)
@@ -128,17 +127,38 @@ def split_clusters(
         *threshold.plane.coefficients,
         pitch * cell,
     ]
-    labels, trees = window.labels.copy(), _trees()
-    tree_depth = (trees.shape[1] // 3 + 1).bit_length() - 1
-    image = first, xyz.shape[1], h, w, cell, np.array(settings), window.solid.view(np.uint8), labels
-    _split(*image, numbers, trees, len(trees), tree_depth, _NO_ROWS, 0)
-    if numbers[0] < 0:
-        raise MemoryError("split_clusters")
-    parts, *joined, _ = numbers.tolist()
+    labels, (parts, *joined, _) = split_window(xyz, window, cell, np.array(settings))
     clusters = np.zeros(window.n_labels + 1, np.bool_)
     clusters[window.labels[window.solid]] = True  # in a fifth of the time of a bincount of all pixels
     counts = dict(zip(counts, (int(np.count_nonzero(clusters)), parts, *joined), strict=True))
     return [Clusters(labels, window.solid & (labels > 0), parts, window.rows, window.columns)], counts
+
+
+def split_window(
+    xyz: Float32, window: Clusters, cell: int, settings: Float64, rows: Float64 = _NO_ROWS
+) -> tuple[Int32, list[int]]:
+    """Split the clusters of a window.
+
+    Args:
+        xyz: (H, W, 3) float32 [m], contiguous, camera optical frame.
+        window: Its clusters.
+        cell: Side of a cell [px].
+        settings: Numbers of the kernel.
+        rows: (n, 40) float64, written: the pixels of both fragments in whole cells, and the input of the trees, of the first pairs that are rated.
+
+    Returns:
+        The parts (h, w) int32, and the number of parts, those that were joined for each reason, and the pairs that were rated.
+
+    Raises:
+        MemoryError: If there is not enough memory.
+    """
+    labels, nodes, counts = window.labels.copy(), _trees(), np.empty(len(SPLIT_COUNTS), np.int64)
+    depth = (nodes.shape[1] // 3 + 1).bit_length() - 1
+    trees = struct("Trees", nodes=nodes, count=len(nodes), depth=depth, rows=rows, room=len(rows))
+    _split(window._replace(labels=labels).as_struct(xyz), cell, settings, trees, counts)
+    if counts[0] < 0:
+        raise MemoryError("split_clusters")
+    return labels, counts.tolist()
 
 
 def _depth_of(depths: Float32, window: Clusters, reasons: Int64) -> float | None:
