@@ -60,15 +60,19 @@ class Columns:
 
     def __post_init__(self) -> None:
         count = -1
-        for info in _columns(type(self)):
-            value, (row, dtype) = getattr(self, info.name), info.metadata[_ROW]
-            array = value if isinstance(value, Columns) else _array(value, dtype, count, row)
-            count = max(count, len(array) if isinstance(array, Columns) or array.ndim else -1)
-            if len(array) != count or not (isinstance(array, Columns) or _fits(array.shape[1:], row)):
-                shape = getattr(array, "shape", (len(array),))
+        for name, row, dtype in _layout(type(self)):
+            value, fits = getattr(self, name), True
+            if isinstance(value, Columns):
+                shape: tuple[int, ...] = (len(value),)
+            else:
+                value = _array(value, dtype, count, row)
+                shape = value.shape
+                fits = bool(shape) and _fits(shape[1:], row)
+            count = max(count, shape[0] if shape else -1)
+            if not fits or shape[0] != count:
                 wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
-                raise self.fault(f"{info.name}: shape {shape} is not ({wanted}{'' if row else ','})")
-            object.__setattr__(self, info.name, array)
+                raise self.fault(f"{name}: shape {shape} is not ({wanted}{',' * (not row)})")
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(getattr(self, _columns(type(self))[0].name))
@@ -121,6 +125,9 @@ def _find_columns(kind: Any) -> "tuple[Field[Any], ...]":
 
 
 _columns: "Callable[[Any], tuple[Field[Any], ...]]" = cache(_find_columns)
+_layout: "Callable[[Any], tuple[tuple[str, tuple[int | None, ...], Any], ...]]" = cache(
+    lambda kind: tuple((info.name, *info.metadata[_ROW]) for info in _columns(kind))
+)
 _names: "Callable[[Any], tuple[str, ...]]" = cache(lambda kind: tuple(info.name for info in _columns(kind)))
 
 

@@ -159,7 +159,7 @@ class HandFrameFeatures:
         """
         if not grasps:
             return np.empty((0, len(FEATURES)))
-        columns = Grasps.of(grasps)
+        columns, count = Grasps.of(grasps), len(grasps)
         g1, g2, hand = columns.g1, columns.g2, columns.rotation
         if self._is_turned:
             g1, g2 = (_into(self._turn.T[None], contact) for contact in (g1, g2))
@@ -168,11 +168,11 @@ class HandFrameFeatures:
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
         sizes = self.upper_features if upper else _UNKNOWN
         whole = np.concatenate([self.view, [self._spacing], sizes, self.object_features])
-        objects = np.broadcast_to(whole, (len(grasps), len(whole)))
+        objects = np.broadcast_to(whole, (count, len(whole)))
         second = np.stack([hand[:, :, 0], -hand[:, :, 1], -hand[:, :, 2]], axis=2)  # z is where the finger closes to
         ends, fingers = np.concatenate([g1, g2]), np.concatenate([second, hand])
         contacts = self._contacts(ends, fingers) if surroundings else np.zeros((len(ends), len(_CONTACT_FEATURES)))
-        return np.hstack([objects, self._grasps(g1, g2, hand), contacts[: len(grasps)], contacts[len(grasps) :]])
+        return np.hstack([objects, self._grasps(g1, g2, hand), contacts[:count], contacts[count:]])
 
     def _grasps(self, g1: Float64, g2: Float64, hand: Float64) -> Float64:
         """Return (K, len(_GRASP_FEATURES)) features of the grasps alone."""
