@@ -130,6 +130,12 @@ def test_columns_select_join_and_refuse_what_does_not_fit(scene):
     assert touch.flagged("late", touch.ok).flags[2][-1] == "late"
     none = ft.plan(scene.objects[0], config=ft.PipelineConfig.from_mapping({"hand": {"opening_m": 0.02}}))
     assert (len(none), none.status) == (0, "no_grasp")
+    unfelt = ft.load_model().predict(scene.objects[0], none)
+    assert (unfelt["E"].value.shape, unfelt["PDC"].lower.shape, unfelt["PDC_TH"].upper.shape) == (
+        (0, 2, 24),
+        (0, 2),
+        (0, 1),
+    )
     assert "hand.opening_m" in none.reason
 
 

@@ -130,7 +130,7 @@ class Channels:
         if name not in names:
             raise TactileError(f"channel: {none_of(name, (*names, *self.modalities))}")
         columns = self.columns([f"{name}_{finger}" for finger in self.fingers])
-        part = values[..., columns].reshape(*values.shape[:-1], len(self.fingers), -1)
+        part = values[..., columns].reshape(*values.shape[:-1], len(self.fingers), len(columns) // len(self.fingers))
         return part[..., 0] if self.channels[names.index(name)].size == 1 else part
 
     def by_modality(self, values: npt.ArrayLike) -> Any:
