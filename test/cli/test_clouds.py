@@ -10,6 +10,7 @@ import pytest
 
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import read_cloud, write_cloud
+from foretouch.dataset.writing import write
 from foretouch.models.registry import find_card
 from foretouch.pipeline import Pipeline
 from foretouch.types import ASSUMED_TABLE, Cloud
@@ -40,6 +41,14 @@ def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call, file
     assert [record["status"] for record in answer.records] == ["ok", "refused", "empty_cloud", "ok"]
     assert "does not exist" in answer.records[1]["reason"]
     assert "Traceback" not in answer.err
+
+
+def test_an_input_without_clouds_is_refused(call, files, tmp_path) -> None:
+    write(tmp_path / "none", [])
+    answer = call("predict", tmp_path / "none", files / "object.pcd", "--json")
+    assert (answer.status, [record["status"] for record in answer.records]) == (1, ["refused", "ok"])
+    assert answer.records[0]["reason"].endswith("none: holds no cloud and no sample")
+    assert "without a clock" not in call("dataset", "info", tmp_path / "none").out
 
 
 def test_grasp_of_an_object_equals_the_core_and_vary_is_repeated_by_its_seed(call, files) -> None:

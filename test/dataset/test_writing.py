@@ -203,6 +203,7 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a slash": (lambda one: one.update(object="a/b"), "id: 'a/b/7' is not 'a/b'"),
     "no stamps": (lambda one: one.pop("stamps_s"), "stamps_ns, stamps_s, rate_hz: give one of them, not none"),
     "two stamps": (lambda one: one.update(rate_hz=50.0), "give one of them, not stamps_s and rate_hz"),
+    "rest beyond the end": (lambda one: one.update(rest=9999), r"rest: 9999 readings without contact are more than all \d+"),
     "rest below 0": (lambda one: one.update(rest=-1), "rest: -1 is not a number of readings"),
     "an array as cloud": (lambda one: one.update(cloud=np.zeros((3, 3))), "cloud, grasp: are not a Cloud"),
     "a start that is no time": (lambda one: one.update(start_s=np.nan), "start_s: nan is not finite"),

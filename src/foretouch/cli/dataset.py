@@ -144,7 +144,7 @@ def _info(arguments: argparse.Namespace) -> int:
         "kind": facts["kind"],
         "samples": counts,
         **{name: facts[name] for name in ("objects", "outcomes", "flags")},
-        "time": period if facts["last_ns"] else "simulated, without a clock",
+        "time": period if facts["last_ns"] else "simulated, without a clock" if facts["samples"] else "",
         "points a cloud": f"{least} to {most} (median {median})" if facts["samples"] else "",
         "sensor": facts["sensor"],
         "dead taxels": facts["dead"],

@@ -324,12 +324,15 @@ def _results(
         source = open_source(path, topic=arguments.topic, camera=depth_camera(arguments))
         for note in source.notes:
             warn(note)
+        item = None
         for item in source:
             try:
                 for record in process(item):
                     yield item.name, record
             except ForetouchError as err:
                 yield item.name, err
+        if item is None:
+            yield path, CloudError(f"{path}: holds no cloud and no sample")
     except ForetouchError as err:
         yield path, err
 

@@ -110,6 +110,8 @@ class GraspArrays:
         check_id(name or f"{label}/1", label)
         counts = _joined(self.values, channels, "values")
         rows, whole, gone = _complete(counts.reshape(-1, channels.size), channels, missing, "values")
+        if self.rest > len(rows):
+            raise DatasetError(f"rest: {self.rest} readings without contact are more than all {len(rows)}")
         others, lost = self._others(len(rows), missing)
         flags = _range_flags(rows, channels)
         if gone + lost:
