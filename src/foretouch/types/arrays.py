@@ -71,7 +71,7 @@ class Columns:
             count = max(count, shape[0] if shape else -1)
             if not fits or shape[0] != count:
                 wanted = ", ".join(str(size or "D") for size in (max(count, 0), *row))
-                raise self.fault(f"{name}: shape {shape} is not ({wanted}{',' * (not row)})")
+                raise self.fault(f"{name}: shape {shape} is not ({wanted}{'' if row else ','})")
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
