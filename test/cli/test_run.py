@@ -218,6 +218,21 @@ def test_what_is_shown_is_for_the_sensor_of_the_model_from_the_option_or_the_par
         assert run_command._sensor(given, nodes).config.name == name
 
 
+def test_a_source_that_was_not_played_completely_is_a_fault_unless_it_was_stopped() -> None:
+    cases = (
+        (("finished", 3, 0), ""),
+        (("finished", 0, 0), "holds no cloud and no sample"),
+        (("stopped", 0, 0), ""),
+        (("finished", 2, 1), "1 entries could not be read"),
+        (("failed", 2, 0), "failed: cut off"),
+    )
+    for (outcome, played, unreadable), fault in cases:
+        replay: Any = SimpleNamespace(
+            outcome=outcome, played=Counter(clouds=played), unreadable=unreadable, failure="cut off"
+        )
+        assert run_command.replay_fault(replay) == fault
+
+
 @pytest.mark.parametrize(
     ("flags", "status"), [(("no_contact_TH", "no_contact_MF"), 1), (("no_contact_TH",), 0), ((), 0)]
 )

@@ -282,10 +282,13 @@ def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
 
 def replay_fault(replay: ReplayNode | None) -> str:
     """Describe why the source was not played completely; "" if it was."""
-    if replay is None or (replay.outcome != "failed" and not replay.unreadable):
+    if replay is None:
         return ""
-    failed = replay.outcome == "failed"
-    return f"failed: {replay.failure}" if failed else f"{replay.unreadable} entries could not be read"
+    if replay.outcome == "failed":
+        return f"failed: {replay.failure}"
+    if replay.unreadable:
+        return f"{replay.unreadable} entries could not be read"
+    return "" if replay.played.total() or replay.outcome == "stopped" else "holds no cloud and no sample"
 
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
