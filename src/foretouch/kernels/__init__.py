@@ -20,7 +20,8 @@ import numpy as np
 from foretouch.errors import MissingDependencyError
 
 _FOLDER: Final = Path(__file__).parent
-_FIX: Final = "install a C compiler (apt install gcc), then foretouch again (make setup, or pip install .)"
+_AGAIN: Final = "(make setup, or pip install .)"
+_FIX: Final = f"install a C compiler (apt install gcc), then foretouch again {_AGAIN}"
 
 try:
     from ._kernels import ffi, lib
@@ -49,7 +50,8 @@ def _check_sources() -> None:
     files = sorted(_FOLDER.glob("*.[ch]"))
     expected = sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
     if files and ffi.string(lib.sources()).decode() != expected:
-        raise MissingDependencyError(f"{_FOLDER}: the kernels were compiled from other sources: {_FIX}")
+        fix = f"after an update of the sources install foretouch again {_AGAIN}"
+        raise MissingDependencyError(f"{_FOLDER}: the kernels were compiled from other sources: {fix}")
 
 
 _check_sources()
