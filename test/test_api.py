@@ -14,6 +14,7 @@ from recording_builders import write_grasps
 
 import foretouch as ft
 from foretouch.errors import CloudError, ConfigError, DatasetError, GraspError, ModelError, TactileError
+from foretouch.pipeline import Pipeline
 
 TABLE = Path(__file__).parents[1] / "examples" / "data" / "table.npz"
 
@@ -87,6 +88,9 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
         ),
         (scene.near, ([0.0, np.nan, 0.5],), "point: .* is not three finite numbers"),
         (ft.segment, (scene.cloud.xyz,), r"cloud: ndarray is not a Cloud, such as Cloud\.from_depth\(depth, K\)"),
+        (Pipeline().run, (None,), "cloud: NoneType is not a Cloud"),
+        (Pipeline().run, (scene.cloud.xyz,), "cloud: ndarray is not a Cloud"),
+        (Pipeline().run, (scene.cloud, (0, 0, 1, -1)), r"plane: tuple is not a Plane, such as Plane\.from_coefficients"),
         (ft.plan, (scene,), r"target: Scene is not an object of a scene, such as segment\(cloud\)\.objects\[0\]"),
         (ft.plan, (scene.cloud,), r"target: \w*Cloud is not an object .*; Pipeline\(\)\.run\(cloud, plane\) takes"),
     ]
@@ -125,6 +129,8 @@ def test_columns_select_join_and_refuse_what_does_not_fit(scene):
         _ = touch[1].grasp
     with pytest.raises(TactileError, match="channel: 'F' is not one of PDC, E"):
         _ = touch["F"]
+    with pytest.raises(TactileError, match="message: int is not a TouchPrediction, TouchPredictionBatch or"):
+        ft.reading(3)
     swapped = touch.put([0], touch[[2]])
     np.testing.assert_array_equal(swapped.value[0], touch.value[2])
     assert touch.flagged("late", touch.ok).flags[2][-1] == "late"

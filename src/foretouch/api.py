@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
-from foretouch.errors import CloudError
+from foretouch.errors import CloudError, TactileError
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
@@ -36,10 +36,6 @@ def segment(cloud: Cloud, *, mask: npt.ArrayLike | None = None, config: Pipeline
     Raises:
         CloudError: If the mask does not fit the image, or an array is passed for the cloud.
     """
-    if not isinstance(cloud, Cloud):
-        raise CloudError(
-            f"cloud: {type(cloud).__name__} is not a Cloud, such as Cloud.from_depth(depth, K) or Cloud(xyz)"
-        )
     return Pipeline(config).segment(cloud, mask=mask)
 
 
@@ -80,8 +76,11 @@ def reading(message: Any) -> Prediction | Predictions:
         dimension K for K grasps. Values are NaN if there is no prediction, bounds without calibration.
 
     Raises:
-        TactileError: If the number of values does not fit the names.
+        TactileError: If it is no such message, or the number of values does not fit the names.
     """
+    if not hasattr(message, "predictions") and not hasattr(message, "fingers"):
+        rule = "is not a TouchPrediction, TouchPredictionBatch or TouchPredictionArray of foretouch_msgs"
+        raise TactileError(f"message: {type(message).__name__} {rule}")
     rows = decode_predictions(message)
     many = hasattr(message, "predictions") or hasattr(message, "statuses")
     return rows if many else rows[0]

@@ -169,6 +169,13 @@ class PipelineResult:
     ms: dict[str, float]  # wall time of the steps `segment`, `grasp`, `touch` that ran, and `total` [ms]
 
 
+def _require_cloud(cloud: object) -> None:
+    if not isinstance(cloud, Cloud):
+        raise CloudError(
+            f"cloud: {type(cloud).__name__} is not a Cloud, such as Cloud.from_depth(depth, K) or Cloud(xyz)"
+        )
+
+
 class Pipeline:
     """Runs the steps from a cloud to predicted touch.
 
@@ -206,8 +213,10 @@ class Pipeline:
                 table is found in the rest of the image, and the labels are the ids.
 
         Raises:
-            CloudError: If the mask has another size than the image or no label, or its numbers are not whole.
+            CloudError: If the mask has another size than the image or no label, or its numbers are not whole; or an array
+                is passed for the cloud.
         """
+        _require_cloud(cloud)
         if mask is not None:
             segmentation = segment_mask(cloud, mask, self.config.segmentation)
         else:
@@ -330,7 +339,15 @@ class Pipeline:
             cloud: Of the whole scene, or of one object if the table is given.
             plane: The table, in the cloud's frame.
             mask: Labels of the objects, as in `segment`.
+
+        Raises:
+            CloudError: If the cloud or the table is of another type; for a mask as `segment`.
         """
+        _require_cloud(cloud)
+        if plane is not None and not isinstance(plane, Plane):
+            raise CloudError(
+                f"plane: {type(plane).__name__} is not a Plane, such as Plane.from_coefficients((a, b, c, d))"
+            )
         ms: dict[str, float] = {}
         scene: Scene | None = None
         results: list[TargetResult] = []
