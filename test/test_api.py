@@ -90,7 +90,11 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
         (ft.segment, (scene.cloud.xyz,), r"cloud: ndarray is not a Cloud, such as Cloud\.from_depth\(depth, K\)"),
         (Pipeline().run, (None,), "cloud: NoneType is not a Cloud"),
         (Pipeline().run, (scene.cloud.xyz,), "cloud: ndarray is not a Cloud"),
-        (Pipeline().run, (scene.cloud, (0, 0, 1, -1)), r"plane: tuple is not a Plane, such as Plane\.from_coefficients"),
+        (
+            Pipeline().run,
+            (scene.cloud, (0, 0, 1, -1)),
+            r"plane: tuple is not a Plane, such as Plane\.from_coefficients",
+        ),
         (ft.plan, (scene,), r"target: Scene is not an object of a scene, such as segment\(cloud\)\.objects\[0\]"),
         (ft.plan, (scene.cloud,), r"target: \w*Cloud is not an object .*; Pipeline\(\)\.run\(cloud, plane\) takes"),
     ]

@@ -46,11 +46,11 @@ def quoted(value: Any) -> str:
     return repr(value) if isinstance(value, str) and len(value) < _SHOWN else shown(value)
 
 
-def nearest(name: Any, known: Iterable[Any]) -> str:
-    """`; did you mean …?` with the known name that is most like an unknown one; "" if none is."""
+def nearest(name: Any, known: Iterable[Any], cutoff: float = 0.5) -> str:
+    """`; did you mean …?` with the known name that is most like an unknown one; "" if none is like it by the cutoff of `difflib`."""
     names = list(map(str, known))
     similar = [candidate for candidate in names if candidate.endswith(f".{name}")] or difflib.get_close_matches(
-        str(name), names, 1, cutoff=0.5
+        str(name), names, 1, cutoff=cutoff
     )
     return f"; did you mean {similar[0]}?" if similar else ""
 

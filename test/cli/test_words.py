@@ -56,6 +56,7 @@ def test_words_and_numbers_of_no_use_are_usage_errors_with_the_nearest_word(caps
         ("evalute default store", "'evalute' is not one of segment, ", "did you mean evaluate?"),
         ("dataset infoo store", "'infoo' is not one of info, ", "did you mean info?"),
         ("run --source x --pictrue y.png", "--pictrue: there is no such option; did you mean --picture?"),
+        ("dataset import x --map y", "--map: there is no such option\n"),
         ("grasp x.pcd --target nearst", "'nearst' is not one of nearest, ", "did you mean nearest?"),
         ("dataset import x -o y --topic tactil=/x", "--topic: 'tactil=/x' is not KIND=NAME with a kind of clouds"),
         ("record -o none --seconds -1", "--seconds: -1 is not above 0"),

@@ -146,11 +146,11 @@ class CommandParser(argparse.ArgumentParser):
         return super().parse_known_args(words, namespace)
 
     def _check_options(self, words: list[str]) -> None:
-        known = ["--help", *(name for action in self.declared for name in action.option_strings)]
+        known = [name for action in self.declared for name in action.option_strings]
         for word in words[: words.index("--")] if "--" in words else words:
             option = word.partition("=")[0]
-            if re.match(r"--\w", word) and not any(name.startswith(option) for name in known):
-                self.error(f"{option}: there is no such option{nearest(option, known)}")
+            if re.match(r"--\w", word) and not any(name.startswith(option) for name in ("--help", *known)):
+                self.error(f"{option}: there is no such option{nearest(option, known, 0.6)}")  # the dashes are alike
 
 
 def one_of(*known: str) -> Any:
