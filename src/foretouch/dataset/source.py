@@ -61,7 +61,7 @@ class Source:
     info_topic: str = ""  # of the camera infos of depth images; "" for clouds
     others: tuple[Topic, ...] = ()  # further topics of a recording
     masks: Mapping[str, Path] = field(default_factory=dict)  # of depth images of a folder, by name of the entry
-    notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files
+    notes: tuple[str, ...] = ()  # what its `metadata.yaml` states otherwise than its files, and images left out
 
     def __len__(self) -> int:
         return self.count
@@ -124,12 +124,14 @@ def open_source(
         CLOUD_SUFFIXES if path.is_dir() else CLOUD_SUFFIXES + IMAGE_SUFFIXES,
     )
     given = camera or DepthCamera()
-    clouds = []
+    clouds, left_out = [], []
     for file in files:
         if file in pairs.depths or (file.suffix.lower() in known and file not in pairs.others):
             beside = None if given.info or given.intrinsics else pairs.infos.get(file)
             own = replace(given, info=given.info or beside)
             clouds.append((str(file), partial(read_cloud, file, own)))
+        elif file.suffix.lower() in IMAGE_SUFFIXES and file not in pairs.others:
+            left_out.append(file.name)
     if not clouds and path.is_dir():
         formats = ", ".join(CLOUD_SUFFIXES)
         rule = f"holds no clouds ({formats}), no depth images, no recording and no dataset ({readable_formats()}); {PAIRING}"
@@ -137,8 +139,11 @@ def open_source(
     if not clouds:
         formats = ", ".join(known + RECORDING_SUFFIXES)
         raise FileError(path, f"suffix {path.suffix or 'absent'} is not one of {formats}")
+    more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
+    rule = "a depth image in a folder is NAME-depth or depth-NAME"
+    notes = (f"{path}: left out: {left_out[0]}{more}; {rule}",) if left_out else ()
     masks = {str(file): mask for file, mask in pairs.masks.items()}
-    return Source(path, "clouds", len(clouds), lambda: clouds, frame_id, masks=masks)
+    return Source(path, "clouds", len(clouds), lambda: clouds, frame_id, masks=masks, notes=notes)
 
 
 def _sample(samples: SampleSet, number: int) -> Sample:

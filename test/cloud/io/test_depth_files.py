@@ -205,7 +205,11 @@ def test_a_folder_pairs_depth_images_with_masks_and_cameras(tmp_path: Path, dept
     _image(tmp_path / "scene-label.png", (depth > 900).astype(np.uint8))
     _realsense(tmp_path / "scene-info.json")
     _ros(tmp_path / "camera_info.yaml")  # of all others
-    found = {Path(one.name).name: one for one in open_source(tmp_path)}
+    source = open_source(tmp_path)
+    assert source.notes == (
+        f"{tmp_path}: left out: colours.png; a depth image in a folder is NAME-depth or depth-NAME",
+    )
+    found = {Path(one.name).name: one for one in source}
     assert set(found) == set(names)
     assert {name: one.mask and one.mask.name for name, one in found.items()} == {
         "scene-depth.png": "scene-label.png", "b_depth.tif": "b_mask.npy", "depth_0003.png": None,
