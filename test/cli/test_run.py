@@ -223,12 +223,17 @@ def test_a_source_that_was_not_played_completely_is_a_fault_unless_it_was_stoppe
         (("finished", 3, 0), ""),
         (("finished", 0, 0), "holds no cloud and no sample"),
         (("stopped", 0, 0), ""),
-        (("finished", 2, 1), "1 entries could not be read"),
+        (("finished", 2, 1), "1 entry could not be read: a.png: is cut off"),
+        (("finished", 2, 3), "3 entries could not be read, first a.png: is cut off"),
         (("failed", 2, 0), "failed: cut off"),
     )
     for (outcome, played, unreadable), fault in cases:
         replay: Any = SimpleNamespace(
-            outcome=outcome, played=Counter(clouds=played), unreadable=unreadable, failure="cut off"
+            outcome=outcome,
+            played=Counter(clouds=played),
+            unreadable=unreadable,
+            failure="cut off",
+            first_refusal="a.png: is cut off",
         )
         assert run_command.replay_fault(replay) == fault
 

@@ -287,7 +287,9 @@ def replay_fault(replay: ReplayNode | None) -> str:
     if replay.outcome == "failed":
         return f"failed: {replay.failure}"
     if replay.unreadable:
-        return f"{replay.unreadable} entries could not be read"
+        if replay.unreadable == 1:
+            return f"1 entry could not be read: {replay.first_refusal}"
+        return f"{replay.unreadable} entries could not be read, first {replay.first_refusal}"
     return "" if replay.played.total() or replay.outcome == "stopped" else "holds no cloud and no sample"
 
 

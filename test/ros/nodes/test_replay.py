@@ -185,6 +185,7 @@ def test_files_of_objects_are_published_behind_the_segmentation_and_images_befor
         assert list(table.plane.coef) == [0.0, 0.0, -1.0, 1.0]
     summary = node.statistics.summary()
     assert (summary.received, summary.used, dict(summary.dropped)) == (3, 2, {"unreadable": 1})
+    assert node.first_refusal.startswith(f"{tmp_path / '1.pcd'}: ")
     graph.remove(node)
     (tmp_path / "images").mkdir()
     write_cloud(tmp_path / "images" / "0.npz", make_clouds(rng, 1)[0])

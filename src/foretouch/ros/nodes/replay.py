@@ -159,6 +159,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         self._phase = "waiting"  # or `playing`, and at the end `finished` or `stopped`
         self.played: Counter[str] = Counter()  # published messages by topic, also of the clouds
         self.unanswered = 0  # in lockstep, clouds without an answer on `touch` in time
+        self.first_refusal = ""  # of the entries that could not be read
         self.clouds_topic = ""  # full name of the topic of the clouds, once it is known
         self._source: Source | None = None
         self._topic_publishers: dict[str, Any] = {}
@@ -204,7 +205,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
 
     def _start(self) -> None:
         self.played.clear()
-        self.unanswered, self._last_answer_ns = 0, -1
+        self.unanswered, self._last_answer_ns, self.first_refusal = 0, -1, ""
 
     def _stop(self) -> None:
         self.stopping.set()
@@ -306,6 +307,7 @@ class ReplayNode(ThreadNode[ReplayConfig]):
         """Publish one message when it is due; False if the replay must stop."""
         arrived = self.statistics.receive() if entry.topic == CLOUDS else 0.0
         if entry.refusal:
+            self.first_refusal = self.first_refusal or entry.refusal
             self.statistics.drop("unreadable")
             self.get_logger().warning(entry.refusal)
             return not self.stopping.is_set()
