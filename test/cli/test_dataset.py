@@ -43,7 +43,8 @@ def test_verify_repair_and_verify_again(call, dataset) -> None:
     (first, second) = call("dataset", "repair", dataset, "--json").records
     assert (first["changed"], second["changed"]) == (False, True)
     assert Path(second["original"]).exists()
-    assert call("dataset", "verify", dataset).status == 0
+    verified, repaired = call("dataset", "verify", dataset), call("dataset", "repair", dataset)
+    assert (verified.status, repaired.out.splitlines()[0]) == (0, "nothing repaired")
     assert not any(record["changed"] for record in call("dataset", "repair", dataset, "--json").records)
     data = bytearray(file.read_bytes())
     data[len(data) // 3] ^= 4
@@ -71,6 +72,8 @@ def test_build_puts_splits_into_a_store_that_can_be_verified(call, dataset, tmp_
     data[len(data) // 2] ^= 1
     shard.write_bytes(data)
     assert call("dataset", "verify", tmp_path / "store").status == 1
+    refused = call("dataset", "repair", tmp_path / "store")
+    assert (refused.status, "`foretouch dataset build` writes it anew" in refused.err) == (1, True)
     assert call("dataset", "build", dataset, "-o", tmp_path / "store").status == 1
 
 
@@ -78,7 +81,9 @@ def test_mistakes_are_one_line(call, dataset, tmp_path) -> None:
     none, edit = tmp_path / "nothing", ("edit", dataset)
 
     def check(words: tuple[object, ...], line: str) -> None:
-        call("dataset", *words).check_refused(f"foretouch: {line}\n")
+        answer = call("dataset", *words)
+        answer.check_refused(f"foretouch: {line}\n")
+        assert not answer.out
 
     cases = [
         *(((action, none), f"{none}: does not exist") for action in ("info", "verify", "repair")),

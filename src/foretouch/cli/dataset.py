@@ -21,7 +21,7 @@ from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.samples import has_points, only_finite, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
-from foretouch.files import PICTURE_SUFFIXES, require_writable
+from foretouch.files import PICTURE_SUFFIXES, require_existing, require_writable
 from foretouch.laboratory import needs_laboratory
 from foretouch.tactile.messages.table import TactileConfig
 
@@ -167,6 +167,8 @@ def _verify(arguments: argparse.Namespace) -> int:
     failed = False
     rows = []
     for path in arguments.paths:
+        require_existing(path)
+    for path in arguments.paths:
         for record in _verified(path):
             failed |= record["status"] != "ok"
             if arguments.json:
@@ -228,6 +230,9 @@ def _show(arguments: argparse.Namespace) -> int:
 def _repair(arguments: argparse.Namespace) -> int:
     failed, rows = False, []
     for path in arguments.paths:
+        if any(Path(path).glob("shard-*.arrow")) and not is_dataset(path):
+            rule = "is a training store, which is not repaired: `foretouch dataset verify` names its damage, `foretouch dataset build` writes it anew from its recordings"
+            raise FileError(path, rule)
         for report in repair_dataset(path):
             lost = [str(damage.error(report.path)) for damage in report.lost]
             if arguments.json:
@@ -244,7 +249,8 @@ def _repair(arguments: argparse.Namespace) -> int:
             state = "refused" if report.refusal else "repaired" if report.changed else "not damaged"
             rows.append([str(report.path), state, str(report.samples), str(report.messages), kept])
     if not arguments.json:
-        print_table("repaired", ["file", "state", "samples", "messages", "original"], rows)
+        title = "repaired" if any(row[1] == "repaired" for row in rows) else "nothing repaired"
+        print_table(title, ["file", "state", "samples", "messages", "original"], rows)
     return int(failed)
 
 
