@@ -10,7 +10,8 @@ import pytest
 
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import read_cloud, write_cloud
-from foretouch.dataset.writing import write
+from foretouch.dataset.identity import Identity
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.models.registry import find_card
 from foretouch.pipeline import Pipeline
 from foretouch.types import ASSUMED_TABLE, Cloud
@@ -44,7 +45,7 @@ def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call, file
 
 
 def test_an_input_without_clouds_is_refused(call, files, tmp_path) -> None:
-    write(tmp_path / "none", [])
+    RecordingWriter(tmp_path / "none", Identity(hand={"name": "biotac_sp"}, camera={"name": "none"})).close()
     answer = call("predict", tmp_path / "none", files / "object.pcd", "--json")
     assert (answer.status, [record["status"] for record in answer.records]) == (1, ["refused", "ok"])
     assert answer.records[0]["reason"].endswith("none: holds no cloud and no sample")

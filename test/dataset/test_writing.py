@@ -221,6 +221,13 @@ def test_what_does_not_fit_is_named_and_leaves_nothing_behind(tmp_path: Path, pa
     assert not (tmp_path / "ds").exists()
 
 
+@pytest.mark.parametrize("samples", [[], iter(())])
+def test_no_samples_are_refused_and_make_no_dataset(tmp_path: Path, pads: Path, samples: Any) -> None:
+    with pytest.raises(DatasetError, match=r"samples: there is none to write to .*ds; pass at least one"):
+        ft.write(tmp_path / "ds", samples, pads)
+    assert not (tmp_path / "ds").exists()
+
+
 def _csv(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
     import pandas as pd
 

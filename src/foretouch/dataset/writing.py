@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ def write(
         The counts, and remarks on stamps and missing numbers, which are warned of, too.
 
     Raises:
-        DatasetError: If a sample breaks a rule. The message names the sample, the field, the rule, and what to do.
+        DatasetError: If there is no sample, or one breaks a rule. The message names the sample, the field, the rule, and what to do.
         FileError: If the dataset is of another hand, camera or sensor, or cannot be written.
     """
     records: Iterable[Sample | Mapping[str, Any]]
@@ -72,9 +73,13 @@ def write(
         hand=hand or facts.hand or {"name": own.config.name}, camera=camera or facts.camera or {"name": "none"}
     )
     result, remarks = WriteResult(), Remarks()
+    records = iter(records)
+    start = list(islice(records, 1))
+    if not start:
+        raise DatasetError(f"samples: there is none to write to {path}; pass at least one sample")
 
     def made() -> Iterable[Sample]:
-        for number, sample in enumerate(records):
+        for number, sample in enumerate(chain(start, records)):
             if isinstance(sample, Sample):
                 yield sample
                 continue
