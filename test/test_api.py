@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`import foretouch`: the library as the front door."""
 
+import gc
 import subprocess
 import sys
 from dataclasses import replace
@@ -187,6 +188,7 @@ def test_a_dataset_is_columns_and_parts(tmp_path):
         samples.split("objects")
 
 
+@pytest.mark.filterwarnings("error:Implicitly cleaning up", "error::pytest.PytestUnraisableExceptionWarning")
 def test_a_fitted_model_predicts_and_is_loaded_again(tmp_path):
     samples = make_samples(3, 12)
     model = ft.fit(samples, calibrate=False, contact={"trees": 3})
@@ -200,6 +202,12 @@ def test_a_fitted_model_predicts_and_is_loaded_again(tmp_path):
         model.save(tmp_path / "mine")
     with pytest.raises(ModelError, match="was not loaded from files"):
         ft.TouchModel(model.estimator, model.card).save(tmp_path / "other")
+    assert model.path is not None
+    folder = model.path.parent
+    assert folder.exists()
+    del model
+    gc.collect()
+    assert not folder.exists()
 
 
 def test_the_drawing_has_what_is_given(scene, tmp_path):

@@ -146,7 +146,6 @@ class TouchModel:
         self.ranges = estimator.ranges
         self.estimator = estimator
         self.path: Path | None = None  # of its card, where it was loaded
-        self.kept: object = None  # lives as long as the model: a temporary folder with its files
 
     @property
     def simulated(self) -> bool:

@@ -2,7 +2,9 @@
 """Training in one call of Python: samples in, a touch model out, as `foretouch train` makes it."""
 
 import tempfile
+import weakref
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +25,10 @@ def fit(samples: SampleSet | Sequence[Sample] | str | Path, recipe: str, setting
     else:
         data = dataset_of(list(samples))
     config = load_run_config(recipe).updated(dict(settings), "fit")
-    folder = tempfile.TemporaryDirectory(prefix="foretouch-fit-")
-    model = load_model(
-        train_run(config.replace(name=config.name or "model"), data, Path(folder.name) / "model", lambda _: None)
-    )
-    model.kept = folder
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foretouch-fit-")))
+        model = load_model(
+            train_run(config.replace(name=config.name or "model"), data, folder / "model", lambda _: None)
+        )
+        weakref.finalize(model, stack.pop_all().close)
     return model
