@@ -9,7 +9,6 @@ import pytest
 from recording_builders import record, write_dataset
 
 from foretouch.dataset import formats
-from foretouch.dataset.importing import import_samples
 from foretouch.dataset.samples import SampleSet
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
@@ -53,7 +52,9 @@ def test_a_new_format_is_read_built_exported_imported_and_listed(tmp_path, call)
     assert (info["kind"], info["samples"], info["objects"]) == ("numbers", 3, {"ball": 3})
     assert call("dataset", "build", out, "-o", tmp_path / "store", "--json").records[0]["samples"] == 3
     np.testing.assert_array_equal(Store(tmp_path / "store")[2].cloud.xyz, record(2).cloud.xyz)
-    assert import_samples(out, tmp_path / "again").labelled == 3
+    imported = call("dataset", "import", out, "-o", tmp_path / "again").out
+    assert " ".join(imported.split()).count("│ labelled │ 3 │") == 1
+    assert "notes" not in imported  # of which there are none
     source = open_source(out)
     assert source.kind == "samples"
     assert [item.sample.id for item in source if item.sample] == ["ball/000001", "ball/000002", "ball/000003"]

@@ -312,7 +312,7 @@ def print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int
         print_json(record)
     else:
         names = {name: name.replace("_", " ") if name.isidentifier() and name.islower() else name for name in record}
-        rows = [[names[name], _text(value)] for name, value in record.items() if value not in ({}, [], "")]
+        rows = [[names[name], _text(value)] for name, value in record.items() if value not in ({}, [], (), "")]
         print_table(title, ["", "value"], rows)
     return 0
 
@@ -321,4 +321,4 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         nested = any(isinstance(item, list | Mapping) for item in value.values())
         return ("; " if nested else ", ").join(f"{name} {_text(item)}" for name, item in value.items() if item != {})
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
