@@ -7,6 +7,7 @@ import pytest
 from every_case import every_case
 from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, record, write_dataset
 
+from foretouch.cli.dataset import print_result
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch_lab.learning.data.splits import read_splits
 
@@ -91,6 +92,13 @@ def test_mistakes_are_one_line(call, dataset, tmp_path) -> None:
         ((*edit, "--id", "x"), "--id needs --relabel or --drop"),
     ]
     every_case(cases, check)
+
+
+def test_a_result_has_no_row_for_what_is_empty(capsys) -> None:
+    print_result("imported", {"samples": 0, "notes": (), "left_out": {}, "names": ("a", "b")}, as_json=False)
+    words = capsys.readouterr().out
+    assert all(text in words for text in ("samples", " 0 ", "a, b"))
+    assert not any(text in words for text in ("notes", "left out", "()"))
 
 
 def test_edits_are_listed_and_undone(call, dataset) -> None:
