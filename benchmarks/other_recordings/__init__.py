@@ -70,7 +70,7 @@ def _load(_settings: OtherSettings, path: Path) -> Records:
 
 
 def _cells(settings: OtherSettings, data: Records) -> list[Cell]:
-    if not {"success", "failure"} <= {record.outcome for record in data.records}:
+    if not {"success", "failure"} <= {sample.outcome for sample in data.samples}:
         raise ConfigError("experiment: the dataset does not hold outcomes of both kinds")
     names = sorted(set(data.postures))
     folds = [("objects", settings.folds), *((name, _POSTURE_FOLDS) for name in (names if 1 < len(names) < 10 else ()))]
