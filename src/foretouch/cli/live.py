@@ -50,11 +50,9 @@ def live_panel(view: View, title: str, waiting: str = "") -> Panel:
         dropped = ", ".join(f"{count} {why}" for why, count in _dropped(values).items())
         if dropped:
             parts.append(Text(f"{_short(name)} dropped in total: {dropped}"))
-    parts += [
-        Text(f"{count} x {f'last: {last}' if count > 1 else last}", "yellow")
-        for kind, count in view.reasons.most_common(3)
-        for last in [view.last_reasons.get(kind, kind)]
-    ]
+    for kind, count in view.reasons.most_common(3):
+        last = view.last_reasons.get(kind, kind)
+        parts.append(Text(f"{count} x {'last: ' if count > 1 else ''}{last}", "yellow"))
     return titled(title, parts)
 
 

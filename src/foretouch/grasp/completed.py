@@ -190,12 +190,8 @@ class CompletedObject:
 
         It has no cells if nothing is known to be unseen.
         """
-        camera, nearest, inside, per_cell = (
-            np.zeros(15),
-            np.empty((0, 0), np.float32),
-            np.empty((0, 0), np.float32),
-            0.0,
-        )
+        camera, per_cell = np.zeros(15), 0.0
+        nearest = inside = np.empty((0, 0), np.float32)
         if self._in_view:
             grid, nearest, inside = self._seen
             camera, per_cell = np.concatenate([self._basis.T.ravel(), self._foot, grid]), 1.0 / grid[2]

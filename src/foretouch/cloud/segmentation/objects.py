@@ -77,7 +77,9 @@ def extract_objects(
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
     standing: list[tuple[float, int, int, Segment]] = []  # distance, window and label, by which they are sorted
-    behind, rejected, first = standing.copy(), [], 0
+    behind = standing.copy()
+    rejected = []
+    first = 0  # label of the window among all labels
     for number, window in enumerate(windows):
         for label, segment, top_m in _segments(flat, window, image.shape[1], threshold.plane):
             reason = "" if reasons is None else REASONS[reasons[first + label]]

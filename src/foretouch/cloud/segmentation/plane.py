@@ -88,9 +88,8 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
     if len(xyz) < 3:
         return None, 0.0, f"{len(xyz)} points span no plane"
     fitted, some, _ = _first_draws(len(xyz))
-    origin, columns, _ = centred_columns(
-        xyz[fitted].astype(np.float64)
-    )  # float32 scoring stays exact far from the origin
+    # Centred, so that scoring in float32 stays exact far from the origin.
+    origin, columns, _ = centred_columns(xyz[fitted].astype(np.float64))
     points = np.ascontiguousarray(columns.T)
     scored = points[some].astype(np.float32)
     near = min(1.0, abs(float(origin[2])) / _FULL_REACH_M)

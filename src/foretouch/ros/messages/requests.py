@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
+from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
 from foretouch.grasp.pose import joined_faults, rotation_faults
 from foretouch.pipeline import Object
@@ -169,16 +170,29 @@ def read_objects(message: PointCloud2, table: TablePlane, limits: ObjectLimits) 
         limits: Of objects.
 
     Raises:
-        RefusalError: As `read_targets`; as the table's sender has refused; BAD_PLANE; UNKNOWN_FRAME; BAD_REQUEST if the
-            fields of the obstacles do not fit each other.
+        RefusalError: As `read_table`, then as `read_targets`.
+    """
+    plane, obstacles = read_table(table, message.header)
+    return tuple(replace(target, obstacles=obstacles) for target in read_targets(message, plane, limits))
+
+
+def read_table(table: TablePlane, header: Header) -> tuple[Plane, Obstacles | None]:
+    """Convert a table and what stands around the targets.
+
+    Args:
+        table: The message.
+        header: Of the cloud.
+
+    Raises:
+        RefusalError: As the table's sender has refused; BAD_PLANE; UNKNOWN_FRAME; BAD_REQUEST if the fields of the obstacles
+            do not fit each other.
     """
     if table.status != Status.OK:
         raise passed_on("table", table.status, table.reason)
-    check_frames("table", table.header, message.header)
+    check_frames("table", table.header, header)
     plane = read_plane(table.plane)
     with _refused_as(Status.BAD_REQUEST):
-        obstacles = obstacles_from_msg(table)
-    return tuple(replace(target, obstacles=obstacles) for target in read_targets(message, plane, limits))
+        return plane, obstacles_from_msg(table)
 
 
 def requested_targets(request: Any, latest: Targets | None, limits: ObjectLimits) -> Targets:

@@ -5,7 +5,7 @@ The answer to a cloud is four steps: message to arrays, the pipeline, arrays to 
 and `touch_predictor` run one step each, for who replaces another step by a node of another package.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -21,6 +21,7 @@ from foretouch.ros.messages.requests import (
     check_frames,
     passed_on,
     read_objects,
+    read_table,
     read_targets,
     status_code,
 )
@@ -196,7 +197,8 @@ class TouchPredictorNode(MatchingNode[TouchPredictorConfig]):
         try:
             objects = read_targets(cloud, ASSUMED_TABLE, limits)  # as if the camera looked straight down
             if table is not None:
-                objects = read_objects(cloud, table, limits)
+                plane, obstacles = read_table(table, cloud.header)
+                objects = tuple(replace(target, plane=plane, obstacles=obstacles) for target in objects)
         except RefusalError as err:
             refusal = err
         targets = Targets(cloud.header, objects, lambda: cloud, refusal)
