@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from foretouch.models.history import History
     from foretouch.models.registry import available_models, load_model
     from foretouch.models.touch_model import TouchModel
-    from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
+    from foretouch.pipeline import Pipeline, PipelineConfig
     from foretouch.types import (
         CameraModel,
         Cloud,
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Sample,
         Touch,
     )
+    from foretouch.types.scene import Object, Scene
 
 __version__ = "0.4.0"
 
@@ -46,11 +47,12 @@ _PLACES = {
     "foretouch.models.history": ("History",),
     "foretouch.models.registry": ("available_models", "load_model"),
     "foretouch.models.touch_model": ("TouchModel",),
-    "foretouch.pipeline": ("Object", "Pipeline", "PipelineConfig", "Scene"),
+    "foretouch.pipeline": ("Pipeline", "PipelineConfig"),
     "foretouch.types": (
         *("CameraModel", "Cloud", "Grasp", "Sample", "Grasps", "Plane"),
         *("Predicted", "Prediction", "Predictions", "Touch"),
     ),
+    "foretouch.types.scene": ("Object", "Scene"),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 

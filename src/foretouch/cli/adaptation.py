@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
     from foretouch.models.history import History
     from foretouch.models.touch_model import Estimate, Snapshot, TouchModel
-    from foretouch.pipeline import Object, Pipeline
+    from foretouch.pipeline import Pipeline
     from foretouch.tactile.description import Sensor
     from foretouch.types.channels import Channels
+    from foretouch.types.scene import Object
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name

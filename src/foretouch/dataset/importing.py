@@ -175,7 +175,7 @@ def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNa
     points = np.concatenate([seen.cloud.xyz for seen in objects] or [np.empty((0, 3), np.float32)])
     pixels = np.concatenate([seen.pixels for seen in objects] or [np.empty(0, np.int64)])
     rows, columns = np.divmod(pixels, cloud.xyz.shape[1])
-    labels = np.repeat([seen.id for seen in objects] or [0], [seen.n_points for seen in objects] or [0])
+    labels = np.repeat([int(seen.id) for seen in objects] or [0], [seen.n_points for seen in objects] or [0])
     places = {name: numbers.astype(np.uint16) for name, numbers in (("row", rows), ("column", columns))}
     header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
     return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))

@@ -11,8 +11,9 @@ from safetensors.numpy import load_file
 
 from foretouch.cloud.segmentation import parts
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import AnyArray, Cloud, Float32, Float64
+from foretouch.types.scene import Scene
 
 _F, _H, _W = 500.0, 360, 480
 _EYE = np.array([0.0, -0.6, 0.65])  # above the table z = 0, which is seen at 47 degrees
@@ -85,7 +86,7 @@ def _scene(
     return xyz.astype(np.float32), np.argmin(hits, axis=0)
 
 
-def _iou(found: Segmentation, truth: AnyArray) -> list[float]:
+def _iou(found: Scene, truth: AnyArray) -> list[float]:
     """Of each true object with the one that has most of it."""
     result = []
     for k in range(1, int(truth.max()) + 1):

@@ -27,7 +27,6 @@ from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
 from foretouch.models.history import History
 from foretouch.models.history_keeper import HistoryKeeper
-from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.requests import Targets
@@ -40,6 +39,7 @@ from foretouch.tactile.messages.biotac import finger_counts
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, stamp_ns
+from foretouch.types.scene import Object
 
 pytestmark = pytest.mark.ros
 
@@ -71,7 +71,7 @@ class CanRobot(Robot):
             Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), ACROSS, 1.0 - k, f"{name}{' too' * k}", "7")
             for k, y in enumerate((0.0, 0.02))
         ]
-        cloud = objects_to_msg([Object("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
+        cloud = objects_to_msg([Object.of("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
         return cloud, [grasp_to_msg(grasp) for grasp in self.planned]
 
     def grasp(self, name, number):
@@ -245,7 +245,7 @@ def test_a_touch_is_compared_on_the_table_of_its_cloud_however_many_came_since()
     hand.see = lambda name: None  # the grasp is executed on the first cloud
     cut = hand.cut(hand.grasp("good", 0))
     history = History(hand.model)
-    history.touched(Object("7", touched[0], table), touched[1], cut.touch, stamp_ns=hand.now)
+    history.touched(Object.of("7", touched[0], table), touched[1], cut.touch, stamp_ns=hand.now)
     found = hand.adapter.predict(hand.cloud, hand.planned, **options)
     assert hand.counts() == {"taken_in": 1}
     assert touched[0].stamp_ns == stamp

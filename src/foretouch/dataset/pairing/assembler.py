@@ -27,7 +27,7 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
-from foretouch.types import DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
+from foretouch.types import ASSUMED_TABLE, DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -278,7 +278,7 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
 def _object_cloud(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Cloud:
     try:
         message = cloud.message.decode()
-        objects = decode_objects(message)
+        objects = decode_objects(message, ASSUMED_TABLE)  # only their clouds are used
     except (CloudError, DatasetError) as err:
         raise PairingError("bad_cloud", str(err)) from err
     if message.header.frame_id != frame_id:

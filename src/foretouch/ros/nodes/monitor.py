@@ -19,13 +19,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.cloud.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud, decode_objects
 from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
-from foretouch.pipeline import Object
-from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.internal_errors import InternalErrors
@@ -35,6 +33,7 @@ from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import ASSUMED_TABLE, Cloud, stamp_ns
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -164,7 +163,7 @@ class MonitorNode(Node):
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
-            objects = objects_from_msg(object_message, ASSUMED_TABLE)
+            objects = decode_objects(object_message, ASSUMED_TABLE)
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
