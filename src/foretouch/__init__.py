@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from foretouch.cloud.io.files import read_cloud, write_cloud
     from foretouch.dataset.writing import write
     from foretouch.errors import ForetouchError
-    from foretouch.models.history import History
     from foretouch.models.registry import available_models, load_model
-    from foretouch.models.touch_model import TouchModel
+    from foretouch.models.touch_model import History, TouchModel
     from foretouch.pipeline import Pipeline, PipelineConfig
     from foretouch.types import (
         CameraModel,
@@ -44,9 +43,8 @@ _PLACES = {
     "foretouch.cloud.io.files": ("read_cloud", "write_cloud"),
     "foretouch.dataset.writing": ("write",),
     "foretouch.errors": ("ForetouchError",),
-    "foretouch.models.history": ("History",),
     "foretouch.models.registry": ("available_models", "load_model"),
-    "foretouch.models.touch_model": ("TouchModel",),
+    "foretouch.models.touch_model": ("History", "TouchModel"),
     "foretouch.pipeline": ("Pipeline", "PipelineConfig"),
     "foretouch.types": (
         *("CameraModel", "Cloud", "Grasp", "Sample", "Grasps", "Plane"),

@@ -23,8 +23,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, hand_rotation, object_axis, plan_grasps
 from foretouch.grasp.reach import ReachConfig, check_reach
-from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_model import Snapshot
+from foretouch.models import History, TouchModel, load_model
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
 from foretouch.types.scene import Object, Obstacles, Scene
 
@@ -196,7 +195,7 @@ class Pipeline:
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
 
     def predict(
-        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: Snapshot | None = None
+        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: History | None = None
     ) -> Predictions:
         """Predict touch for each grasp on one object (see `TouchModel.predict`).
 

@@ -24,8 +24,8 @@ from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ForetouchError
 from foretouch.models import load_model
-from foretouch.models.history import place_and_size
 from foretouch.models.history_keeper import HistoryKeeper
+from foretouch.models.touch_model import place_and_size
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
