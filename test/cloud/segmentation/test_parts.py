@@ -182,7 +182,9 @@ def test_the_kernel_finds_the_parts_of_its_reference(monkeypatch: pytest.MonkeyP
     for name, xyz in images.items():
         one, other = ours[name], segment(Cloud(xyz), config)
         assert len(one.objects) == len(other.objects), name
-        assert one.counts["parts"] == other.counts["parts"], name  # of which fragments they are joined, rounding decides
+        assert one.counts["parts"] == other.counts["parts"], (
+            name
+        )  # of which fragments they are joined, rounding decides
         assert ((one.labels > 0) == (other.labels > 0)).mean() > 0.9999, name
         least = 0.95 if name == "two balls" else 0.98  # a tiny fragment between two equal balls may be of either
         assert min(_iou(one, other.labels)) > least, name
