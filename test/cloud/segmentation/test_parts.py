@@ -183,9 +183,8 @@ def test_without_a_table_or_with_two_or_its_edge_before_the_objects() -> None:
             assert min(_iou(found, truth)) > 0.85, name
 
 
-@pytest.mark.parametrize("angle_deg", [15.0, 22.0])
-def test_the_kernel_finds_the_parts_of_its_reference(angle_deg: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = SegmentationConfig().updated({"split.angle_deg": angle_deg})
+def test_the_kernel_finds_the_parts_of_its_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = SegmentationConfig()
     handle: _Box = ((0.08, 0.0, 0.02), (0.093, 0.015, 0.04))
     post: _Box = ((-0.03, -0.12, 0.0), (0.03, -0.06, 0.2))
     images = {name: _scene(*solids)[0] for name, solids in _TOUCHING.items()} | {
