@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
@@ -36,7 +36,7 @@ from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.live_tare import LiveTare
 from foretouch.tactile.messages.table import TactileReader
-from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, stamp_ns
+from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Sample, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp
 
 _TABLES = 64  # of the latest clouds, which come before the clouds themselves are kept
@@ -263,10 +263,11 @@ class OnlineAdapter:
         """Give taxels that the hand's description declares dead the mean of others."""
         return Touch(usable(reading.values, reading.channels, self._valid), reading.channels)
 
-    def _add_touch(self, assembled: AssembledSample, config: TouchSettings) -> None:
-        sample, cut = assembled.sample, assembled.cut
-        assert cut is not None  # noqa: S101  samples without a touch are not asked for
-        touch, tare = self._usable(cut.touch), self._usable(cut.tare) if config.use_tare else None
+    def _add_touch(self, sample: Sample, config: TouchSettings) -> None:
+        assert sample.touch is not None  # noqa: S101  samples without a touch are not asked for
+        touch, tare = self._usable(sample.touch), None
+        if config.use_tare and sample.tare is not None:
+            tare = self._usable(sample.tare)
         try:
             now_ns = self._now_ns()
             extra = sample.extra
