@@ -30,13 +30,14 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from PIL import Image
 
 from foretouch.grasp.hand import FINGER, THUMB, Hand, load_hand
-from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult, Scene
+from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
 from foretouch.report.scene_figure import draw_scene
 from foretouch.report.touch_figure import draw_taxels, taxel_colours
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch
+from foretouch.types.scene import Scene
 
 FOLDER = Path(__file__).parent
 AXES = ("tab:red", "tab:green", "tab:blue")  # x, y, z as in RViz
@@ -75,9 +76,7 @@ def draw_steps(cloud: Cloud, result: PipelineResult) -> None:
     seen.set_title("1  cloud (colour: depth)")
     draw_points(found, everything, "lightgray", 6.0)
     assert result.scene is not None  # noqa: S101  a cloud with the table in view
-    for object_, colour in zip(
-        result.scene.segmentation.objects, ("tab:orange", "tab:purple", "tab:brown"), strict=False
-    ):
+    for object_, colour in zip(result.scene.objects, ("tab:orange", "tab:purple", "tab:brown"), strict=False):
         draw_points(found, thinned(object_.cloud.xyz), colour, 1.5)
     found.set_title("2  table and objects")
     (target,) = result.targets

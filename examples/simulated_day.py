@@ -35,8 +35,7 @@ from foretouch.camera.config import ScheduleConfig
 from foretouch.errors import FileError
 from foretouch.models import load_model
 from foretouch.models.contact.estimator import save_contact
-from foretouch.models.history import History, read_history
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.report.panels import new_figure, save
 from foretouch.ros.graph import Graph
 from foretouch.tactile import BIOTAC
@@ -141,7 +140,7 @@ class Log:
     def add_history(self, path: Path) -> None:
         """Both parts of the level from the file of the hand, if there are new readings."""
         try:
-            history = read_history(path, self._model)
+            history = History.load(path, self._model)
         except FileError:  # nothing was read yet
             return
         readings = history.tracker.evidence(0).readings

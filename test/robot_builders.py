@@ -9,10 +9,10 @@ import numpy as np
 from pair_builders import REST, level
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
+from foretouch.types.scene import Object
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, RecorderStatus
 
@@ -48,7 +48,7 @@ class Robot:
         """A cloud whose points tell the grasp, and a grasp planned on it."""
         xyz = (0.03 * self._rng.normal(size=(300, 3)) + [0.0, 0.0, 0.5]).astype(np.float32)
         self.cloud = Cloud(xyz, None, FRAME, self.now)
-        self.clouds.publish(objects_to_msg([Object("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
+        self.clouds.publish(objects_to_msg([Object.of("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
         along = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # its Z along y
         grasp = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), along, 1.0, name, "7")
         other = Grasp(np.array([0.0, 0.02, 0.5]), np.array([0.0, -0.02, 0.5]), along, 0.5, f"{name} too", "7")

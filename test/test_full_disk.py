@@ -19,8 +19,8 @@ from run_builders import quiet, run_config, stop_after, write_store
 from foretouch.cli.main import main
 from foretouch.dataset.formats import FORMATS
 from foretouch.errors import FileError
-from foretouch.models.history import History, HistoryFile
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.history_keeper import HistoryFile
+from foretouch.models.touch_model import History, TouchModel
 from foretouch_lab.learning.data import load_dataset
 from foretouch_lab.learning.training.run import train_run
 
@@ -65,7 +65,7 @@ def test_a_hand_history_keeps_what_was_written(disk: Path) -> None:
 
     def read(count: int) -> None:
         for sample in samples[:count]:
-            history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
+            history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
 
     read(1)
     file.write(history)

@@ -108,7 +108,7 @@ def test_segment_and_pipeline_of_a_scene(pipeline) -> None:
             assert re.search(case.reason, result.reason)
             return
         assert len(found.objects) == 1
-        assert np.isfinite(found.plane.coefficients).all()
+        assert np.isfinite(found.table.coefficients).all()
         assert all(
             np.isfinite(object_.cloud.xyz).all() and np.abs(object_.bounds).max() < 2.0 for object_ in found.objects
         )

@@ -4,11 +4,10 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.other_recordings import EXPERIMENT, OtherSettings, Records, folds_of, hold_chance
+from benchmarks.other_recordings import OtherSettings, Records, folds_of, hold_chance
 from benchmarks.other_recordings.results import calibration_error, slip_first, tabulate
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch.types import Sample
-from foretouch_lab.experiments import find_experiment
 from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
 
 RNG = np.random.default_rng(0)
@@ -62,7 +61,3 @@ def test_what_drifts_in_a_session_does_not_win_where_the_slip_came_first() -> No
     won, pairs = slip_first(chance if chance[0] > chance[-1] else 1.0 - chance, held, data.sessions)
     assert pairs.sum() > 0
     assert won.sum() == 0.0
-
-
-def test_the_experiment_is_found_by_its_name() -> None:
-    assert find_experiment("benchmarks.other_recordings") is EXPERIMENT

@@ -19,7 +19,7 @@ from foretouch.dataset.editing import drop
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.errors import ConfigError, FileError
 from foretouch.files import FileBytes, read_bytes, replace_files, require_schema
-from foretouch.models.history import HistoryFile
+from foretouch.models.history_keeper import HistoryFile
 from foretouch.report.panels import new_figure, save_small
 from foretouch.report.rerun_view import write_view
 from foretouch.ros.runtime.environment import stale_bytes

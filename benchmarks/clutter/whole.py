@@ -14,7 +14,8 @@ import numpy as np
 from benchmarks.clutter.metrics import FOUND, SceneScore, f_of_best, score, summary
 from benchmarks.clutter.scenes import LabelledCloud, load_scenes
 from benchmarks.common import cpu_ms, print_rows
-from foretouch.pipeline import Pipeline, Scene
+from foretouch.pipeline import Pipeline
+from foretouch.types.scene import Scene
 
 _WORST: Final = 6  # images that are drawn
 
@@ -43,7 +44,7 @@ def _answer(scene: LabelledCloud) -> tuple[SceneScore, bool, float]:
     """The score, whether the default target is one whole object, and the least CPU time of three calls [ms]."""
     pipeline = Pipeline()
     result = pipeline.segment(scene.cloud)
-    labels = result.segmentation.labels
+    labels = result.labels
     true = np.where(np.isfinite(scene.cloud.xyz[..., 2]), scene.labels, 0).astype(np.int32)
     whole = any(f_of_best(labels == int(target.id), true) >= FOUND for target in result.targets)
     return score(labels, true), whole, cpu_ms(lambda: pipeline.segment(scene.cloud), 3, least=True)
@@ -68,15 +69,15 @@ def draw(scene: LabelledCloud, result: Scene, path: Path) -> None:
     """Draw the depth with the segments in colour and the outlines of the true objects in white; the target has a star."""
     import matplotlib.pyplot as plt
 
-    depth, labels = scene.cloud.xyz[..., 2], result.segmentation.labels
+    depth, labels = scene.cloud.xyz[..., 2], result.labels
     figure, axes = plt.subplots(figsize=(8, 8 * depth.shape[0] / depth.shape[1]), layout="constrained")
     axes.imshow(depth, cmap="gray", vmin=np.nanpercentile(depth, 1), vmax=np.nanpercentile(depth, 98))
     axes.imshow(np.where(labels > 0, labels * 7 % 20, np.nan), cmap="tab20", vmin=0, vmax=19, alpha=0.6)
     for label in range(1, int(scene.labels.max()) + 1):
         axes.contour(scene.labels == label, [0.5], colors="white", linewidths=0.8)
-    for object_ in result.segmentation.objects:
+    for object_ in result.objects:
         row, column = np.median(np.unravel_index(object_.pixels, labels.shape), axis=1)
-        star = "*" if str(object_.id) in {target.id for target in result.targets} else ""
+        star = "*" if object_.id in {target.id for target in result.targets} else ""
         axes.text(column, row, f"{object_.id}{star}", color="white", ha="center", va="center")
     axes.set_title(f"{scene.name}: {result.status} {result.reason}"[:100], fontsize=8)
     axes.set_axis_off()

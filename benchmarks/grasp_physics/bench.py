@@ -21,8 +21,9 @@ from benchmarks.grasp_physics.simulation import HELD, OPENING_M, Verdict, held
 from benchmarks.grasp_physics.surface import best_grasp
 from foretouch.camera.device import ensure_libusb
 from foretouch.grasp.config import GraspMethod
-from foretouch.pipeline import Object, Pipeline, PipelineConfig
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Float64
+from foretouch.types.scene import Object
 from foretouch_lab.experiments.shared.tables import select
 
 HERE: Final = Path(__file__).parent

@@ -20,9 +20,10 @@ from benchmarks.common import cpu_ms, scene
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.models.registry import load_model
-from foretouch.pipeline import Object, Pipeline
+from foretouch.pipeline import Pipeline
 from foretouch.tactile import TOUCH_SIZE
 from foretouch.types import Cloud, Grasp
+from foretouch.types.scene import Object
 from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine

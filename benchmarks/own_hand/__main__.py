@@ -14,8 +14,7 @@ from scipy import stats
 import foretouch as ft
 from benchmarks.common import ROOT, read_csv, write_csv
 from foretouch.config import load_yaml
-from foretouch.models.history import History
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.types import Float64, Sample, Touch
 from foretouch.types.channels import Channels
 from foretouch_lab.simulation.scene import SceneConfig
@@ -89,11 +88,16 @@ def predicted(model: TouchModel, seen: Sequence, samples: Sequence[Sample], firs
         for earlier in before:
             sample = samples[earlier]
             changes = earlier == before[0] or samples[earlier - 1].object != sample.object
-            history.add_tare(sample.stamp_ns - MINUTE_NS, sample.tare)
-            history.add_touch(
-                sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=changes, estimate=seen[earlier]
+            history.tare(sample.tare, stamp_ns=sample.stamp_ns - MINUTE_NS)
+            history.touched(
+                sample.cloud,
+                sample.grasp,
+                sample.touch,
+                stamp_ns=sample.stamp_ns,
+                same_object=not changes,
+                estimate=seen[earlier],
             )
-        history.add_tare(last.stamp_ns - MINUTE_NS, last.tare)
+        history.tare(last.tare, stamp_ns=last.stamp_ns - MINUTE_NS)
         same = bool(before) and samples[number - 1].object == last.object
         results.append(history.snapshot(last.stamp_ns, same_object=same, tare=True).adapt(seen[number]))
     return np.array(results)[:, :, 0].swapaxes(0, 1)

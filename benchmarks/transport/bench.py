@@ -124,7 +124,7 @@ def scenes(n_objects: int = 3, count: int = 5) -> list[DepthFrame]:
         camera = CameraModel(848, 480, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
         depth = scene.render(rng, noise_m=0.001).depth_mm
         frame = DepthFrame(depth, 0.001, camera, "camera_depth_optical_frame", 0)
-        if len(Pipeline().segment(frame.cloud()).segmentation.objects) >= n_objects:
+        if len(Pipeline().segment(frame.cloud()).objects) >= n_objects:
             frames.append(frame)
     return frames
 

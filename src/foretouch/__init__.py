@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from foretouch.cloud.io.files import read_cloud, write_cloud
     from foretouch.dataset.writing import write
     from foretouch.errors import ForetouchError
-    from foretouch.models.history import History
     from foretouch.models.registry import available_models, load_model
-    from foretouch.models.touch_model import TouchModel
-    from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
+    from foretouch.models.touch_model import History, TouchModel
+    from foretouch.pipeline import Pipeline, PipelineConfig
     from foretouch.types import (
         CameraModel,
         Cloud,
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
         Sample,
         Touch,
     )
+    from foretouch.types.scene import Object, Scene
 
 __version__ = "0.4.0"
 
@@ -43,14 +43,14 @@ _PLACES = {
     "foretouch.cloud.io.files": ("read_cloud", "write_cloud"),
     "foretouch.dataset.writing": ("write",),
     "foretouch.errors": ("ForetouchError",),
-    "foretouch.models.history": ("History",),
     "foretouch.models.registry": ("available_models", "load_model"),
-    "foretouch.models.touch_model": ("TouchModel",),
-    "foretouch.pipeline": ("Object", "Pipeline", "PipelineConfig", "Scene"),
+    "foretouch.models.touch_model": ("History", "TouchModel"),
+    "foretouch.pipeline": ("Pipeline", "PipelineConfig"),
     "foretouch.types": (
         *("CameraModel", "Cloud", "Grasp", "Sample", "Grasps", "Plane"),
         *("Predicted", "Prediction", "Predictions", "Touch"),
     ),
+    "foretouch.types.scene": ("Object", "Scene"),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 

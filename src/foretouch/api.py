@@ -13,8 +13,9 @@ from foretouch.errors import CloudError, TactileError
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
-from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Cloud, Grasps, Prediction, Predictions, Sample
+from foretouch.types.scene import Object, Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

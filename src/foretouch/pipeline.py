@@ -17,26 +17,15 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_ta
 from foretouch.cloud.segmentation.identity import ObjectIdentity
 from foretouch.cloud.segmentation.masks import segment_mask
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_free, select_targets
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.cloud.timing import timed
 from foretouch.config import Settings, setting
-from foretouch.errors import CloudError, shown
-from foretouch.grasp import (
-    GeoGraspConfig,
-    GraspPlan,
-    HandConfig,
-    HeldGrasp,
-    Obstacles,
-    hand_rotation,
-    object_axis,
-    plan_grasps,
-)
+from foretouch.errors import CloudError
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, hand_rotation, object_axis, plan_grasps
 from foretouch.grasp.reach import ReachConfig, check_reach
-from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_model import Snapshot
-from foretouch.types import Cloud, Float64, Grasp, Grasps, Int32, Int64, Plane, Predictions, Touch
-
-_ON_TABLE_M = 0.01  # from the plane of the table
+from foretouch.models import History, TouchModel, load_model
+from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
+from foretouch.types.scene import Object, Obstacles, Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,103 +39,6 @@ class PipelineConfig(Settings):
     hand: HandConfig = HandConfig()
     reach: ReachConfig = ReachConfig()
     model: str = setting("default", "Name of a model, or path of its card, weights or model folder", read_only=True)
-
-
-@dataclass(frozen=True, eq=False)
-class Object:
-    """One object, and the table that it stands on."""
-
-    id: str  # unique within its cloud
-    cloud: Cloud  # (N, 3) [m], only the object's points, in the optical frame of the camera
-    plane: Plane  # the table, in the cloud's frame
-    pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it comes from, if any
-    image_shape: tuple[int, int] | None = None  # (H, W) of that image
-    flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
-    obstacles: Obstacles | None = None  # all objects of the scene, if there are several
-
-    @property
-    def centroid(self) -> Float64:
-        """(3,) float64 [m], mean of the points; NaN without any."""
-        points = self.cloud.xyz.reshape(-1, 3).astype(np.float64)
-        points = points[np.isfinite(points).all(axis=1)]
-        return points.mean(axis=0) if len(points) else np.full(3, np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """The table and the objects in a cloud."""
-
-    status: str  # "ok", "no_target", or the status of the segmentation
-    reason: str  # why, in words; for "ok" usually "", or how an ambiguous target was selected
-    cloud: Cloud  # the whole cloud
-    segmentation: Segmentation  # how table and objects were found, with its counts
-    objects: tuple[Object, ...]  # all objects, nearest first, or in the order of the mask's labels
-    targets: tuple[Object, ...]  # the objects to grasp, best first
-    obstacles: Obstacles | None = None  # the points of all objects, if there are several
-
-    @property
-    def table(self) -> Plane | None:
-        """The table, its normal towards the camera, in the cloud's frame; None if none was found."""
-        return self.segmentation.plane
-
-    @property
-    def labels(self) -> Int32:
-        """(H, W) int32, or (N,) of an unorganised cloud: the id of each point's object, 0 for none."""
-        return self.segmentation.labels
-
-    def at(self, u: int, v: int) -> Object:
-        """Return the object at a pixel.
-
-        Args:
-            u: Column of the image, 0 at the left.
-            v: Row of the image, 0 at the top.
-
-        Raises:
-            CloudError: If the pixel is outside the image, or no object is there; says what is. If it is not whole numbers.
-        """
-        if not all(isinstance(value, int | np.integer) for value in (u, v)):
-            raise CloudError(f"pixel: ({shown(u)}, {shown(v)}) is not two whole numbers, column and row; round a click")
-        depth = self.cloud.xyz[..., 2]
-        if depth.ndim != 2:
-            raise CloudError(f"pixel: a list of {depth.size} points has no pixels; select the object by a point")
-        height, width = depth.shape
-        if not (0 <= u < width and 0 <= v < height):
-            raise CloudError(
-                f"pixel: ({u}, {v}) is outside of the image, whose columns end at {width - 1}, rows at {height - 1}"
-            )
-        known = {object_.id: object_ for object_ in self.objects}
-        if (name := str(self.labels[v, u])) in known:
-            return known[name]
-        xyz = self.cloud.xyz[v, u].astype(np.float64)
-        where = "no object"
-        if not np.isfinite(xyz).all():
-            where = "a pixel without depth"
-        elif self.table is not None and abs(self.table.height(xyz)) < _ON_TABLE_M:
-            where = "the table"
-        raise CloudError(f"pixel: ({u}, {v}) is {where}; the objects are {', '.join(known) or 'none'}")
-
-    def near(self, point: npt.ArrayLike, tolerance_m: float = TargetConfig().tolerance_m) -> Object:
-        """Return the object with the point that is nearest to a position.
-
-        Args:
-            point: (3,) [m], in the cloud's frame.
-            tolerance_m: Largest distance of the nearest point [m].
-
-        Raises:
-            CloudError: If no object is so near, or the position is not finite.
-        """
-        position = np.asarray(point, np.float64)
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise CloudError(f"point: {position.tolist()} is not three finite numbers [m]")
-        away = [
-            float(np.linalg.norm(object_.cloud.xyz.astype(np.float64) - position, axis=1).min())
-            for object_ in self.objects
-        ]
-        if not away or min(away) > tolerance_m:
-            nearest = f"; the nearest is {min(away):.3f} m away" if away else ""
-            at = ", ".join(f"{value:g}" for value in position.tolist())
-            raise CloudError(f"point: no object within {tolerance_m:g} m of ({at}){nearest}")
-        return self.objects[int(np.argmin(away))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,34 +110,28 @@ class Pipeline:
         """
         _require_cloud(cloud)
         if mask is not None:
-            segmentation = segment_mask(cloud, mask, self.config.segmentation)
+            scene = segment_mask(cloud, mask, self.config.segmentation)
         else:
-            segmentation = segment(cloud, self.config.segmentation)
-            segmentation = segmentation if identity is None else identity.keep(segmentation)
-        if segmentation.status != "ok" or segmentation.plane is None:
-            return Scene(segmentation.status, segmentation.reason, cloud, segmentation, (), ())
-        plane = segmentation.plane
-        shape = (segmentation.labels.shape[0], segmentation.labels.shape[1]) if cloud.organised else None
-        solid = [part for part in segmentation.background if part.background != "floating"]
-        obstacles = Obstacles.of([(object_.id, object_.cloud.xyz) for object_ in (*segmentation.objects, *solid)])
-        objects = {
-            object_.id: Object(
-                str(object_.id), object_.cloud, plane, object_.pixels if shape else None, shape, (), obstacles
-            )
-            for object_ in segmentation.objects
-        }
+            scene = segment(cloud, self.config.segmentation)
+            scene = scene if identity is None else identity.keep(scene)
+        if scene.status != "ok":
+            return scene
+        solid = [part for part in scene.background if part.background != "floating"]
+        obstacles = Obstacles.of([(int(object_.id), object_.cloud.xyz) for object_ in (*scene.objects, *solid)])
+        objects = tuple(replace(object_, obstacles=obstacles) for object_ in scene.objects)
         rule = self.config.target
-        if rule.mode == "free" and segmentation.objects:
-            chosen, reason = select_free(
-                segmentation.objects, rule, lambda target: self._loss(objects[target.id]), previous
-            )
+        if rule.mode == "free" and objects:
+            chosen, reason = select_free(objects, rule, self._loss, previous)
         else:
-            chosen, reason = select_targets(segmentation.objects, rule, previous)
+            chosen, reason = select_targets(objects, rule, previous)
         flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
-        targets = tuple(replace(objects[part.id], flags=flags) for part in chosen)
-        status = "ok" if targets else "no_target"
-        return Scene(
-            status, reason or segmentation.reason, cloud, segmentation, tuple(objects.values()), targets, obstacles
+        return replace(
+            scene,
+            status="ok" if chosen else "no_target",
+            reason=reason or scene.reason,
+            objects=objects,
+            targets=tuple(replace(target, flags=flags) for target in chosen),
+            obstacles=obstacles,
         )
 
     def _loss(self, target: Object) -> tuple[float, str]:
@@ -279,7 +165,7 @@ class Pipeline:
             self.config.grasp,
             slide_m=slide_m,
             rng=rng,
-            pixels=target.pixels,
+            pixels=target.pixels if target.image_shape else None,
             image_shape=target.image_shape,
             limits=self.config.limits,
             held=held,
@@ -309,7 +195,7 @@ class Pipeline:
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
 
     def predict(
-        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: Snapshot | None = None
+        self, target: Object, grasps: Sequence[Grasp], *, tare: Touch | None = None, history: History | None = None
     ) -> Predictions:
         """Predict touch for each grasp on one object (see `TouchModel.predict`).
 
@@ -343,7 +229,6 @@ class Pipeline:
         Raises:
             CloudError: If the cloud or the table is of another type; for a mask as `segment`.
         """
-        _require_cloud(cloud)
         if plane is not None and not isinstance(plane, Plane):
             raise CloudError(
                 f"plane: {type(plane).__name__} is not a Plane, such as Plane.from_coefficients((a, b, c, d))"
@@ -353,7 +238,8 @@ class Pipeline:
         results: list[TargetResult] = []
         targets: tuple[Object, ...]
         if plane is not None:
-            targets = (Object("1", cloud, plane),)
+            _require_cloud(cloud)
+            targets = (Object.of("1", cloud, plane),)
         else:
             with timed(ms, "segment"):
                 scene = self.segment(cloud, mask=mask)

@@ -33,8 +33,8 @@ def test_a_recorded_depth_image_has_the_answer_of_the_array(
     labels = tmp_path / "labels.npy"
     assert main(["segment", str(bag), "--json", "--labels-out", str(labels)]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["plane"] == expected.scene.segmentation.plane.coefficients.tolist()
-    np.testing.assert_array_equal(np.load(labels), expected.scene.segmentation.labels)
+    assert record["plane"] == expected.scene.table.coefficients.tolist()
+    np.testing.assert_array_equal(np.load(labels), expected.scene.labels)
     assert main(["predict", str(bag), "--topic", topic, "--target", "nearest", "--json"]) == 0
     predicted = json.loads(capsys.readouterr().out)["predictions"][0]
     first = expected.targets[0].predictions[0]

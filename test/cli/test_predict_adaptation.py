@@ -19,8 +19,8 @@ from foretouch.dataset.formats import open_samples
 from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.errors import FileError
 from foretouch.models import load_model
-from foretouch.models.history import History, HistoryFile
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.history_keeper import HistoryFile
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Prediction, Sample
@@ -71,7 +71,7 @@ def hand_after(model: TouchModel, path: Path) -> History:
     """The history of a hand that has touched the object of a dataset."""
     hand = History(model)
     for number, one in enumerate(samples_of(path)):
-        hand.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch, new_object=number == 0)
+        hand.touched(one.cloud, one.grasp, one.touch, stamp_ns=one.stamp_ns, same_object=number > 0)
     return hand
 
 
@@ -126,10 +126,10 @@ def test_touches_and_own_tares_adapt_it_in_order_of_time(call, model, session) -
     for sample in samples:
         hand, others = History(core), [one for one in samples if one.id != sample.id]  # never its own reading
         for other in others:
-            hand.add_tare(other.stamp_ns, other.tare)
-            hand.add_touch(other.stamp_ns, other.cloud, other.grasp, other.touch)
+            hand.tare(other.tare, stamp_ns=other.stamp_ns)
+            hand.touched(other.cloud, other.grasp, other.touch, stamp_ns=other.stamp_ns, same_object=True)
         now_ns = max(sample.stamp_ns, others[-1].stamp_ns)
-        hand.add_tare(now_ns, sample.tare)
+        hand.tare(sample.tare, stamp_ns=now_ns)
         read = hand.snapshot(now_ns, same_object=True, tare=True)
         (wanted,) = core.predict(sample.cloud, [sample.grasp], history=read)
         assert_reported(results[sample.id]["predictions"][0], wanted)

@@ -32,8 +32,9 @@ from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import only_finite
 from foretouch.dataset.store import SEAL, sample_digest
 from foretouch.errors import ForetouchError
-from foretouch.models.history import History, HistoryFile
+from foretouch.models.history_keeper import HistoryFile
 from foretouch.models.registry import load_model
+from foretouch.models.touch_model import History
 from foretouch.pipeline import PipelineConfig
 from foretouch.tactile.description import load_sensor, sensor_files
 from foretouch.tactile.messages.described import SensorReader

@@ -24,9 +24,9 @@ from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.errors import ForetouchError
 from foretouch.models import load_model
-from foretouch.models.history import place_and_size
 from foretouch.models.history_keeper import HistoryKeeper
-from foretouch.pipeline import Object, Pipeline, PipelineConfig
+from foretouch.models.touch_model import place_and_size
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, stamp_to_msg
 from foretouch.ros.messages.requests import RequestedGrasps, Targets, read_plane, read_targets
@@ -37,6 +37,7 @@ from foretouch.ros.steps.online_adapter import OnlineAdapter
 from foretouch.ros.steps.predictor import Predictor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
+from foretouch.types.scene import Object
 from foretouch_lab.ros.hand_messages import biotac_all_to_msg
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 from foretouch_msgs.srv import LabelGrasp, PredictTouch
@@ -72,7 +73,7 @@ def object_messages() -> list[Any]:
     """An `object_cloud` with labels and pixels, one with two objects, and one without labels."""
     cloud = Cloud((bar() + np.array([0.0, 0.0, 0.6])).astype(np.float32)[::10], None, FRAME, NOW_NS)
     pixels = np.arange(cloud.size, dtype=np.int64)
-    one, other = (Object(name, cloud, ASSUMED_TABLE, pixels, (20, 20)) for name in ("7", "8"))
+    one, other = (Object.of(name, cloud, ASSUMED_TABLE, pixels=pixels, image_shape=(20, 20)) for name in ("7", "8"))
     return [objects_to_msg([one], FRAME, NOW_NS), objects_to_msg([one, other], FRAME, NOW_NS), cloud_to_msg(cloud)]
 
 
@@ -140,9 +141,9 @@ def clouds() -> Reader:
             return
         scene = pipeline.segment(cloud, np.zeros(3))
         named(scene.status, scene.reason)
-        finite("table", plane_to_msg(scene.segmentation.plane).coef)
+        finite("table", plane_to_msg(scene.table).coef)
         objects_to_msg(scene.targets, FRAME, NOW_NS)
-        for object_ in scene.segmentation.objects:
+        for object_ in scene.objects:
             object_to_msg(object_, target=True)
             finite("object", object_.centroid, *object_.bounds)
 

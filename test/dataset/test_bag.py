@@ -18,7 +18,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, is_recording
 from foretouch.dataset.bag_writer import BagWriter, write_bag
-from foretouch.dataset.source import open_source
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
 
@@ -180,20 +179,6 @@ def test_nothing_is_overwritten_or_left_half_and_a_message_that_is_cut_short_is_
         writer.write(TOPIC, POINT_CLOUD_TYPE, 0, KILTED.serialize_cdr(good, POINT_CLOUD_TYPE)[:100])
     with pytest.raises(FileError, match=r"cut: /foretouch/points\[0\]: truncated or damaged"):
         list(read_bag(tmp_path / "cut"))
-
-
-def test_the_clouds_in_front_of_a_cut_are_read_before_it_is_named(tmp_path, rng):
-    clouds = make_clouds(rng, count=9, shape=(150, 200))
-    write_bag(tmp_path / "bag", clouds)
-    whole = (tmp_path / "bag" / "bag.mcap").read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole[: len(whole) // 2])
-    read = []
-    with pytest.raises(FileError, match=r"cut.mcap: byte \d+: cut off or damaged: .* dataset repair"):
-        read.extend(item.cloud for item in open_source(cut))
-    assert 2 <= len(read) < len(clouds)
-    for one, other in zip(read, clouds, strict=False):
-        assert_same(one, other)
 
 
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path, rng):

@@ -13,32 +13,33 @@ from kernels.references import segmentation as reference
 from foretouch.cloud.segmentation import objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.pipeline import Pipeline
 from foretouch.types import AnyArray, CameraModel, Cloud
+from foretouch.types.scene import Scene
 from foretouch_lab.simulation.depth_scene import random_scene
 
 
-def _with_references(cloud: Cloud, config: SegmentationConfig) -> Segmentation:
+def _with_references(cloud: Cloud, config: SegmentationConfig) -> Scene:
     with pytest.MonkeyPatch.context() as patch:
         for module, names in (
             (segment_module, {"_count_depths": "count_range", "_every": "every", "label_organised": "label_organised"}),
             (plane, {"_counts": "counts", "_near": "near", "_residuals": "residuals"}),
-            (objects, {"_segments": "segments", "_write_ids": "write_ids"}),
+            (objects, {"_clusters": "clusters", "_write_ids": "write_ids"}),
         ):
             for name, other in names.items():
                 patch.setattr(module, name, getattr(reference, other))
         return segment(cloud, config)
 
 
-def _assert_same(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
+def _assert_same(cloud: Cloud, config: SegmentationConfig | None = None) -> Scene:
     config = config or SegmentationConfig()
     ours, plain = segment(cloud, config), _with_references(cloud, config)
     assert (ours.status, ours.reason, ours.counts) == (plain.status, plain.reason, plain.counts)
     np.testing.assert_array_equal(ours.labels, plain.labels)
-    assert (ours.plane is None) == (plain.plane is None)
-    if ours.plane is not None and plain.plane is not None:
-        np.testing.assert_array_equal(ours.plane.coefficients, plain.plane.coefficients)
+    assert (ours.table is None) == (plain.table is None)
+    if ours.table is not None and plain.table is not None:
+        np.testing.assert_array_equal(ours.table.coefficients, plain.table.coefficients)
     parts = attrgetter("id", "pixels", "centroid", "bounds", "cloud.xyz", "cloud.rgb")
     for object_, other in zip(ours.objects, plain.objects, strict=True):
         for first, second in zip(parts(object_), parts(other), strict=True):

@@ -10,8 +10,9 @@ from foretouch.cloud.io.files import read_cloud
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.pipeline import Object, Pipeline, PipelineConfig
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import ASSUMED_TABLE, Predictions
+from foretouch.types.scene import Object
 
 CAN = Path(__file__).parents[2] / "examples" / "data" / "can.ply"
 
@@ -35,7 +36,7 @@ def grasps_around(target, pipeline, count):
 
 def test_one_grasp_refused_grasps_and_models_without_intervals_get_no_flag():
     model, pipeline = load_model(), Pipeline(PipelineConfig())
-    target = Object("1", read_cloud(CAN), ASSUMED_TABLE)
+    target = Object.of("1", read_cloud(CAN), ASSUMED_TABLE)
     grasps = grasps_around(target, pipeline, 3)
     rows = model.predict(target, grasps)
     refused = Predictions.refused(rows.grasps[:1], rows.channels, "refused", "not finite")

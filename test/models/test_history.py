@@ -18,9 +18,8 @@ from numpy.testing import assert_array_equal
 from safetensors.numpy import load, save
 
 from foretouch.errors import CloudError, FileError, TactileError
-from foretouch.models.history import History, HistoryFile, read_history
-from foretouch.models.history_keeper import HistoryKeeper
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.history_keeper import HistoryFile, HistoryKeeper
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Prediction, Sample, Touch
 
@@ -38,8 +37,8 @@ def model() -> TouchModel:
 def read(history: History, samples: list[Sample], *, tare: Touch | None = None) -> History:
     for number, sample in enumerate(samples):
         if tare is not None:
-            history.add_tare(sample.stamp_ns, tare)
-        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
+            history.tare(tare, stamp_ns=sample.stamp_ns)
+        history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=number > 0)
     return history
 
 
@@ -76,8 +75,8 @@ def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
     assert 10.0 < shift.mean() < 40.0  # part of its way from rest
     assert (half(tared) < half(unread)).mean() > 0.9
     history = History(model)
-    history.add_tare(sample.stamp_ns, tare)
-    history.add_tare(sample.stamp_ns + 30 * S, biotac_touch(REST - 40.0))  # within a minute of the last one
+    history.tare(tare, stamp_ns=sample.stamp_ns)
+    history.tare(biotac_touch(REST - 40.0), stamp_ns=sample.stamp_ns + 30 * S)  # within a minute of the last one
     at = history.snapshot(sample.stamp_ns, same_object=False, tare=True)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=at)
     assert_array_equal(found.value.values, tared.value.values)
@@ -110,11 +109,13 @@ def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
     dead = biotac_touch(np.zeros(50))
     one = FIRST[2]
     with pytest.raises(TactileError, match="touched: pdc_th: 0 is not between"):
-        history.add_touch(one.stamp_ns, one.cloud, one.grasp, dead)
+        history.touched(one.cloud, one.grasp, dead, stamp_ns=one.stamp_ns, same_object=True)
     with pytest.raises(CloudError, match="fewer than 8"):
-        history.add_touch(one.stamp_ns, Cloud(np.zeros((3, 3), np.float32)), one.grasp, one.touch)
+        history.touched(
+            Cloud(np.zeros((3, 3), np.float32)), one.grasp, one.touch, stamp_ns=one.stamp_ns, same_object=True
+        )
     with pytest.raises(TactileError, match="tare"):
-        history.add_tare(one.stamp_ns, dead)
+        history.tare(dead, stamp_ns=one.stamp_ns)
     for name, value in history.to_tensors().items():
         assert_array_equal(value, before[name], err_msg=name)
 
@@ -130,8 +131,8 @@ def test_a_restart_in_the_middle_changes_no_bit(model: TouchModel, tmp_path: Pat
     again = HistoryFile(tmp_path / "right.safetensors", "right").read(model)
     assert again.is_current(FIRST[3].cloud, 0.02)
     for one in FIRST[3:]:
-        again.add_tare(one.stamp_ns, tare)
-        again.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
+        again.tare(tare, stamp_ns=one.stamp_ns)
+        again.touched(one.cloud, one.grasp, one.touch, stamp_ns=one.stamp_ns, same_object=True)
     for name, value in whole.to_tensors().items():
         assert_array_equal(again.to_tensors()[name], value, err_msg=name)
 
@@ -145,16 +146,16 @@ def path(model: TouchModel, tmp_path: Path) -> Path:
 
 
 def test_a_file_of_another_hand_model_or_version_is_refused(model: TouchModel, path: Path) -> None:
-    assert read_history(path, model).touches == 6
+    assert History.load(path, model).touches == 6
     with pytest.raises(FileError, match=r"right.safetensors: hand: is of 'right', not of 'left'"):
-        read_history(path, model, "left")
+        History.load(path, model, "left")
     other = TouchModel(small_estimator(), {**CARD, "name": "other"}, make_tracked_calibration())
     with pytest.raises(FileError, match="model: is of 'small', not of 'other'"):
-        read_history(path, other)
+        History.load(path, other)
     retrained = TouchModel(small_estimator(), CARD, make_tracked_calibration())
-    read_history(path, retrained)  # of equal parameters
+    History.load(path, retrained)  # of equal parameters
     with pytest.raises(FileError, match="No such file"):
-        read_history(path.with_name("none"), model)
+        History.load(path.with_name("none"), model)
 
 
 def test_every_damage_and_impossible_values_though_sealed_are_refused(model: TouchModel, path: Path) -> None:
@@ -165,11 +166,11 @@ def test_every_damage_and_impossible_values_though_sealed_are_refused(model: Tou
         damaged[rng.integers(len(damaged))] ^= 1 << int(rng.integers(8))
         path.write_bytes(damaged)
         with pytest.raises(FileError, match=r"right\.safetensors"):
-            read_history(path, model, "right")
+            History.load(path, model, "right")
     for size in (0, 7, 100, len(content) - 1):
         path.write_bytes(content[:size])
         with pytest.raises(FileError):
-            read_history(path, model, "right")
+            History.load(path, model, "right")
     tensors = load(content)  # sealed again, with impossible values
     tensors.pop("sha256")
     for name, value in (("tracker/mean", np.inf), ("version", 7), ("signature", None), ("tracker/counts", -1)):
@@ -181,12 +182,12 @@ def test_every_damage_and_impossible_values_though_sealed_are_refused(model: Tou
         sha256 = np.frombuffer(hashlib.sha256(save(changed)).digest(), np.uint8)
         path.write_bytes(save({**changed, "sha256": sha256}))
         with pytest.raises(FileError, match=name.removeprefix("tracker/")):
-            read_history(path, model, "right")
+            History.load(path, model, "right")
 
 
 def test_one_process_at_a_time_uses_a_file(path: Path) -> None:
     file = HistoryFile(path, "right")
-    code = f"from pathlib import Path; from foretouch.models.history import HistoryFile as F; F(Path({str(path)!r}), 'right')"
+    code = f"from pathlib import Path; from foretouch.models.history_keeper import HistoryFile as F; F(Path({str(path)!r}), 'right')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "right.safetensors: is used by another process" in done.stderr
     file.close()
@@ -201,9 +202,9 @@ def test_a_keeper_sets_the_file_of_another_model_aside(tmp_path: Path) -> None:
         keeper.changed()
         keeper.close()
     (kept,) = tmp_path.glob("*.unused*")
-    assert read_history(tmp_path / "right.safetensors", model).tracker.evidence(0).readings == 1
+    assert History.load(tmp_path / "right.safetensors", model).tracker.evidence(0).readings == 1
     with pytest.raises(FileError, match="model: is of 'A', not of 'B'"):
-        read_history(kept, model)
+        History.load(kept, model)
 
 
 def test_readings_ahead_of_a_clock_that_was_set_back_count_as_taken_now(model: TouchModel) -> None:
@@ -214,7 +215,7 @@ def test_readings_ahead_of_a_clock_that_was_set_back_count_as_taken_now(model: T
     assert history.keep_to_clock(now - DAY)
     assert history.tracker.evidence(now - DAY + 5 * S).reading_age_s == 5.0
     assert history.touches == touches
-    history.add_tare(now - DAY + 61 * S, biotac_touch(REST))
+    history.tare(biotac_touch(REST), stamp_ns=now - DAY + 61 * S)
     assert history.tracker.evidence(now - DAY + 61 * S).reading_age_s == 0.0
 
 
@@ -238,4 +239,4 @@ def test_the_keeper_tells_any_error_and_writes_again_after_it(
     keeper.close()
     assert len(warned) == 1
     assert "odd" in warned[0]
-    assert read_history(tmp_path / "right.safetensors", model).tracker.evidence(0).readings == 1
+    assert History.load(tmp_path / "right.safetensors", model).tracker.evidence(0).readings == 1

@@ -11,8 +11,9 @@ from other_sensor import USKIN, changed_sensor
 
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.models import load_model
-from foretouch.models.history import History, HistoryFile, read_history
+from foretouch.models.history_keeper import HistoryFile
 from foretouch.models.state_space import TrackerParameters
+from foretouch.models.touch_model import History
 from foretouch.tactile import biotac_touch
 from foretouch.types import Touch
 from foretouch.types.channels import Channel, Channels
@@ -31,9 +32,9 @@ def test_a_tare_and_a_touch_of_another_sensor_are_refused_by_name(uskin, tmp_pat
     with pytest.raises(
         TactileError, match=r"tare: is of xela_uskin_4x4 .* the description of xela_uskin_4x4 has changed"
     ):
-        history.add_tare(1, same_size)
+        history.tare(same_size, stamp_ns=1)
     with pytest.raises(TactileError, match=r"touched: is of xela_uskin_4x4 .* has changed"):
-        history.add_touch(1, sample.cloud, sample.grasp, same_size)
+        history.touched(sample.cloud, sample.grasp, same_size, stamp_ns=1, same_object=True)
     assert history.tracker.evidence(0).readings == 0
 
 
@@ -41,10 +42,10 @@ def test_the_history_of_a_hand_goes_on_from_its_file_and_that_of_another_sensor_
     model, samples = load_model(uskin[1]), load_dataset(uskin[0]).samples
     history = History(model)
     for number, sample in enumerate(samples[:3]):
-        history.add_tare((2 * number + 1) * 10**9, sample.tare)
-        history.add_touch((2 * number + 2) * 10**9, sample.cloud, sample.grasp, sample.touch)
+        history.tare(sample.tare, stamp_ns=(2 * number + 1) * 10**9)
+        history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=(2 * number + 2) * 10**9, same_object=True)
     HistoryFile(tmp_path / "hand", "left").write(history)
-    again = read_history(tmp_path / "hand", model)
+    again = History.load(tmp_path / "hand", model)
     asked = [samples[4].grasp]
     (one,), (other,) = (
         model.predict(samples[4].cloud, asked, history=part.snapshot(9 * 10**9, same_object=True))
@@ -53,10 +54,10 @@ def test_the_history_of_a_hand_goes_on_from_its_file_and_that_of_another_sensor_
     np.testing.assert_array_equal(one.value.values, other.value.values)
     biotac = load_model("contact-v3")
     with pytest.raises(FileError, match=r"hand: sensor: is of xela_uskin_4x4 \(\w{8}\): not biotac_sp"):
-        read_history(tmp_path / "hand", biotac)
+        History.load(tmp_path / "hand", biotac)
     HistoryFile(tmp_path / "other", "left").write(History(biotac))
     with pytest.raises(FileError, match=r"other: sensor: is of biotac_sp \(\w{8}\): not xela_uskin_4x4"):
-        read_history(tmp_path / "other", model)
+        History.load(tmp_path / "other", model)
 
 
 def test_a_card_whose_description_has_changed_is_refused(uskin, tmp_path) -> None:

@@ -14,10 +14,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import CONDITIONS, FEATURES
-from foretouch.models.history import History
 from foretouch.models.similar_touches import MOST, SimilarTouches
 from foretouch.models.state_space import TrackerParameters
-from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
+from foretouch.models.touch_model import SIMILAR_TOUCHES, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC
 from foretouch.types import Cloud, Grasp, Prediction, Sample
@@ -50,7 +49,7 @@ def model() -> TouchModel:
 def read(model: TouchModel, samples: list[Sample]) -> History:
     history = History(model)
     for number, sample in enumerate(samples):
-        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
+        history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=number > 0)
     return history
 
 

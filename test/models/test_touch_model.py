@@ -13,11 +13,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import ModelError, TactileError
 from foretouch.grasp.reach import ReachConfig
-from foretouch.models.history import History
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork
 from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
-from foretouch.models.touch_model import Snapshot, TouchModel
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import biotac_touch
 from foretouch.types import Cloud, Grasp, Touch
 
@@ -37,13 +36,13 @@ def calibrated() -> TouchModel:
     return TouchModel(small_estimator(), CARD, make_calibration())
 
 
-def touched(model: TouchModel, count: int, tare: Touch | None = None) -> Snapshot:
+def touched(model: TouchModel, count: int, tare: Touch | None = None) -> History:
     """After so many touches of the first object."""
     history = History(model)
     for sample in SAMPLES[:count]:
         if tare is not None:
-            history.add_tare(sample.stamp_ns, tare)
-        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
+            history.tare(tare, stamp_ns=sample.stamp_ns)
+        history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
     return history.snapshot(SAMPLES[count].stamp_ns, same_object=True, tare=tare is not None)
 
 

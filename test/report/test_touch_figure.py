@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
-from foretouch.pipeline import Object
 from foretouch.report.touch_figure import DrawnGrasp, _agreement, save_contact_sheet, save_touch_picture
 from foretouch.tactile import biotac_touch
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import Cloud, Grasp, Plane, Prediction, Sample, Touch
+from foretouch.types.scene import Object
 
 BIOTAC_SP = packaged_sensor("biotac_sp")
 
@@ -25,7 +25,7 @@ BIOTAC_SP = packaged_sensor("biotac_sp")
 def sample() -> tuple[Object, Prediction, Touch]:
     """An object, a prediction and a tare."""
     state = run(scene(CAN))
-    target = Object("1", state.cloud, Plane.from_coefficients([0, 0, -1, 1.25]))
+    target = Object.of("1", state.cloud, Plane.from_coefficients([0, 0, -1, 1.25]))
     return target, Prediction.of(state.grasp, state.touch), state.tare
 
 

@@ -299,10 +299,10 @@ def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], l
     from contact_model_builders import can_with_grasps
     from sensor_msgs.msg import PointCloud2
 
-    from foretouch.pipeline import Object
     from foretouch.ros.messages.clouds import objects_to_msg
     from foretouch.ros.messages.conversions import grasp_to_msg
     from foretouch.types import ASSUMED_TABLE
+    from foretouch.types.scene import Object
     from foretouch_msgs.msg import GraspArray, TouchPredictionArray
 
     cloud, planned = can_with_grasps(1)
@@ -314,7 +314,7 @@ def predictor(graph: Graph) -> Callable[..., tuple[Any, Callable[[int], None], l
         graph.matched("object_cloud", "grasps", "touch")
 
         def send(stamp: int) -> None:
-            message = objects_to_msg([Object("1", cloud, ASSUMED_TABLE)], "cam", stamp)
+            message = objects_to_msg([Object.of("1", cloud, ASSUMED_TABLE)], "cam", stamp)
             clouds.publish(message)
             grasps.publish(GraspArray(header=message.header, grasps=[grasp_to_msg(one) for one in planned]))
 

@@ -4,7 +4,6 @@
 from pathlib import Path
 from typing import Any
 
-import mpmath
 import numpy as np
 import pytest
 from every_case import every_case
@@ -99,21 +98,6 @@ def test_distortion_is_undone(distortion: tuple[float, ...]) -> None:
         goal = np.array([u[row, column], v[row, column]])
         found = least_squares(lambda p, goal=goal: np.subtract(_distorted(*p, distortion), goal), goal, xtol=1e-15)
         np.testing.assert_allclose([x[row, column], y[row, column]], found.x, rtol=2e-7, atol=1e-7)
-
-
-def test_the_inverse_is_exact_to_float32() -> None:
-    camera = CameraModel(640, 576, 504.6, 504.7, 320.6, 331.1, KINECT_DEPTH)
-    x, y = camera.rays
-    with mpmath.workdps(40):
-        for row, column in ((0, 0), (575, 639), (331, 320), (100, 600)):
-            u, v = (column - mpmath.mpf(320.6)) / mpmath.mpf(504.6), (row - mpmath.mpf(331.1)) / mpmath.mpf(504.7)
-
-            def residual(p: Any, q: Any, u: Any = u, v: Any = v) -> list[Any]:
-                a, b = _distorted(p, q, [mpmath.mpf(one) for one in KINECT_DEPTH])
-                return [a - u, b - v]
-
-            exact = mpmath.findroot(residual, (u, v))
-            np.testing.assert_allclose([x[row, column], y[row, column]], [float(one) for one in exact], rtol=6e-8)
 
 
 def test_points_of_a_distorted_image_are_on_its_rays() -> None:

@@ -22,11 +22,12 @@ from foretouch.types import Float64, Grasp, Predictions, Sample, Touch
 
 if TYPE_CHECKING:
     from foretouch.models.calibration import Calibration
-    from foretouch.models.history import History
-    from foretouch.models.touch_model import Estimate, Snapshot, TouchModel
-    from foretouch.pipeline import Object, Pipeline
+    from foretouch.models.estimator import Estimate
+    from foretouch.models.touch_model import History, TouchModel
+    from foretouch.pipeline import Pipeline
     from foretouch.tactile.description import Sensor
     from foretouch.types.channels import Channels
+    from foretouch.types.scene import Object
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name
@@ -68,39 +69,39 @@ class Adaptation:
 
     def _history_of(
         self, touched: Sequence[Sample], tare: tuple[Touch, Float64] | None, sample: Sample | None
-    ) -> Snapshot:
+    ) -> History:
         """Return the readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
-        from foretouch.models.history import History
+        from foretouch.models.touch_model import History
 
         now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
         hand = self.hand.copy() if self.hand is not None else History(self.model)
         last = None
         for other in sorted(others(self.history, sample), key=lambda touched_sample: touched_sample.stamp_ns):
             if other.stamp_ns <= now_ns:
-                self._add(hand, other, other.stamp_ns, new_object=other.object != last)
+                self._add(hand, other, other.stamp_ns, same_object=other.object == last)
                 last = other.object
         for number, touched_sample in enumerate(sorted(touched, key=lambda touched_sample: touched_sample.stamp_ns)):
-            self._add(hand, touched_sample, touched_sample.stamp_ns or now_ns, new_object=number == 0)
+            self._add(hand, touched_sample, touched_sample.stamp_ns or now_ns, same_object=number > 0)
             now_ns = max(now_ns, touched_sample.stamp_ns)
         if tare is not None:
-            hand.add_tare(now_ns, tare[0], tdc=tare[1])
+            hand.tare(tare[0], stamp_ns=now_ns, tdc=tare[1])
         return hand.snapshot(now_ns, same_object=bool(touched), tare=tare is not None)
 
-    def _add(self, hand: History, sample: Sample, stamp_ns: int, *, new_object: bool) -> None:
+    def _add(self, hand: History, sample: Sample, stamp_ns: int, *, same_object: bool) -> None:
         """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""
         assert sample.touch is not None  # noqa: S101  only labelled samples are passed
         try:
             if sample.tare is not None:
-                hand.add_tare(stamp_ns, sample.tare, tdc=tdc_of(sample.extra, sample.tare.channels, "tare_"))
+                hand.tare(sample.tare, stamp_ns=stamp_ns, tdc=tdc_of(sample.extra, sample.tare.channels, "tare_"))
             if id(sample) not in self._estimates:
                 self._estimates[id(sample)] = self.model.estimate_executed(sample.cloud, [sample.grasp])
             estimate = self._estimates[id(sample)]
-            hand.add_touch(
-                stamp_ns,
+            hand.touched(
                 sample.cloud,
                 sample.grasp,
                 sample.touch,
-                new_object=new_object,
+                stamp_ns=stamp_ns,
+                same_object=same_object,
                 estimate=estimate,
                 tdc=tdc_of(sample.extra, sample.touch.channels),
             )
@@ -110,7 +111,7 @@ class Adaptation:
 
 def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
     """Read the files of --tare, --touched and --history; a `ForetouchError` names what cannot be combined or used."""
-    from foretouch.models.history import read_history
+    from foretouch.models.touch_model import History
 
     own = _OWN in arguments.tare
     if own and len(arguments.tare) > 1:
@@ -128,7 +129,7 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
     for sample in history:
         if not sample.stamp_ns:
             raise DatasetError(f"--history: {sample.id}: has no stamp, so its place in time is not known")
-    return Adaptation(model, tare, touched, own, history, read_history(Path(files[0]), model) if files else None)
+    return Adaptation(model, tare, touched, own, history, History.load(files[0], model) if files else None)
 
 
 def _read_tare(paths: Sequence[str], sensor: Sensor, calibration: Calibration | None = None) -> tuple[Touch, Float64]:

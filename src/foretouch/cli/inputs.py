@@ -17,8 +17,9 @@ from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import CloudError, ConfigError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_writable
-from foretouch.pipeline import Object, Pipeline, PipelineConfig, Scene
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Cloud, Grasps, Plane, Predictions, assumed_table
+from foretouch.types.scene import Object, Scene
 
 Record = dict[str, Any]
 
@@ -286,7 +287,7 @@ def draw_result(
 def only_object(cloud: Cloud, arguments: argparse.Namespace) -> Object:
     """Return a cloud as one object, on --plane or on an assumed table."""
     table = assumed_table(cloud) if arguments.plane is None else Plane.from_coefficients(arguments.plane)
-    return Object("1", cloud, table)
+    return Object.of("1", cloud, table)
 
 
 def heading(record: Record, by: str = "") -> str:

@@ -17,10 +17,9 @@ from foretouch.cli.screen import make_table
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
-from foretouch.types import Touch
+from foretouch.types import Sample, Touch
 
 if TYPE_CHECKING:
-    from foretouch.dataset.pairing.cut import TouchCut
     from foretouch.ros.nodes.monitor import View
     from foretouch_msgs.msg import TouchPrediction
 
@@ -127,19 +126,20 @@ def _modalities(prediction: TouchPrediction, sensor: Sensor, modalities: Sequenc
     return [modality_text(value[part], lower[part], upper[part], text) for part, text in columns]
 
 
-def executed_table(prediction: TouchPrediction | None, readings: TouchCut, sensor: Sensor | None = None) -> Table:
+def executed_table(prediction: TouchPrediction | None, sample: Sample, sensor: Sensor | None = None) -> Table:
     """List the values of an executed grasp: as predicted, if they were, with how many were read inside of their intervals, as read, and at rest before; all without a sensor."""
-    channels = readings.touch.channels.channel_of
+    read = {name: touch for name, touch in (("read", sample.touch), ("tare", sample.tare)) if touch is not None}
+    channels = read["read"].channels.channel_of
     modalities = TaxelView(sensor).modalities if sensor else list(channels)
     rows: list[list[str | Text]] = []
     if prediction is not None and not prediction.status:
         rows.append(["predicted", *_modalities(prediction, sensor or BIOTAC_SP, modalities)])
     rows += [
         [name, *(modality_text(touch[key], None, None, channels[key].text) for key in modalities)]
-        for name, touch in (("read", readings.touch), ("tare", readings.tare))
+        for name, touch in read.items()
     ]
     if prediction is not None and not prediction.status:
-        rows.insert(2, ["inside", *_inside(prediction, readings.touch, sensor or BIOTAC_SP, modalities)])
+        rows.insert(2, ["inside", *_inside(prediction, read["read"], sensor or BIOTAC_SP, modalities)])
     return _table("last grasp", *modalities, rows=rows)
 
 

@@ -25,10 +25,11 @@ from foretouch.laboratory import needs_laboratory
 from foretouch.models.equal_pressure import flag_equal_pressures
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import SIMILAR_TOUCHES, TouchModel
-from foretouch.pipeline import Object, Pipeline
+from foretouch.pipeline import Pipeline
 from foretouch.tactile import BIOTAC
 from foretouch.types import Grasp, Prediction, Reference, Touch
 from foretouch.types.channels import Channels
+from foretouch.types.scene import Object
 
 
 def add_arguments(parser: CommandParser) -> None:

@@ -26,9 +26,9 @@ from foretouch.ros.graph import Graph, input_of
 from foretouch.ros.runtime.parameter_files import nodes_of_file
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor, sensor_in
+from foretouch.types import Sample
 
 if TYPE_CHECKING:
-    from foretouch.dataset.pairing.cut import TouchCut
     from foretouch.dataset.source import Source
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.nodes.bridge import BridgeNode
@@ -389,23 +389,23 @@ def _drawn(drawable: Drawable, sensor: Sensor) -> DrawnGrasp:
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
-    scene, target, message, readings = drawable
+    scene, target, message, sample = drawable
     prediction = prediction_from_msg(message, sensor)
     title = f"object {target.id}"
     if prediction.ok:
-        first = ["before the first touch"] if readings is not None and not message.touches else []
+        first = ["before the first touch"] if sample is not None and not message.touches else []
         based = [*first, f"based on {reference_text(message)}", *prediction.flags]
-        nothing = "; touched nothing: the readings are those at rest" if at_rest(readings) else ""
+        nothing = "; touched nothing: the readings are those at rest" if at_rest(sample) else ""
         title += f": {', '.join(based)}; model: {message.model}{nothing}"
-    read = {} if readings is None else {"rest": readings.tare, "read": readings.touch}
+    read = {} if sample is None else {"rest": sample.tare, "read": sample.touch}
     return DrawnGrasp(target=target, prediction=prediction, scene=scene, title=title, **read)
 
 
-def at_rest(readings: TouchCut | None) -> bool:
+def at_rest(sample: Sample | None) -> bool:
     """Return whether a grasp was executed, and no finger in contact."""
-    return readings is not None and all(
-        f"no_contact_{finger}" in readings.flags for finger in readings.touch.channels.fingers
-    )
+    if sample is None or sample.touch is None:
+        return False
+    return all(f"no_contact_{finger}" in sample.flags for finger in sample.touch.channels.fingers)
 
 
 def _printed(sensor: Sensor, item: TouchPredictionArray | dict[str, Any]) -> Mapping[str, Any]:

@@ -4,7 +4,7 @@
 import argparse
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from foretouch.errors import ConfigError, LimitError
 from foretouch.files import require_writable
 from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
+
+_HINT: Final = "; a file of one object goes to `foretouch grasp`"
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -37,38 +39,38 @@ def run(arguments: argparse.Namespace) -> int:
             raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
         require_writable(arguments.labels_out, ".npy")
     check_single(arguments)
-    pipeline = Pipeline(pipeline_config(arguments, {"target.mode": "all"}))
+    config = pipeline_config(arguments, {"target.mode": "all"})
+    pipeline = Pipeline(config.updated({"target.mode": "all", "target.max_objects": 10_000}))  # no target is selected
     process = partial(_segment, arguments=arguments, pipeline=pipeline)
     return process_inputs(arguments, process, partial(_show, everything=arguments.all))
 
 
 def _segment(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> Iterator[dict[str, Any]]:
     scene = scene_of(item, arguments, pipeline)
-    segmentation = scene.segmentation
     if arguments.labels_out:
-        np.save(arguments.labels_out, segmentation.labels, allow_pickle=False)
+        np.save(arguments.labels_out, scene.labels, allow_pickle=False)
     draw_result(arguments, scene)
     yield {
-        "status": segmentation.status,
-        "reason": segmentation.reason
-        + (
-            "; a file of one object goes to `foretouch grasp`"
-            if _is_one_object(item.cloud, segmentation.status)
-            else ""
-        ),
-        "plane": None if segmentation.plane is None else segmentation.plane.coefficients,
+        "status": scene.status,
+        "reason": scene.reason + (_HINT if _is_one_object(item.cloud, scene.status) else ""),
+        "plane": None if scene.table is None else scene.table.coefficients,
         "objects": [
-            {"id": object_.id, "n_points": object_.n_points, "centroid": object_.centroid, "bounds": object_.bounds}
-            for object_ in segmentation.objects
+            {
+                "id": int(object_.id),
+                "n_points": object_.n_points,
+                "centroid": object_.centroid,
+                "bounds": object_.bounds,
+            }
+            for object_ in scene.objects
         ],
         "background": [
             {"reason": part.background, "n_points": part.n_points, "centroid": part.centroid, "bounds": part.bounds}
-            for part in segmentation.background
+            for part in scene.background
         ],
-        "outline": segmentation.outline,
-        "counts": segmentation.counts,
-        "ms": segmentation.ms,
-        "failed": segmentation.status != "ok",
+        "outline": scene.outline,
+        "counts": scene.counts,
+        "ms": scene.ms,
+        "failed": scene.status != "ok",
     }
 
 

@@ -20,11 +20,12 @@ from foretouch.dataset.samples import SampleSet, has_points, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
 from foretouch.files import require_existing, require_writable
-from foretouch.pipeline import Object, Pipeline
+from foretouch.pipeline import Pipeline
 from foretouch.report.rerun_view import ViewStep, write_view
 from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 from foretouch.tactile.description import require_same
 from foretouch.types import DISCARDED, Grasp, Sample, Touch
+from foretouch.types.scene import Object
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -131,10 +132,8 @@ def _of_cloud(view: _View, item: SourceItem, *, stamped: bool) -> ViewStep:
     else:
         scene = view.pipeline.segment(cloud)
         objects = {shown_object.id: shown_object.cloud for shown_object in scene.targets[:1]}
-        objects |= {
-            str(object_.id): object_.cloud for object_ in scene.segmentation.objects if str(object_.id) not in objects
-        }
-        shown |= {"table": scene.segmentation.plane, "outline": scene.segmentation.outline, "objects": objects}
+        objects |= {object_.id: object_.cloud for object_ in scene.objects if object_.id not in objects}
+        shown |= {"table": scene.table, "outline": scene.outline, "objects": objects}
         if not scene.targets:
             return ViewStep(**shown, reason=f"{scene.status}: {scene.reason}")
         target = scene.targets[0]

@@ -5,15 +5,13 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.cloud.io.pointcloud2 import decode, encode
 from foretouch.cloud.segmentation.clusters import CropConfig
-from foretouch.cloud.segmentation.objects import Segment, TargetConfig, select_targets
+from foretouch.cloud.segmentation.objects import TargetConfig, select_targets
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 
 __all__ = [
     "CropConfig",
     "PlaneConfig",
-    "Segment",
-    "Segmentation",
     "SegmentationConfig",
     "TargetConfig",
     "UnitSphereFrame",

@@ -12,14 +12,15 @@ int32 seconds, uint32 nanoseconds, uint32 length of the frame with its final zer
 
 import struct
 from types import SimpleNamespace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from foretouch.cloud.geometry.frames import has_depth
 from foretouch.cloud.io.pointcloud2 import DATATYPES, decode, encode
 from foretouch.errors import CloudError, DatasetError
-from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Int64, stamp_ns
+from foretouch.types import SECOND_NS, AnyArray, Cloud, Index, Plane, stamp_ns
+from foretouch.types.scene import Object
 
 _START: Final = 4  # of the fields in CDR
 _STAMP_END_NS: Final = 2**31 * SECOND_NS  # builtin_interfaces/Time counts seconds in an int32
@@ -67,15 +68,6 @@ def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
     return SimpleNamespace(header=header, **vars(encode(cloud)))
 
 
-class ObjectCloud(NamedTuple):
-    """One object of an `object_cloud`."""
-
-    id: str  # its label as text; "" in a cloud without labels
-    cloud: Cloud  # (N, 3), the points of this object
-    pixels: Int64 | None = None  # (N,) int64, flat index of each point in the image that it was cut from, if any
-    image_shape: tuple[int, int] | None = None  # (H, W) of that image
-
-
 def decode_cloud(message: Any) -> Cloud:
     """Decode a `sensor_msgs/PointCloud2`; the arrays are read-only views of the message where its layout allows.
 
@@ -85,10 +77,15 @@ def decode_cloud(message: Any) -> Cloud:
     return Cloud(xyz, rgb, message.header.frame_id, stamp_ns(message.header.stamp))
 
 
-def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
-    """Return the objects of an `object_cloud` in their order; a cloud without labels is one object, without points that have no depth.
+def decode_objects(message: Any, table: Plane) -> tuple[Object, ...]:
+    """Decode the objects of an `object_cloud` in their order. A cloud without labels is one object with the id "".
 
-    Raises a `CloudError` as `decode_cloud`, and if a label, row or column is of another type.
+    Args:
+        message: The cloud. Of one without labels, points without depth are left out.
+        table: Of all objects, in the frame of the cloud.
+
+    Raises:
+        CloudError: If its sizes do not add up, x, y or z is missing, or a label, row or column is of another type.
     """
     cloud = decode_cloud(message)
     if cloud.size == 0:
@@ -96,13 +93,15 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
     labels, rows, columns = (_integer_field(message, name) for name in ("label", "row", "column"))
     if labels is None:
         finite = np.flatnonzero(has_depth(cloud.xyz))
-        return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
-    shape = pixels = None
+        return (Object.of("", cloud.take(finite), table),) if finite.size else ()
+    shape, pixels = None, np.empty(0, np.int64)
     if rows is not None and columns is not None:
         shape = (int(rows.max()) + 1, int(columns.max()) + 1)
         pixels = rows.astype(np.int64) * shape[1] + columns
     return tuple(
-        ObjectCloud(str(label), cloud.take(members), None if pixels is None else pixels[members], shape)
+        Object.of(
+            str(label), cloud.take(members), table, pixels=pixels[members] if shape else pixels, image_shape=shape
+        )
         for label, members in _by_label(labels)
     )
 

@@ -24,7 +24,7 @@ from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples
 from foretouch.dataset.identity import Identity
-from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.cut import PairingConfig
 from foretouch.dataset.pairing.matcher import RejectedGrasp
@@ -175,18 +175,18 @@ def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNa
     points = np.concatenate([seen.cloud.xyz for seen in objects] or [np.empty((0, 3), np.float32)])
     pixels = np.concatenate([seen.pixels for seen in objects] or [np.empty(0, np.int64)])
     rows, columns = np.divmod(pixels, cloud.xyz.shape[1])
-    labels = np.repeat([seen.id for seen in objects] or [0], [seen.n_points for seen in objects] or [0])
+    labels = np.repeat([int(seen.id) for seen in objects] or [0], [seen.n_points for seen in objects] or [0])
     places = {name: numbers.astype(np.uint16) for name, numbers in (("row", rows), ("column", columns))}
     header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
     return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
 
 
-def _samples(assembled: list[AssembledSample | RejectedGrasp], result: WriteResult) -> Iterator[Sample]:
+def _samples(assembled: list[Sample | RejectedGrasp], result: WriteResult) -> Iterator[Sample]:
     for made in assembled:
         if isinstance(made, RejectedGrasp):
             result.left_out[made.reason] += 1
         else:
-            yield made.sample
+            yield made
 
 
 def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:

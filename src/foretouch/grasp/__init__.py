@@ -2,11 +2,11 @@
 """Grasps: contacts for two fingers on the cloud of an unknown object, and the pose of the hand."""
 
 from foretouch.grasp.axis import object_axis
-from foretouch.grasp.completed import Obstacles
 from foretouch.grasp.config import DEFAULT_HAND, GeoGraspConfig, HandConfig, SceneGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanOptions, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
 from foretouch.grasp.pose import closing_faults, hand_rotation, quaternion_xyzw
+from foretouch.types.scene import Obstacles
 
 __all__ = [
     "DEFAULT_HAND",

@@ -16,10 +16,9 @@ front of the object's middle and above it, and two fingers that close there slid
 Every measure is a quantile or a mean, so that it changes little when the cloud changes little.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,7 +30,8 @@ from foretouch.grasp.frame import PREFERRED, WeightedPoints, smoothstep
 from foretouch.grasp.hand import TILTS, UNLIMITED_M
 from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel, struct
-from foretouch.types import Bool, Float32, Float64, Grasp, Int32, Int64, Plane, WayIn
+from foretouch.types import Bool, Float32, Float64, Grasp, Int64, Plane, WayIn
+from foretouch.types.scene import Obstacles
 
 _closing_lines = Kernel("closing_lines")
 _outline = Kernel("outline")
@@ -62,7 +62,6 @@ _BIAS = 10.0  # [1/m] of one side of the centre over the other, which decides wh
 _MOST_COST = 5.0  # of a line that the hand cannot execute, for its neighbours
 _BINOMIAL = np.array([0.0625, 0.25, 0.375, 0.25, 0.0625])
 _SOFT = 0.15  # of the cost, in which the weight of a line falls by a factor of e
-_OBSTACLE_POINTS = 400  # at most, of each object
 _CELL_M = 0.006  # of which the means are the points of the object that the hand must not meet
 _LEAST_M, _MORE_M = -0.002, 0.004  # of clearance, below which a hand does not come, and above which more is of no use
 _SCARCE_DEG = 100.0  # of tilting that the least clearance is worth; half of it is worth a quarter
@@ -83,28 +82,6 @@ _MEAN_OF_LINES = np.stack([np.pad(_BINOMIAL, (k, _LINES - 1 - k)) for k in range
 _MEAN_OF_LINES = np.concatenate(
     [_MEAN_OF_LINES[:3].sum(axis=0)[None], _MEAN_OF_LINES[3:-3], _MEAN_OF_LINES[-3:].sum(axis=0)[None]]
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Obstacles:
-    """Points of all objects of a scene, sampled, which stand in the way of fingers."""
-
-    xyz: Float32  # (M, 3) float32 [m], camera frame
-    object_ids: Int32  # (M,) int32, the object of each
-
-    @classmethod
-    def of(cls, objects: Sequence[tuple[int, Float32]]) -> Self | None:
-        """Return the obstacles of a scene with the ids and the (N, 3) float32 points [m] of its objects; None for a single one."""
-        if len(objects) < 2:
-            return None
-        sampled = [(k, xyz[:: -(-len(xyz) // _OBSTACLE_POINTS)]) for k, xyz in objects]
-        ids = [np.full(len(xyz), k, np.int32) for k, xyz in sampled]
-        return cls(np.concatenate([xyz for _, xyz in sampled]), np.concatenate(ids))
-
-    def without(self, object_id: str) -> "Obstacles":
-        """Return the obstacles for grasps on one object: all others."""
-        others = self.object_ids != (int(object_id) if object_id.isdecimal() else -1)
-        return Obstacles(self.xyz[others], self.object_ids[others])
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,6 @@ from foretouch.grasp.completed import (
     COMPLETED_POINTS,
     SCORE_OF_NONE,
     CompletedObject,
-    Obstacles,
     as_in_image,
     best_grasps,
     blocking_objects,
@@ -39,6 +38,7 @@ from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import ContactSide, GraspPlane, contact_sides, find_grasp_plane, initial_score, rank_pairs
 from foretouch.types import NO_GRASPS, Cloud, Float32, Float64, Grasp, Grasps, Integer, Plane
+from foretouch.types.scene import Obstacles
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp", "unknown_frame"]
 

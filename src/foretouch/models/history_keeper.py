@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps the readings of a named hand in its file: read at the start, written aside by a thread. No node."""
 
+import fcntl
 import os
 import re
 import threading
@@ -9,8 +10,68 @@ from collections.abc import Callable
 from pathlib import Path
 
 from foretouch.errors import ConfigError, FileError, described
-from foretouch.models.history import History, HistoryFile
-from foretouch.models.touch_model import TouchModel
+from foretouch.files import free_name, open_own, system_errors
+from foretouch.models.touch_model import History, TouchModel
+
+
+class HistoryFile:
+    """The file of one hand, which one process at a time may write.
+
+    Args:
+        path: The file; its folder is made.
+        hand: Name of the hand, which the file must be of.
+
+    Raises:
+        FileError: If the folder cannot be written, or another process uses the file.
+    """
+
+    def __init__(self, path: Path, hand: str) -> None:
+        self.path = path
+        self._hand = hand
+        lock = path.with_name(path.name + ".lock")
+        with system_errors(path, "cannot be written"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        self._lock = open_own(lock, os.O_RDWR)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as err:
+            os.close(self._lock)
+            raise FileError(path, "is used by another process") from err
+
+    def close(self) -> None:
+        """Let other processes use the file."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def read(self, model: TouchModel) -> History | None:
+        """Return what was read before; None without a file.
+
+        Raises:
+            FileError: If the file is damaged, or of another version, sensor, hand or model.
+        """
+        if self.path.is_symlink() or self.path.exists():
+            return History.load(self.path, model, self._hand)
+        return None
+
+    def write(self, history: History) -> None:
+        """Replace the file.
+
+        Raises:
+            FileError: If it cannot be written; the one before is kept.
+        """
+        history.save(self.path, self._hand)
+
+    def set_aside(self) -> Path:
+        """Rename a file that cannot be used to a name that no file has, and return its new path.
+
+        Raises:
+            FileError: If it cannot be renamed.
+        """
+        kept = free_name(self.path, "unused")
+        with system_errors(self.path, "cannot be renamed"):
+            self.path.rename(kept)
+        return kept
 
 
 class HistoryKeeper:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction of touch: one cloud and K grasps in, K predictions out, with an interval, a reference and flags.
+"""Prediction of touch, and the history of the readings that it is adapted to.
+
+One cloud and K grasps come in, K predictions go out, each with an interval, a reference and flags.
 
 cloud, K grasps ─ estimator ─► counts ─ tracker of earlier readings ─► value ± half width, flags
 
@@ -7,10 +9,11 @@ Earlier readings are a tare, touches of the same object, or the history of a han
 through the tracker of the sensors' state (`models.tracker`), with the parameters of the model's calibration.
 """
 
+import copy
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -21,104 +24,26 @@ from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
 from foretouch.models.calibration import Calibration, tare_offset
 from foretouch.models.card import card_sensor
+from foretouch.models.estimator import Estimate, Estimator
+from foretouch.models.files import under
+from foretouch.models.history_file import pack_history, to_bytes, to_text, unpack_history
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import Ranges, touch_faults
+from foretouch.tactile import touch_faults
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.description import require_same
-from foretouch.types import Bool, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
+from foretouch.types import AnyArray, Cloud, Evidence, Float64, Grasp, Grasps, Plane, Predictions, Reference, Touch
 from foretouch.types.arrays import objects
 from foretouch.types.grasps import contact_faults
+from foretouch.types.scene import Object
 
 SIMILAR_TOUCHES: Final = "similar_touches"
 """Flag of predictions in which took part where on the object its earlier touches were."""
 
+_TRACKER: Final = "tracker/"
+_TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
 
-UNFAMILIAR: Final[Mapping[str, str]] = {
-    "larger_object": "the object is larger than any of the training",
-    "smaller_object": "the object is smaller than any of the training",
-    "other_shape": "no object of the training has these proportions",
-    "wider_grasp": "the contacts are farther apart than in the training",
-    "narrower_grasp": "the contacts are nearer to each other than in the training",
-    "other_direction": "the hand comes from a direction that the training lacks",
-    "sparse_points": "the points are too few for this object",
-}
-"""Flags beside `unfamiliar`, and what they mean. Touch the object, or train on 20 grasps of such ones."""
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
-
-    counts: Float64  # (K, D) float64 [counts]
-    in_distribution: Bool  # (K,) bool: whether cloud and grasp resemble the training
-    where: Float64 | None = None  # (K, P) features of the grasps, by which touches of one object are compared
-    reasons: Mapping[str, Bool] = field(
-        default_factory=dict
-    )  # (K,) bool each, why grasps are not in distribution, by flag
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """Readings of one hand up to a time, for predictions at that time."""
-
-    tracker: SensorTracker  # of the model's calibration
-    stamp_ns: int  # time of the predictions [ns]
-    same_object: bool = True  # whether they are for the object that was touched last
-    tare: bool = False  # whether a tare was taken shortly before
-    tdc: Float64 | None = None  # (F,) TDC of the fingers at that time [counts]; None: the latest one
-
-    def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
-        """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
-        counts, half = np.empty((2, *estimate.counts.shape))
-        for known in (False, True):
-            rows = estimate.in_distribution == known
-            if rows.any():
-                level = self.tracker.level(self.stamp_ns, same_object=self._touched, known=known, tdc=self.tdc)
-                where = None if estimate.where is None else estimate.where[rows]
-                counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows], where)
-        return counts, half
-
-    @property
-    def evidence(self) -> Evidence:
-        """Numbers and ages of the readings."""
-        return self.tracker.evidence(self.stamp_ns, same_object=self._touched)
-
-    @property
-    def reference(self) -> Reference:
-        """The strongest of the readings."""
-        read: Reference = "tare" if self.tare else "history" if self.evidence.readings else "none"
-        return "touches" if self._touched else read
-
-    @property
-    def _touched(self) -> bool:
-        return self.same_object and self.tracker.touches > 0
-
-
-class Estimator(Protocol):
-    """Predicts touch from the cloud and the grasp alone; what the kinds of touch models implement."""
-
-    @property
-    def ranges(self) -> Ranges:
-        """Ranges outside which a predicted value is flagged."""
-        ...
-
-    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp], table: Plane | None = None) -> Estimate:
-        """Predict K grasps; the cloud's features are computed once. Without a table the camera looks straight down on it.
-
-        Raises:
-            CloudError: If the cloud holds too few points or all at one position.
-            ModelError: If it lacks a channel that the model needs.
-        """
-        ...
-
-
-class HasCloud(Protocol):
-    """What stands for a cloud, such as an object of a scene."""
-
-    @property
-    def cloud(self) -> Cloud:
-        """Its points."""
-        ...
+SAME_OBJECT_M: Final = 0.02
+"""How far an object may have moved, or changed in apparent size, since it was touched."""
 
 
 class TouchModel:
@@ -188,11 +113,11 @@ class TouchModel:
 
     def predict(
         self,
-        cloud: Cloud | HasCloud,
+        cloud: Cloud | Object,
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        history: Snapshot | None = None,
+        history: "History | None" = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
         table: Plane | None = None,
@@ -229,7 +154,7 @@ class TouchModel:
             if history.tracker.parameters is not self._calibrated().tracker_parameters:
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         if not isinstance(cloud, Cloud):
-            table, cloud = table or getattr(cloud, "plane", None), cloud.cloud
+            table, cloud = table or cloud.plane, cloud.cloud
         check_object(cloud.xyz, limits)
         columns = Grasps.of(grasps)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
@@ -240,18 +165,18 @@ class TouchModel:
         return Predictions.refused(columns, self.sensor.channels, "bad_grasp", faults).put(usable, predictions)
 
     def _predict(
-        self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: Snapshot | None, table: Plane | None
+        self, cloud: Cloud, grasps: Grasps, tare: Touch | None, history: "History | None", table: Plane | None
     ) -> Predictions:
         """Return predictions for executable grasps."""
         estimate = self.estimator.estimate(cloud, grasps, table)
         if tare is not None:
-            tracker = self.new_tracker()
-            tracker.add_tare(0, self.tare_offset(tare))
-            history = Snapshot(tracker, 0, same_object=False, tare=True)
+            history = History(self)
+            history.tare(tare, stamp_ns=0)
+            history = history.snapshot(0, same_object=False, tare=True)
         known = estimate.in_distribution
         if history is not None and history.evidence.readings:
             read = (*history.adapt(estimate), history.reference, history.evidence)
-            similar = history.same_object and history.tracker.similar.enough and estimate.where is not None
+            similar = history.compares_places and estimate.where is not None
             predictions = self._predictions(grasps, estimate, *read)
             return predictions.flagged(SIMILAR_TOUCHES) if similar else predictions
         half = None
@@ -355,6 +280,305 @@ class TouchModel:
         reason = "the model gives a value that is not finite"
         refused = Predictions.refused(grasps.take(~finite), self.sensor.channels, "refused", reason)
         return predictions.put(~finite, refused)
+
+
+def place_and_size(cloud: Cloud) -> Float64:
+    """Return (6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
+    points = cloud.xyz.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+    return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
+
+
+class History:
+    """What the fingertips of one hand have read so far, of whatever object. Use it in one thread at a time.
+
+    Readings are compared with the predictions of one model, and the differences are fed to a `SensorTracker`. Another
+    object forgets the last one's part and keeps the state of the sensors.
+
+    Args:
+        model: A model with a calibration.
+
+    Raises:
+        ModelError: If the model has no calibration.
+
+    Attributes:
+        tracker: What the readings say about the sensors and the current object.
+        signature: Frame and `place_and_size` of the current object at its last touch; None before its first.
+        restarts: How often each finger was restarted, since its readings showed a jump or another sensor.
+        stamp_ns: Time of the predictions that are made from it [ns]; now if None.
+        same_object: Whether they are for the object that was touched last.
+        tared: Whether a tare was taken after the last touch.
+        tdc: (F,) TDC of the fingers at that time [counts]; the latest one if None.
+    """
+
+    def __init__(self, model: TouchModel) -> None:
+        self.model = model
+        self.tracker = model.new_tracker()
+        self.signature: tuple[str, Float64] | None = None
+        self.restarts: dict[str, int] = {}
+        self._tare_ns = -1
+        self._forgotten = 0
+        self.tared = False
+        self.stamp_ns: int | None = None
+        self.same_object = True
+        self.tdc: Float64 | None = None
+
+    @property
+    def touches(self) -> int:
+        """Touches of the current object."""
+        return self.tracker.touches
+
+    def tare(self, reading: Touch, *, stamp_ns: int | None = None, tdc: Float64 | None = None) -> tuple[str, ...]:
+        """Add a reading without contact. One within a minute of the last is left out, since their errors are the same.
+
+        Args:
+            reading: Both fingers at rest, in the unit of the sensor.
+            stamp_ns: When it was taken [ns]; now if None.
+            tdc: (F,) temperature of the fingers [counts], where it is known.
+
+        Returns:
+            The fingers that were restarted, since their readings jumped.
+
+        Raises:
+            TactileError: If the reading is of another sensor or not of working ones, or older than the last one.
+        """
+        stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+        if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
+            self.tared = True
+            return ()
+        restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(reading), tdc=tdc)
+        self._tare_ns, self.tared = stamp_ns, True
+        return self._counted(restarted)
+
+    def touched(
+        self,
+        target: Cloud | Object,
+        grasp: Grasp,
+        reading: Touch,
+        *,
+        stamp_ns: int | None = None,
+        same_object: bool | None = None,
+        estimate: Estimate | None = None,
+        tdc: Float64 | None = None,
+    ) -> tuple[str, ...]:
+        """Add the reading of an executed grasp.
+
+        Args:
+            target: The object as it was seen before, or its cloud.
+            grasp: As executed, in the frame of its cloud.
+            reading: Both fingers in contact, in the unit of the sensor.
+            stamp_ns: When it was taken [ns]; now if None.
+            same_object: Whether the object was touched last, too; by default by place and size.
+            estimate: The model's estimate of this grasp by `TouchModel.estimate_executed`; by default it is made here.
+            tdc: (F,) temperature of the fingers [counts], where it is known.
+
+        Returns:
+            The fingers that were restarted, since their readings jumped.
+
+        Raises:
+            TactileError: If the reading is of another sensor or not of working ones, or older than the last one.
+            CloudError: If the cloud cannot be used.
+            GraspError: If no hand can execute the grasp.
+        """
+        cloud, table = (target, None) if isinstance(target, Cloud) else (target.cloud, target.plane)
+        same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
+        values = self.model.usable_values(reading, "touched")
+        if estimate is None:
+            estimate = self.model.estimate_executed(cloud, [grasp], table=table)
+        if not (same and self.touches):
+            self.tracker.start_object(known=bool(estimate.in_distribution[0]))
+        where = None if estimate.where is None else estimate.where[0]
+        stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+        restarted = self.tracker.add_touch(stamp_ns, values, estimate.counts[0], tdc=tdc, where=where)
+        self.signature = cloud.frame_id, place_and_size(cloud)
+        self.tared = False
+        return self._counted(restarted)
+
+    def predict(
+        self,
+        target: Cloud | Object,
+        grasps: Sequence[Grasp],
+        *,
+        stamp_ns: int | None = None,
+        same_object: bool | None = None,
+    ) -> Predictions:
+        """Predict the readings at each grasp, adapted to all readings so far.
+
+        Args:
+            target: The object, or its cloud.
+            grasps: K grasps in the frame of its cloud.
+            stamp_ns: Time of the predictions [ns]; now if None.
+            same_object: Whether it is the object that was touched last; by default by place and size.
+
+        Returns:
+            A row for each grasp, as of `TouchModel.predict`. `reference` names the strongest reading that it was adapted to.
+
+        Raises:
+            CloudError: If the cloud cannot be used.
+        """
+        cloud = target if isinstance(target, Cloud) else target.cloud
+        same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
+        return self.model.predict(target, grasps, history=self.snapshot(stamp_ns, same_object=same, tare=self.tared))
+
+    def snapshot(
+        self, stamp_ns: int | None, *, same_object: bool, tare: bool = False, tdc: Float64 | None = None
+    ) -> Self:
+        """Return a history of the same readings, for predictions at a time. Later readings do not change it.
+
+        Args:
+            stamp_ns: Time of the predictions [ns]; now if None.
+            same_object: Whether they are for the current object, else for one that was not touched.
+            tare: Whether a tare was taken shortly before.
+            tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
+        """
+        history = self.copy()
+        history.stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+        history.same_object, history.tared, history.tdc = same_object, tare, tdc
+        return history
+
+    def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
+        """Return (K, D) predictions adapted to the readings, and the half widths of their intervals [counts]."""
+        counts, half = np.empty((2, *estimate.counts.shape))
+        for known in (False, True):
+            rows = estimate.in_distribution == known
+            if rows.any():
+                level = self.tracker.level(self._time_ns, same_object=self._touched, known=known, tdc=self.tdc)
+                where = None if estimate.where is None else estimate.where[rows]
+                counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows], where)
+        return counts, half
+
+    @property
+    def evidence(self) -> Evidence:
+        """Numbers and ages of the readings."""
+        return self.tracker.evidence(self._time_ns, same_object=self._touched)
+
+    @property
+    def reference(self) -> Reference:
+        """The strongest of the readings."""
+        if self._touched:
+            return "touches"
+        if self.tared:
+            return "tare"
+        return "history" if self.evidence.readings else "none"
+
+    @property
+    def compares_places(self) -> bool:
+        """Whether places on the object are compared with its earlier touches."""
+        return self.same_object and self.tracker.similar.enough
+
+    @property
+    def _touched(self) -> bool:
+        return self.same_object and self.touches > 0
+
+    @property
+    def _time_ns(self) -> int:
+        return time.time_ns() if self.stamp_ns is None else self.stamp_ns
+
+    def save(self, path: str | Path, hand: str = "") -> None:
+        """Write everything read so far to a file.
+
+        Args:
+            path: The file, which is replaced.
+            hand: Name of the hand.
+
+        Raises:
+            FileError: If it cannot be written; the one before is kept.
+        """
+        content = pack_history(self.to_tensors(), hand, self.model.name, self.model.sensor.channels)
+        replace_files({Path(path): content})
+
+    @classmethod
+    def load(cls, path: str | Path, model: TouchModel, hand: str | None = None) -> Self:
+        """Read what `save` wrote, or the file of a hand of the graph.
+
+        Args:
+            path: The file.
+            model: The model of the history.
+            hand: Name of the hand; None accepts any.
+
+        Raises:
+            FileError: If the file is absent or damaged, or of another version, sensor, hand or model.
+            ModelError: If the model has no calibration.
+        """
+        model.new_tracker()  # a model without a calibration is named before the file
+        tensors = unpack_history(Path(path), hand, model.name, model.sensor.channels)
+        try:
+            return cls.from_tensors(model, tensors)
+        except ModelError as err:
+            raise FileError(path, str(err)) from err
+
+    def keep_to_clock(self, now_ns: int) -> bool:
+        """Count readings from the future of a clock [ns] as taken now (see `SensorTracker.keep_to_clock`)."""
+        return self.tracker.keep_to_clock(now_ns)
+
+    def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
+        """Say whether the object of a cloud is the one that was touched last, by its place and size.
+
+        Args:
+            cloud: The object's points [m].
+            same_object_m: Largest difference of the mean and of the deviation of its points [m].
+        """
+        if self.signature is None or self.signature[0] != cloud.frame_id:
+            return False
+        with np.errstate(invalid="ignore"):  # of a cloud without points, which is equal to no other object
+            return bool((np.abs(place_and_size(cloud) - self.signature[1]) <= same_object_m).all())
+
+    def start_object(self) -> None:
+        """Forget the touches of the last object, and keep the state of the sensors: another object is touched from now on."""
+        self.tracker.start_object()
+        self.signature = None
+
+    def forget(self) -> int:
+        """Forget everything, such as after the sensors were exchanged. Returns the number of readings that were forgotten."""
+        count = self.tracker.evidence(0).readings
+        self.tracker = self.model.new_tracker()
+        self.signature, self._tare_ns = None, -1
+        self._forgotten += 1
+        return count
+
+    @property
+    def revision(self) -> tuple[int, int]:
+        """Changes with every reading, object and `forget`."""
+        return self._forgotten, self.tracker.revision
+
+    def copy(self) -> Self:
+        """Return an independent history of the same readings."""
+        twin = copy.copy(self)
+        twin.tracker, twin.restarts = self.tracker.copy(), dict(self.restarts)
+        return twin
+
+    def to_tensors(self) -> dict[str, AnyArray]:
+        """Return all of it as arrays, for a file."""
+        frame, numbers = self.signature or ("", np.full(6, np.nan))
+        own: dict[str, AnyArray] = {
+            "signature": numbers,
+            "frame": to_bytes(frame),
+            "tare_ns": np.array([self._tare_ns], np.int64),
+        }
+        return {**own, **{_TRACKER + name: value for name, value in self.tracker.to_tensors().items()}}
+
+    @classmethod
+    def from_tensors(cls, model: TouchModel, tensors: Mapping[str, AnyArray]) -> Self:
+        """Make a history from `to_tensors`. It goes on to the bit as the history that wrote it.
+
+        Raises:
+            ModelError: Names an array that is missing or cannot be, or if it is of another model.
+        """
+        history = cls(model)
+        for name, shape, dtype in (("signature", (6,), np.float64), ("tare_ns", (1,), np.int64)):
+            array = tensors.get(name)
+            if array is None or array.shape != shape or array.dtype != dtype:
+                raise ModelError(f"{name}: is missing, or of another shape or type")
+        history.tracker = SensorTracker.from_tensors(history.tracker.parameters, under(_TRACKER, tensors))
+        if history.touches:
+            history.signature = to_text(tensors, "frame"), tensors["signature"]
+        history._tare_ns = int(tensors["tare_ns"][0])
+        return history
+
+    def _counted(self, restarted: tuple[str, ...]) -> tuple[str, ...]:
+        for finger in restarted:
+            self.restarts[finger] = self.restarts.get(finger, 0) + 1
+        return restarted
 
 
 def _faults(grasps: Grasps, cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:

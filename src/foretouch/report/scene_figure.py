@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.pipeline import Object, Scene
 from foretouch.report.hand_figure import COLOURS, hand_lines
 from foretouch.report.panels import Axes, new_figure, save
 from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Prediction, Predictions
+from foretouch.types.scene import Object, Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,8 +109,8 @@ def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
     elif np.isfinite(depth).any():
         near, far = np.nanpercentile(depth[np.isfinite(depth)], [1.0, 97.0])
         axes.imshow(depth, cmap="gray_r", vmin=near - 0.1, vmax=max(far, near + 0.1))
-    if len(scene.segmentation.outline):
-        corners = _pixels(scene.cloud, scene.segmentation.outline)
+    if len(scene.outline):
+        corners = _pixels(scene.cloud, scene.outline)
         axes.fill(corners[:, 0], corners[:, 1], fill=False, edgecolor=_TABLE, linewidth=1.4, linestyle="--")
     for k, object_ in enumerate(scene.objects):
         colour = _COLOURS[k % len(_COLOURS)]

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.pipeline import Object
 from foretouch.report.panels import new_figure, save
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch, assumed_table
+from foretouch.types.scene import Object
 
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _ROW_INCH = 2.2  # height of a grasp
@@ -135,7 +135,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[Sample], sensor: Sens
     rows = [
         DrawnGrasp(
             prediction=Prediction.of(sample.grasp, Touch.unknown(sensor.channels), status="refused"),
-            target=Object(sample.object, sample.cloud, assumed_table(sample.cloud)),
+            target=Object.of(sample.object, sample.cloud, assumed_table(sample.cloud)),
             rest=sample.tare,
             read=sample.touch,
             title=sample.id,
@@ -197,7 +197,7 @@ def draw_taxels(
 
 def _draw_scene(axes: Axes, scene: Cloud, target: Object, title: str) -> None:
     """Draw an organised scene as a depth image, with the outline of the target; of others there is no more than the object."""
-    if not scene.organised or target.pixels is None or target.image_shape is None:
+    if not scene.organised or target.image_shape is None:
         axes.set_axis_off()
         return
     depth = scene.xyz[..., 2]

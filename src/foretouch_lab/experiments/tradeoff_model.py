@@ -11,8 +11,9 @@ from typing import Any, Final, cast
 import numpy as np
 
 from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.estimator import Estimate
 from foretouch.models.registry import load_model
-from foretouch.models.touch_model import Estimate, Snapshot, TouchModel
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import BIOTAC, MODALITIES
 from foretouch.types import Cloud, Float64, Grasp, Plane, Sample
@@ -176,15 +177,16 @@ def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
 
 
 def _after_reading(model: TouchModel, sample: Sample, grasps: Sequence[Grasp]) -> Callable[[int], Float64]:
-    """Return predictions right after one more reading of the hand, which is added to the tracker in each call."""
+    """Return predictions right after one more reading of the hand, which is added to its history in each call."""
     expected = model.estimator.estimate(sample.cloud, [sample.grasp]).counts[0]
-    reading, tracker = labels_of([sample])[0], model.new_tracker()
-    tracker.start_object()
+    reading, hand = labels_of([sample])[0], History(model)
+    hand.start_object()
 
     def answer(count: int) -> Float64:
-        now = tracker.copy()
-        now.add_touch(1, reading, expected)
-        return Snapshot(now, 2).adapt(model.estimator.estimate(sample.cloud, grasps[:count]))[0]
+        now = hand.copy()
+        now.tracker.add_touch(1, reading, expected)
+        estimate = model.estimator.estimate(sample.cloud, grasps[:count])
+        return now.snapshot(2, same_object=True).adapt(estimate)[0]
 
     return answer
 

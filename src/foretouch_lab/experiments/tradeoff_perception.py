@@ -19,8 +19,9 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.grasp.original_score import original_score
-from foretouch.pipeline import Object, Pipeline, PipelineConfig
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Cloud, Int32
+from foretouch.types.scene import Object
 from foretouch_lab.experiments.framework.experiment import Row
 from foretouch_lab.experiments.framework.tradeoff import Panel, Timed, TradeoffSettings, Variant, make_area
 from foretouch_lab.experiments.shared.scores import interval_columns
@@ -119,7 +120,7 @@ def _accuracy(skill: str, settings: PerceptionSettings, data: Scenes) -> Mapping
         if skill == "score":
             values = list(_scores(pipeline, data))
         else:
-            labels = [pipeline.segment(cloud).segmentation.labels for cloud, _ in data.images]
+            labels = [pipeline.segment(cloud).labels for cloud, _ in data.images]
             pairs = [overlaps(mine, truth) for mine, (_, truth) in zip(labels, data.images, strict=True)]
             values = [(number, iou) for number, own in enumerate(pairs) for iou in own]
         result[variant.name] = interval_columns(skill, _mean(values, settings.bootstrap.draws))

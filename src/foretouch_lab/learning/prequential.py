@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError, GraspError, ModelError
 from foretouch.models.calibration import Calibration, tare_offset
-from foretouch.models.touch_model import Estimate, Snapshot, TouchModel
+from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
 from foretouch.tactile import tdc_of
 from foretouch.types import Bool, Float64, Index, Int64, Sample, Touch
@@ -184,8 +184,9 @@ def predict_after(calibration: Calibration, touched: TimedReadings, asked: Timed
     replay(tracker, touched)
     counts, half = np.empty((2, *asked.expected.shape))
     for k, stamp in enumerate(asked.stamps_ns.tolist()):
-        estimate = Estimate(asked.expected[k : k + 1], np.array([asked.is_known(k)]))
-        (counts[k],), (half[k],) = Snapshot(tracker, stamp, tdc=asked.tdc_before(k)).adapt(estimate)
+        same, known = tracker.touches > 0, asked.is_known(k)
+        level = tracker.level(stamp, same_object=same, known=known, tdc=asked.tdc_before(k))
+        (counts[k],), (half[k],) = tracker.adapt(level, asked.expected[k : k + 1])
     return counts, half
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from depth_builders import FRAME, STAMP_NS, compressed, header, image, info, png, rvl
+from depth_builders import FRAME, compressed, header, image, info, png, rvl
 from every_case import every_case, every_refusal
 
 from foretouch.cloud.io.depth_messages import CameraInfos, camera_model, decode_depth, info_topic, is_rectified
@@ -52,15 +52,6 @@ def test_every_encoding_byte_order_and_padding(depth: np.ndarray) -> None:
     every_case(cases, check)
 
 
-def test_a_cloud_has_the_frame_and_stamp_of_its_image(depth: np.ndarray) -> None:
-    camera, infos = CameraModel(84, 48, 61.0, 61.0, 41.5, 23.5), CameraInfos()
-    k = np.array([61.0, 0.0, 41.5, 0.0, 61.0, 23.5, 0.0, 0.0, 1.0])
-    infos.add(info(width=84, height=48, k=k), 0.0)
-    cloud = infos.cloud(image(depth, "16UC1", big=True, padding=2), 0.1)
-    assert (cloud.frame_id, cloud.stamp_ns, cloud.camera) == (FRAME, STAMP_NS, camera)
-    np.testing.assert_array_equal(cloud.xyz, Cloud.from_depth(depth, camera).xyz)
-
-
 def test_compressed_depth_is_what_was_compressed(depth: np.ndarray) -> None:
     from PIL import Image
 
@@ -93,14 +84,6 @@ def test_inverse_depth_by_hand(depth: np.ndarray) -> None:
     assert decode_depth(compressed(png(np.array([[1101]], np.uint16)), "32FC1; compressedDepth png", a, b))[
         0, 0
     ] == pytest.approx(10100.0 / (1101.0 + 1009.0))
-
-
-def test_rvl_of_random_images(rng: np.random.Generator) -> None:
-    for shape in ((1, 1), (1, 9), (7, 1), (13, 17), (40, 31)):
-        for share in (0.0, 0.5, 1.0):
-            pixels = rng.integers(0, 65536, shape).astype(np.uint16) * (rng.random(shape) < share)
-            pixels = pixels.astype(np.uint16)
-            np.testing.assert_array_equal(decode_depth(compressed(rvl(pixels), "16UC1; compressedDepth rvl")), pixels)
 
 
 def test_damaged_data_end_in_one_line(depth: np.ndarray, rng: np.random.Generator) -> None:

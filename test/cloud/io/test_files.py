@@ -175,21 +175,6 @@ def test_a_broken_ply_is_named(tmp_path: Path) -> None:
     every_case(cases, lambda text, rule: _assert_refused(tmp_path / "a.ply", text, rule))
 
 
-def test_ply_of_the_other_byte_order_with_faces_behind(tmp_path: Path) -> None:
-    kinds = [("y", "f8"), ("x", "f4"), ("flag", "i2"), ("z", "f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    words = {"f8": "double", "f4": "float32", "i2": "short", "u1": "uint8"}
-    vertices = np.zeros(3, [(name, ">" + kind) for name, kind in kinds])
-    for i, (name, _) in enumerate(kinds):
-        vertices[name] = np.arange(3) + 10 * i
-    lines = ["ply", "format binary_big_endian 1.0", "comment x"]
-    lines += ["element vertex 3", *(f"property {words[kind]} {name}" for name, kind in kinds)]
-    lines += ["element face 1", "property list uchar int vertex_indices", "end_header", ""]
-    (tmp_path / "a.ply").write_bytes("\n".join(lines).encode() + vertices.tobytes() + bytes([3] + 12 * [0]))
-    cloud = read_cloud(tmp_path / "a.ply")
-    np.testing.assert_array_equal(cloud.xyz, [[10, 0, 30], [11, 1, 31], [12, 2, 32]])
-    np.testing.assert_array_equal(cloud.rgb, [[40, 50, 60], [41, 51, 61], [42, 52, 62]])
-
-
 def test_numpy_files_of_other_content_unknown_endings_and_missing_files_are_refused(tmp_path: Path) -> None:
     points, objects = np.zeros((3, 3), np.float32), np.array([{"a": 1}], dtype=object)
     cases = {

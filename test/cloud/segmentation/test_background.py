@@ -6,9 +6,10 @@ import pytest
 from every_case import every_case
 from scipy.spatial import ConvexHull
 
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.pipeline import Pipeline
 from foretouch.types import Cloud
+from foretouch.types.scene import Scene
 
 HEIGHT, WIDTH, FOCAL = 240, 320, 300.0
 TABLE, FLOOR = 1, 2  # labels; boxes follow
@@ -45,12 +46,12 @@ def room(*boxes, tilt_deg: float = 40.0, distance_m: float = 0.8, noise_m: float
     return Cloud((pixels * depth[..., None]).astype(np.float32)), labels
 
 
-def labelled(found: Segmentation, labels: np.ndarray) -> list[int]:
+def labelled(found: Scene, labels: np.ndarray) -> list[int]:
     """The true label of most pixels of each object, sorted."""
     return sorted(int(np.bincount(labels.ravel()[object_.pixels]).argmax()) for object_ in found.objects)
 
 
-def reasons(found: Segmentation, labels: np.ndarray) -> dict[int, str]:
+def reasons(found: Scene, labels: np.ndarray) -> dict[int, str]:
     """Why the true label of each background segment is none."""
     return {int(np.bincount(labels.ravel()[one.pixels]).argmax()): one.background for one in found.background}
 
@@ -69,11 +70,11 @@ def test_an_arm_from_the_border_enters_the_view_and_is_an_obstacle_not_a_target(
     arm = ((0.20, -0.9, 0.12), (0.28, -0.02, 0.20))
     cloud, labels = room(CAN, PACKET, arm, tilt_deg=tilt)
     scene = Pipeline().segment(cloud)
-    found = scene.segmentation
+    found = scene
     assert labelled(found, labels) == [3, 4]
     assert reasons(found, labels) == {5: "enters_view"}
     assert found.counts["n_enters_view"] == len(found.background) == found.counts["n_background"]
-    assert all(str(target.id) in {str(object_.id) for object_ in found.objects} for target in scene.targets)
+    assert all(target.id in {object_.id for object_ in found.objects} for target in scene.targets)
     assert scene.obstacles is not None
     on_arm = scene.obstacles.xyz[scene.obstacles.object_ids == 0]
     assert len(on_arm) > 50
@@ -144,8 +145,8 @@ def test_the_outline_is_the_hull_of_the_table_with_its_holes_and_dents_filled() 
     found = segment(Cloud(xyz))
     on = xyz[labels == TABLE].astype(np.float64)
     on = on[np.isfinite(on).all(axis=1)]
-    across = np.linalg.svd(found.plane.normal[None])[2][1:]
-    assert np.abs(found.outline @ found.plane.normal + found.plane.offset).max() < 1e-6
+    across = np.linalg.svd(found.table.normal[None])[2][1:]
+    assert np.abs(found.outline @ found.table.normal + found.table.offset).max() < 1e-6
     area = ConvexHull(found.outline @ across.T).volume
     assert ConvexHull(on @ across.T).volume == pytest.approx(area, rel=0.08)  # it is seen in cells of two pixels
     assert area > 0.5

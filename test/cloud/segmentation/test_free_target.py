@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from seen_solids import Camera, about_vertical, box, can
 
-from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, Segment, TargetConfig, select_free
-from foretouch.pipeline import Pipeline, PipelineConfig, Scene
-from foretouch.types import Cloud
+from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_free
+from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.types import ASSUMED_TABLE, Cloud
+from foretouch.types.scene import Object, Scene
 
 _BOX, _WALL, _CAN = box(0.05, 0.05, 0.09), box(0.15, 0.035, 0.09), can(0.03, 0.1)
 _CAMERA = Camera(50.0, 0.95)
@@ -34,7 +35,7 @@ _ENCLOSED = ((_BOX, -0.06, 0.0), (_WALL, -0.03, 0.0575), (_WALL, -0.03, -0.0575)
 def test_the_nearest_object_is_blocked(yaw: float) -> None:
     cloud = _pile(*_ENCLOSED, (_CAN, 0.2, 0.0), yaw=yaw)
     nearest, found = _scene(cloud, "nearest"), _scene(cloud, "free")
-    assert len(found.segmentation.objects) == 4
+    assert len(found.objects) == 4
     assert [one.id for one in nearest.targets] == ["1"]
     (target,) = found.targets
     centre = _CAMERA.to_world(target.cloud.xyz.astype(np.float64)).mean(axis=0)
@@ -59,9 +60,9 @@ def test_no_object_is_free() -> None:
     assert found.reason.endswith(f"object {target.id} is hindered least")
 
 
-def _object(k: int, z: float) -> Segment:
+def _object(k: int, z: float) -> Object:
     xyz = np.array([[0.0, 0.01 * k, z]], np.float32)
-    return Segment(k, Cloud(xyz), np.zeros(1, np.int64), xyz[0].astype(np.float64), np.vstack([xyz, xyz]))
+    return Object.of(str(k), Cloud(xyz), ASSUMED_TABLE)
 
 
 def test_the_rule_by_hand() -> None:
@@ -71,12 +72,12 @@ def test_the_rule_by_hand() -> None:
     def chosen(losses: dict[int, float], **settings: int) -> tuple[list[int], str]:
         asked.clear()
 
-        def loss(one: Segment) -> tuple[float, str]:
-            asked.append(one.id)
-            return losses.get(one.id, 0.0), "is blocked"
+        def loss(one: Object) -> tuple[float, str]:
+            asked.append(int(one.id))
+            return losses.get(int(one.id), 0.0), "is blocked"
 
         found, why = select_free(objects, TargetConfig(mode="free", **settings), loss)
-        return [one.id for one in found], why
+        return [int(one.id) for one in found], why
 
     assert chosen({}) == ([1], "")
     assert asked == [1]  # no grasp is planned behind the first free object

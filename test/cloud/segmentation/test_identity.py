@@ -6,8 +6,9 @@ from itertools import pairwise
 import numpy as np
 
 from foretouch.cloud.segmentation.identity import ObjectIdentity
-from foretouch.cloud.segmentation.segment import Segmentation, segment
+from foretouch.cloud.segmentation.segment import segment
 from foretouch.types import Cloud, Float32
+from foretouch.types.scene import Scene
 
 
 def _table() -> Float32:
@@ -20,13 +21,13 @@ def _put(depth: Float32, row: int, column: int, *, size: int = 40, top: float = 
     return depth
 
 
-def _segmented(depth: Float32) -> Segmentation:
+def _segmented(depth: Float32) -> Scene:
     v, u = np.indices(depth.shape)
     xyz = np.stack([(u - 159.5) / 307.5 * depth, (v - 119.5) / 307.5 * depth, depth], axis=-1)
     return segment(Cloud(xyz.astype(np.float32)))
 
 
-def _place(found: Segmentation, row: int, column: int) -> int:
+def _place(found: Scene, row: int, column: int) -> int:
     return int(found.labels[row, column])
 
 
@@ -39,7 +40,7 @@ def test_noisy_clouds_of_a_still_scene_keep_their_ids_though_the_order_by_distan
         orders.add((_place(raw, 80, 80), _place(raw, 80, 240)))
         kept = identity.keep(raw)
         ids.add((_place(kept, 80, 80), _place(kept, 80, 240), _place(kept, 160, 160)))
-        assert {object_.id for object_ in kept.objects} == set(np.unique(kept.labels)) - {0}
+        assert {int(object_.id) for object_ in kept.objects} == set(np.unique(kept.labels)) - {0}
     assert len(orders) == 2  # the test is one: without identity, ids change
     assert len(ids) == 1
 

@@ -5,17 +5,18 @@ import numpy as np
 import pytest
 from every_case import every_case
 
-from foretouch.cloud.segmentation.objects import Segment, TargetConfig, select_targets
+from foretouch.cloud.segmentation.objects import TargetConfig, select_targets
 from foretouch.errors import ConfigError
-from foretouch.types import Cloud
+from foretouch.types import ASSUMED_TABLE, Cloud
+from foretouch.types.scene import Object
 
 
-def _object(number: int, centre: tuple[float, float, float], n: int) -> Segment:
+def _object(number: int, centre: tuple[float, float, float], n: int) -> Object:
     """A square of n points, 4 cm wide."""
     side = np.stack(np.meshgrid(np.linspace(-0.02, 0.02, n // 10), np.linspace(-0.02, 0.02, 10)), -1).reshape(-1, 2)
     xyz = np.column_stack([side, np.zeros(len(side))]) + centre
     bounds = np.stack([xyz.min(axis=0), xyz.max(axis=0)])
-    return Segment(number, Cloud(xyz.astype(np.float32)), np.arange(len(xyz)), xyz.mean(axis=0), bounds)
+    return Object(str(number), Cloud(xyz.astype(np.float32)), ASSUMED_TABLE, xyz.mean(axis=0), bounds)
 
 
 OBJECTS = [_object(1, (0.0, 0.0, 0.8), 500), _object(2, (0.2, 0.0, 0.9), 1000), _object(3, (-0.2, 0.1, 1.1), 300)]
@@ -24,7 +25,7 @@ OBJECTS = [_object(1, (0.0, 0.0, 0.8), 500), _object(2, (0.2, 0.0, 0.9), 1000), 
 def test_the_rule_decides_and_no_target_is_explained() -> None:
     def check(config: TargetConfig, ids: list[int], why: str = "") -> None:
         chosen, reason = select_targets(OBJECTS, config)
-        assert ([obj.id for obj in chosen], reason) == (ids, why)
+        assert ([int(obj.id) for obj in chosen], reason) == (ids, why)
 
     far = "no object within 0.03 m of the point (0, 0, 1): the nearest is 0.200 m away"
     cases = [
@@ -46,9 +47,9 @@ def test_the_rule_decides_and_no_target_is_explained() -> None:
 
 
 def test_of_equal_objects_the_previous_or_most_central_then_the_leftmost_is_selected() -> None:
-    def check(reason: str, objects: list[Segment], config: TargetConfig, chosen: int) -> None:
+    def check(reason: str, objects: list[Object], config: TargetConfig, chosen: int) -> None:
         found, why = select_targets(objects, config)
-        assert [obj.id for obj in found] == [chosen]
+        assert [int(obj.id) for obj in found] == [chosen]
         assert why == f"ambiguous_target: objects {reason}; object {chosen} is nearest to the optical axis"
 
     beside, at_point = _object(2, (0.05, 0.0, 0.8), 500), TargetConfig(mode="point", point=(0.025, 0.0, 0.8))
@@ -62,11 +63,11 @@ def test_of_equal_objects_the_previous_or_most_central_then_the_leftmost_is_sele
     every_case(cases, check)
     pair = [_object(1, (0.1, 0.0, 0.8), 500), _object(2, (-0.1, 0.0, 0.8), 500)]
     found, why = select_targets(pair, TargetConfig())
-    assert [obj.id for obj in found] == [2]
+    assert [obj.id for obj in found] == ["2"]
     assert why.endswith("object 2 is the leftmost of those nearest to the optical axis")
     pair = [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)]
     found, why = select_targets(pair, TargetConfig(), previous=np.array([0.052, 0.001, 0.8]))
-    assert [obj.id for obj in found] == [2]
+    assert [obj.id for obj in found] == ["2"]
     assert why.endswith("object 2 was the target before")
     assert select_targets(pair, TargetConfig(), previous=np.array([0.3, 0.0, 0.8]))[0] == [pair[0]]
     nearer = [_object(1, (0.0, 0.0, 0.78), 500), pair[1]]

@@ -10,8 +10,9 @@ from every_case import every_case
 
 from foretouch.cloud.segmentation.plane import fit_plane
 from foretouch.cloud.segmentation.rays import RayFilter
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, _coarse, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, _coarse, segment
 from foretouch.types import Cloud
+from foretouch.types.scene import Scene
 from foretouch_lab.simulation.depth_scene import random_scene
 
 Float32 = npt.NDArray[np.float32]
@@ -22,7 +23,7 @@ def _scene(seed: int = 3, n_objects: int = 3) -> Float32:
     return random_scene(rng, n_objects=n_objects).render(rng, 0.001).cloud().xyz
 
 
-def _strictly(cloud: Cloud) -> Segmentation:
+def _strictly(cloud: Cloud) -> Scene:
     with warnings.catch_warnings(), np.errstate(all="raise", under="ignore", invalid="ignore"):
         warnings.simplefilter("error")
         found = segment(cloud)
@@ -37,7 +38,7 @@ def test_a_damaged_pixel_that_the_plane_fit_samples_does_not_turn_the_table() ->
     config = SegmentationConfig()
     coarse, stride, index = _coarse(xyz, config.crop, config.grid_rows)
     sampled = index[np.linspace(0.0, len(index) - 1.0, 2048).astype(np.intp)]
-    expected = _strictly(Cloud(xyz)).plane
+    expected = _strictly(Cloud(xyz)).table
 
     def check(axis: int, value: float) -> None:
         for pixel in sampled[:: len(sampled) // 10]:
@@ -46,7 +47,7 @@ def test_a_damaged_pixel_that_the_plane_fit_samples_does_not_turn_the_table() ->
             damaged[row, column, axis] = value
             found = _strictly(Cloud(damaged))
             assert (found.status, found.counts["off_ray"]) == ("ok", 1)
-            np.testing.assert_allclose(found.plane.coefficients, expected.coefficients, atol=1e-3)
+            np.testing.assert_allclose(found.table.coefficients, expected.coefficients, atol=1e-3)
             points = np.ascontiguousarray(damaged[::stride, ::stride]).reshape(-1, 3)[sampled]
             with np.errstate(all="ignore"):
                 unchecked, *_ = fit_plane(points, config.plane)  # the fit itself does not withstand such a point

@@ -10,12 +10,13 @@ from every_case import every_case
 
 from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.clusters import ClusterConfig
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.types import Cloud
+from foretouch.types.scene import Scene
 from foretouch_lab.simulation.depth_scene import RenderedFrame, random_scene
 
 
-def _overlaps(segmentation: Segmentation, truth: npt.NDArray[np.int_], first: int = 2) -> list[float]:
+def _overlaps(segmentation: Scene, truth: npt.NDArray[np.int_], first: int = 2) -> list[float]:
     """For each true object the intersection over union with the one that covers it most."""
     result = []
     for label in range(first, int(truth.max()) + 1):
@@ -31,7 +32,7 @@ def _image(seed: int, *, noise_m: float = 0.001, flying_pixels: bool = False, **
     return random_scene(rng, **changes).render(rng, noise_m, flying_pixels)
 
 
-def _checked(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
+def _checked(cloud: Cloud, config: SegmentationConfig | None = None) -> Scene:
     """A segmentation, with the invariants of every result."""
     segmentation = segment(cloud, config)
     counts = segmentation.counts
@@ -45,7 +46,7 @@ def _checked(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmenta
     assert counts["objects"] == sum(obj.n_points for obj in segmentation.objects)
     flat, labels = cloud.xyz.reshape(-1, 3), segmentation.labels.reshape(-1)
     for number, obj in enumerate(segmentation.objects, 1):
-        assert obj.id == number
+        assert obj.id == str(number)
         np.testing.assert_array_equal(obj.cloud.xyz, flat[obj.pixels])
         assert np.isfinite(obj.cloud.xyz).all()
         assert (labels[obj.pixels] == number).all()
@@ -65,7 +66,7 @@ def test_all_objects_and_no_others_are_found() -> None:
         segmentation = _checked(image.cloud())
         assert len(segmentation.objects) == 3
         assert min(_overlaps(segmentation, image.labels)) >= least
-        np.testing.assert_allclose(segmentation.plane.coefficients, image.plane, atol=2e-3)
+        np.testing.assert_allclose(segmentation.table.coefficients, image.plane, atol=2e-3)
 
     every_case([(seed, *effects[seed % 4]) for seed in range(24)], check)
 
@@ -114,7 +115,7 @@ def test_without_a_plausible_object_the_reason_is_named(rng: np.random.Generator
     bare = segment(Cloud(_table(rng)))
     assert bare.status == "no_object"
     assert "nothing stands more than 4 mm above the table" in bare.reason
-    np.testing.assert_allclose(bare.plane.coefficients, [0, 0, -1, 1], atol=1e-3)  # towards the camera
+    np.testing.assert_allclose(bare.table.coefficients, [0, 0, -1, 1], atol=1e-3)  # towards the camera
     assert segment(random_scene(rng, n_objects=0).render(rng, 0.002).cloud()).status == "no_object"
     crumb = rng.uniform((0.0, 0.0, 0.97), (0.02, 0.02, 0.98), (100, 3)).astype(np.float32)
     wall = rng.uniform((-0.4, 0.29, 0.6), (0.4, 0.3, 0.98), (4000, 3)).astype(np.float32)
@@ -140,16 +141,16 @@ def test_shared_scenes_and_real_object_clouds(real_data: Path) -> None:
         segmentation = segment(Cloud(xyz))
         assert len(segmentation.objects) == 3
         assert min(_overlaps(segmentation, truth)) >= 0.98
-        np.testing.assert_allclose(segmentation.plane.coefficients, plane, atol=5e-4)
+        np.testing.assert_allclose(segmentation.table.coefficients, plane, atol=5e-4)
     for path in sorted(real_data.glob("vision2tactile/*/*/cloud-object.pcd"))[::10]:
         _checked(read_cloud(path))
 
 
-def _assert_equal(image: Segmentation, other: Segmentation) -> None:
+def _assert_equal(image: Scene, other: Scene) -> None:
     assert (image.status, image.counts) == (other.status, other.counts)
     np.testing.assert_array_equal(image.labels, other.labels)
-    if image.plane is not None and other.plane is not None:
-        np.testing.assert_array_equal(image.plane.coefficients, other.plane.coefficients)
+    if image.table is not None and other.table is not None:
+        np.testing.assert_array_equal(image.table.coefficients, other.table.coefficients)
     for mine, theirs in zip(image.objects, other.objects, strict=True):
         np.testing.assert_array_equal(mine.cloud.xyz, theirs.cloud.xyz)
         np.testing.assert_array_equal(mine.pixels, theirs.pixels)

@@ -68,7 +68,7 @@ class Session:
         return [
             result.reason if isinstance(result, RejectedGrasp) else "recorded"
             for result in self.results()
-            if isinstance(result, RejectedGrasp) or result.cut is not None
+            if isinstance(result, RejectedGrasp) or result.touch is not None
         ]
 
 
@@ -86,9 +86,9 @@ def test_reasons_of_messages_that_cannot_become_samples() -> None:
         session.report(number)
     session.report(4, success=False, touched=False)
     results = session.results()
-    note = results[0].sample.note
+    note = results[0].note
     assert note.startswith("candidate bad left out: rotation: "), note
-    assert [candidate.id for candidate in results[0].sample.candidates] == []
+    assert [candidate.id for candidate in results[0].candidates] == []
     reasons = [getattr(result, "reason", "recorded") for result in results[1:]]
     assert reasons == ["frame_differs", "bad_grasp", "recorded", "recorded", "object_unknown", "grasp_failed"]
 
@@ -105,8 +105,8 @@ def test_a_failed_grasp_is_a_sample_unless_only_successes_count_and_later_plans_
     session.plan(0, grasp("second"))
     session.report(0, "first")
     (one,) = session.results()
-    assert one.sample.grasp.id == "first"
-    assert [other.id for other in one.sample.candidates] == ["second"]
+    assert one.grasp.id == "first"
+    assert [other.id for other in one.candidates] == ["second"]
 
 
 def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> None:
@@ -116,9 +116,9 @@ def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> 
     session.report(1)
     session.look(9, interval(9).start)  # without grasps
     touched, *others = session.results()
-    assert touched.sample.grasp.id == "g-1"
-    assert [other.sample.grasp.id for other in others] == ["g-0", "g-2"]  # 6 s apart
-    assert all(other.sample.touch is None for other in others)
+    assert touched.grasp.id == "g-1"
+    assert [other.grasp.id for other in others] == ["g-0", "g-2"]  # 6 s apart
+    assert all(other.touch is None for other in others)
     assert session.assembler.clouds_without_grasps == 1
 
 
@@ -132,8 +132,8 @@ def test_labels_and_contacts_without_a_report() -> None:
         session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
     assert session.assembler.sensor_states(0.5) == {"TH": "alive", "MF": "alive", "camera": "alive"}
     (one,) = session.assembler.poll(3.0)
-    assert one.sample.outcome == "failure"  # type: ignore[union-attr]
-    assert (one.sample.object, one.sample.flags) == ("cup", ("detected_interval", "discarded"))  # type: ignore[union-attr]
+    assert one.outcome == "failure"  # type: ignore[union-attr]
+    assert (one.object, one.flags) == ("cup", ("detected_interval", "discarded"))  # type: ignore[union-attr]
     assert set(session.assembler.sensor_states(9.0).values()) == {"no data"}
 
 
@@ -150,6 +150,6 @@ def test_readings_whose_stamps_jitter_are_waited_for() -> None:
             session.assembler.add_tactile(moved, received_ns=reading.received_ns, now_s=0.0)
             samples += session.assembler.poll(0.0) if polled_always else []
         (one,) = samples or session.assembler.poll(0.0)
-        windows.append(one.cut.window)
+        windows.append(one.series)
     np.testing.assert_array_equal(windows[0].stamps_ns, windows[1].stamps_ns)
     np.testing.assert_array_equal(windows[0].counts, windows[1].counts)

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import ndimage
 
 from foretouch.cloud.segmentation.clusters import CLOSE_SLOPE, FLYING_SLOPE, MAX_SLOPE, Clusters, in_range, pixel_pitch
-from foretouch.cloud.segmentation.objects import Segment
 from foretouch.types.camera import DepthImage
+from foretouch.types.scene import Object
 
 Array = np.ndarray[Any, Any]
 
@@ -50,7 +50,7 @@ def _heights(plane, xyz) -> Array:
     return xyz[..., 0] * a + xyz[..., 1] * b + xyz[..., 2] * c + d
 
 
-def segments(flat, window, width: int, plane) -> Iterator[tuple[int, Segment, float]]:
+def clusters(flat, window, width: int, plane, shape) -> Iterator[tuple[int, Object, float]]:
     """The solid points of each label."""
     h, w = window.labels.shape
     at = (np.arange(h) + window.rows)[:, None] * width + np.arange(w) + window.columns
@@ -61,7 +61,7 @@ def segments(flat, window, width: int, plane) -> Iterator[tuple[int, Segment, fl
             columns = part.xyz.T.astype(np.float64, order="C")
             bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
             top = _heights(plane.coefficients.astype(np.float32), part.xyz).max()
-            yield label, Segment(0, part, pixels, columns.mean(axis=1), bounds), top
+            yield label, Object("0", part, plane, columns.mean(axis=1), bounds, pixels, shape), top
 
 
 def write_ids(image, window, ids) -> int:

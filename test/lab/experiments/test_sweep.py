@@ -65,14 +65,15 @@ def test_table_manifest_and_cells(sweep, out) -> None:
 
 def test_killed_and_resumed_equals_uninterrupted(sweep, tmp_path, numbers, trace, in_this_process) -> None:
     words = [sys.executable, "-m", "foretouch.cli.main", "experiment", "own_experiments.counting", "--json"]
-    words += ["-o", f"{tmp_path}/cut", "--data", str(numbers), "--workers", "1", "pause_s=0.3", f"trace={trace}"]
+    words += ["-o", f"{tmp_path}/cut", "--data", str(numbers), "--workers", "1", "cells=4", "pause_s=0.3"]
+    words.append(f"trace={trace}")
     environment = {**os.environ, "PYTHONPATH": PATH}
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment, start_new_session=True) as process:
         assert [json.loads(process.stdout.readline())["status"] for _ in range(2)] == ["done", "done"]
         os.killpg(process.pid, signal.SIGKILL)
     done = {path.stem for path in (tmp_path / "cut/cells").iterdir() if path.suffix == ".json"}
-    assert {"cell0", "cell1"} <= done < {f"cell{k}" for k in range(6)}
-    settings = {"pause_s": 0.3, "trace": str(trace)}
+    assert {"cell0", "cell1"} <= done < {f"cell{k}" for k in range(4)}
+    settings = {"cells": 4, "pause_s": 0.3, "trace": str(trace)}
     result = sweep("cut", settings=settings, resume=True)
     assert result.reused == len(done)
     assert all(starts(trace)[key[4:]] == 1 for key in done)
@@ -82,12 +83,18 @@ def test_killed_and_resumed_equals_uninterrupted(sweep, tmp_path, numbers, trace
 
 
 def test_failures_are_named_and_the_others_go_on(sweep, out, trace) -> None:
-    hurt = {"broken": (2,), "dies": (0,), "dies_once": (5,), "trace": str(trace)}  # the last two never at a time
+    hurt = {
+        "cells": 4,
+        "broken": (2,),
+        "dies": (0,),
+        "dies_once": (3,),
+        "trace": str(trace),
+    }  # the last two never at a time
     result = sweep(settings=hurt, workers=2)
     assert result.failures == {"cell2": "cell 2: is broken", "cell0": "its process died (killed, or out of memory)"}
-    assert sorted({row["number"] for row in result.rows}) == [1, 3, 4, 5]
+    assert sorted({row["number"] for row in result.rows}) == [1, 3]
     again = sweep(settings=hurt, resume=True)
-    assert again.reused == 4
+    assert again.reused == 2
     assert set(again.failures) == set(result.failures)
     assert json.loads((out / "manifest.json").read_text())["cells"]["failed"] == again.failures
 

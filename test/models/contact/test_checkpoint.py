@@ -18,10 +18,9 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.card import load_calibration, read_card
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.files import packed, read_tensors
-from foretouch.models.history import History
 from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.registry import load_model
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import BIOTAC, biotac_touch
 from foretouch_lab.learning.network.networks import save_network
 
@@ -51,7 +50,7 @@ def everything(model: TouchModel) -> np.ndarray:
     """Values and bounds without adaptation, with a tare, and with touches."""
     history = History(model)
     for sample in SAMPLES[:3]:
-        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
+        history.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=sample.stamp_ns, same_object=True)
     found = []
     for adapted in ({}, {"tare": TARE}, {"history": history.snapshot(SAMPLES[3].stamp_ns, same_object=True)}):
         for sample in SAMPLES[5::8]:

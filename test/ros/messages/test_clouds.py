@@ -4,11 +4,11 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
-from foretouch.cloud.messages import decode_cloud
+from foretouch.cloud.messages import decode_cloud, decode_objects
 from foretouch.errors import CloudError
-from foretouch.pipeline import Object
-from foretouch.ros.messages.clouds import cloud_to_msg, objects_from_msg, objects_to_msg
+from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
 from foretouch.types import Cloud, Plane, stamp_ns
+from foretouch.types.scene import Object
 
 PLANE = Plane.from_coefficients([0, 0, -1, 1.2])
 
@@ -37,8 +37,11 @@ def test_a_cloud_and_objects_with_their_pixels_are_received_as_they_were_and_rea
         assert np.shares_memory(back.rgb, memory)
     assert (back.frame_id, back.stamp_ns) == ("cam", 12_345_678_901)
     members = ((7, np.array([4, 5, 12, 13])), (2, np.array([30, 31, 47])))
-    targets = [Object(str(number), cloud.take(pixels), PLANE, pixels, (6, 8)) for number, pixels in members]
-    back = objects_from_msg(sent(objects_to_msg(targets, "cam", 99)), PLANE)
+    targets = [
+        Object.of(str(number), cloud.take(pixels), PLANE, pixels=pixels, image_shape=(6, 8))
+        for number, pixels in members
+    ]
+    back = decode_objects(sent(objects_to_msg(targets, "cam", 99)), PLANE)
     assert [one.id for one in back] == ["7", "2"]
     for one, old in zip(back, targets, strict=True):
         np.testing.assert_array_equal(one.cloud.xyz, old.cloud.xyz)
@@ -51,15 +54,15 @@ def test_a_cloud_and_objects_with_their_pixels_are_received_as_they_were_and_rea
 def test_no_object_is_a_cloud_without_points_a_cloud_of_others_one_object_and_a_strange_label_refused(rng):
     message = sent(objects_to_msg((), "cam", 99))
     assert (message.header.frame_id, stamp_ns(message.header.stamp), message.width) == ("cam", 99, 0)
-    assert objects_from_msg(message, PLANE) == ()
-    (only,) = objects_from_msg(cloud_to_msg(image(rng, rgb=False)), PLANE)
-    assert (only.id, only.pixels, only.cloud.size) == ("", None, 47)  # its finite points
+    assert decode_objects(message, PLANE) == ()
+    (only,) = decode_objects(cloud_to_msg(image(rng, rgb=False)), PLANE)
+    assert (only.id, only.image_shape, only.cloud.size) == ("", None, 47)  # its finite points
     message = cloud_to_msg(Cloud(rng.normal(size=(5, 3)).astype(np.float32)))
     label = PointField(name="label", offset=12, datatype=PointField.FLOAT32, count=1)
     message.fields, message.point_step, message.row_step = [*message.fields, label], 16, 80
     message.data = b"\0" * 80
     with pytest.raises(CloudError, match="label: is not one UINT32"):
-        objects_from_msg(message, PLANE)
+        decode_objects(message, PLANE)
     message.width += 1
     with pytest.raises(CloudError, match="row_step"):
         decode_cloud(message)

@@ -122,8 +122,8 @@ def test_a_dead_taxel_is_grey_and_others_are_coloured_by_their_change_from_rest(
 
 
 def test_boxes_enclose_their_objects(scene_cloud):
-    found = Pipeline().segment(scene_cloud()).segmentation.objects
-    message = ObjectArray(header=HEADER, objects=[object_to_msg(one, target=one.id == 1) for one in found])
+    found = Pipeline().segment(scene_cloud()).objects
+    message = ObjectArray(header=HEADER, objects=[object_to_msg(one, target=one.id == "1") for one in found])
     outline = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.5, 0.5, 1.0]], np.float32)
     table = TablePlane(header=HEADER, outline=outline.ravel())
     markers = by_name(object_markers(message, table))

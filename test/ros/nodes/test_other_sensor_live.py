@@ -14,12 +14,13 @@ from foretouch.cli.answers import answer_record
 from foretouch.cli.live import live_panel
 from foretouch.cli.run import _draw
 from foretouch.errors import ModelError
-from foretouch.pipeline import Object, Pipeline
+from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg, prediction_from_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import ASSUMED_TABLE
+from foretouch.types.scene import Object
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Status
 from foretouch_msgs.srv import PredictTouch
@@ -68,7 +69,7 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
         console.print(live_panel(monitor.view(), "title"))
     for words in ("Z_TH", "Z_FF", "±", "last prediction (counts) by constant"):
         assert words in shown.get()
-    target = Object("1", can_with_grasps(1)[0], ASSUMED_TABLE)
+    target = Object.of("1", can_with_grasps(1)[0], ASSUMED_TABLE)
     _draw([(None, target, one, None)], str(tmp_path / "a.png"), sensor)
     assert (tmp_path / "a.png").stat().st_size > 10_000
     (warning,) = [text for text in node.reported().warnings if "adapt" in text]

@@ -5,7 +5,6 @@ The type of MoveIt has three fields of ours: `grasp_state` of the result, `grasp
 """
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -72,15 +71,6 @@ def test_a_planner_gets_all_grasps_in_one_feedback_of_its_type(graph, model_card
     assert poses == [grasp.pose_of_hand for grasp in own.grasps]
     assert poses != [grasp.pose for grasp in own.grasps]
     assert not node.internal_errors.counts()
-
-
-def test_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
-    for module in ("moveit_task_constructor_msgs", "moveit_task_constructor_msgs.action"):
-        monkeypatch.setitem(sys.modules, module, None)
-    (node,) = graph.add("touch_predictor", model=model_card)
-    assert "sample_grasp_poses" not in node.reported().values
-    graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
-    assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
 
 
 def test_costs_by_each_rule_and_grasps_without_a_finite_one_are_left_out():

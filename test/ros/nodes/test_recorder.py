@@ -11,7 +11,6 @@ from robot_builders import MS, QUICK, accounts, outcomes, start
 from sensor_msgs.msg import CameraInfo, Image
 
 from foretouch.dataset.recording.reader import RecordedDataset
-from foretouch.dataset.recording.records import TopicCounts
 from foretouch.dataset.recording.verify import verify_dataset
 from foretouch.dataset.source import open_source
 from foretouch.errors import ConfigError
@@ -134,27 +133,6 @@ def test_a_publisher_of_another_sensor_is_named(lone_graph, tmp_path):
     )
     line = "/rh/tactile: a publisher sends std_msgs/msg/String, not foretouch_msgs/msg/BiotacAll: nothing is received from it"
     lone_graph.until(lambda: node.reported().warnings == [line])
-
-
-def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(graph, tmp_path):
-    node, robot, statuses = start(graph, tmp_path / "set", writing__min_free_mb=0.0)
-    robot.record("g-0", 0)
-    writer = node._session.writer
-    writer.config = writer.config.replace(min_free_mb=1e9)
-    robot.feel(REST, 30)
-    graph.until(lambda: not node.recording)
-    status = node.status()
-    assert ("disk almost full" in status.reason, status.recording) == (True, False)
-    graph.until(lambda: statuses and "disk almost full" in statuses[-1].reason)
-    (report,) = verify_dataset(tmp_path / "set")
-    assert not report.faults
-    for topic in node.status().topics:
-        dropped = dict(zip(topic.drop_reasons, topic.drop_counts, strict=True))
-        assert (topic.received, topic.waiting) == (topic.written + sum(dropped.values()), 0)
-        account = report.counts.topics.get(topic.topic, TopicCounts())
-        assert (account.received, account.dropped) == (topic.received, dropped)
-    assert accounts(node.status())["/rh/tactile"].received <= robot.sent["/rh/tactile"]
-    assert len(stored(tmp_path / "set")) == 1
 
 
 @pytest.mark.parametrize("name", ["hand", "camera"])

@@ -25,9 +25,8 @@ from foretouch.cli.live import live_panel
 from foretouch.dataset.pairing.buffers import TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, cut_touch
 from foretouch.models import load_model
-from foretouch.models.history import History
 from foretouch.models.history_keeper import HistoryKeeper
-from foretouch.pipeline import Object
+from foretouch.models.touch_model import History
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.requests import Targets
@@ -40,6 +39,7 @@ from foretouch.tactile.messages.biotac import finger_counts
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReading
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, stamp_ns
+from foretouch.types.scene import Object
 
 pytestmark = pytest.mark.ros
 
@@ -71,7 +71,7 @@ class CanRobot(Robot):
             Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), ACROSS, 1.0 - k, f"{name}{' too' * k}", "7")
             for k, y in enumerate((0.0, 0.02))
         ]
-        cloud = objects_to_msg([Object("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
+        cloud = objects_to_msg([Object.of("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now)
         return cloud, [grasp_to_msg(grasp) for grasp in self.planned]
 
     def grasp(self, name, number):
@@ -176,15 +176,15 @@ def test_readings_of_a_described_sensor_move_the_predictions_of_its_model():
     assert tare.channels == sensor.channels
     np.testing.assert_allclose(tare.values, hand.rest, atol=2.0)
     history = History(model)
-    history.add_tare(hand.now, tare)
+    history.tare(tare, stamp_ns=hand.now)
     assert_equal([tared], expected(hand, history, tare=True)[:1])
     assert np.abs(tared.value.values - hand.rest).mean() < 0.7 * 40.0  # towards what was read
     cut = hand.cut(hand.grasp("good", 0))
     np.testing.assert_allclose(cut.touch.values - cut.tare.values, 60.0 * (np.arange(96) >= 64), atol=4.0)
-    history.add_tare(hand.now + MS, cut.tare)
-    history.add_touch(hand.now + MS, hand.cloud, hand.planned[0], cut.touch)
+    history.tare(cut.tare, stamp_ns=hand.now + MS)
+    history.touched(hand.cloud, hand.planned[0], cut.touch, stamp_ns=hand.now + MS, same_object=True)
     found = hand.ask()
-    history.add_tare(hand.now, hand.adapter._recent_tare(hand.config))
+    history.tare(hand.adapter._recent_tare(hand.config), stamp_ns=hand.now)
     assert_equal(found, expected(hand, history, tare=True))
     assert (found[0].reference, hand.counts()) == ("touches", {"taken_in": 1})
 
@@ -210,13 +210,13 @@ def test_predictions_are_those_of_the_core_and_forgetting_undoes_it(card):
         for number in range(3):
             cut = hand.cut(hand.grasp(f"g-{number}", number))
             if use_tare:
-                history.add_tare(hand.now + MS, cut.tare)
-            history.add_touch(hand.now + MS, hand.cloud, hand.planned[0], cut.touch)
+                history.tare(cut.tare, stamp_ns=hand.now + MS)
+            history.touched(hand.cloud, hand.planned[0], cut.touch, stamp_ns=hand.now + MS, same_object=True)
             found = hand.ask()
             tare = hand.adapter._recent_tare(hand.config)
             assert (tare is not None) == use_tare
             if use_tare:
-                history.add_tare(hand.now, tare)
+                history.tare(tare, stamp_ns=hand.now)
             assert_equal(found, expected(hand, history, tare=use_tare))
         assert (hand.notes()["touches"], hand.counts()) == ("3", {"taken_in": 3})
         assert hand.notes()["regime"].startswith("touches (")
@@ -245,7 +245,7 @@ def test_a_touch_is_compared_on_the_table_of_its_cloud_however_many_came_since()
     hand.see = lambda name: None  # the grasp is executed on the first cloud
     cut = hand.cut(hand.grasp("good", 0))
     history = History(hand.model)
-    history.touched(Object("7", touched[0], table), touched[1], cut.touch, stamp_ns=hand.now)
+    history.touched(Object.of("7", touched[0], table), touched[1], cut.touch, stamp_ns=hand.now)
     found = hand.adapter.predict(hand.cloud, hand.planned, **options)
     assert hand.counts() == {"taken_in": 1}
     assert touched[0].stamp_ns == stamp
@@ -294,7 +294,7 @@ def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(card):
 def test_a_clock_that_was_set_back_is_reported_once(card):
     hand = DirectHand(card, use_tare=True)
     start, tare = hand.now, biotac_touch(TOUCH_REST)
-    hand.keeper.history.add_tare(start, tare)
+    hand.keeper.history.tare(tare, stamp_ns=start)
     hand.adapter._recent_tare = lambda _: tare
     for hours, lines in ((1, 1), (1, 1), (0, 1), (2, 2)):
         hand.now = start - hours * 3_600_000 * MS

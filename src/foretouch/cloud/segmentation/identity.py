@@ -12,10 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.cloud.segmentation.objects import Segment
-from foretouch.cloud.segmentation.segment import Segmentation
 from foretouch.kernels import Kernel
 from foretouch.types import Float64, Int32, Int64
+from foretouch.types.scene import Object, Scene
 
 _count_labels = Kernel("count_labels")
 _write_ids = Kernel("write_ids")
@@ -43,43 +42,41 @@ class ObjectIdentity:
         self._ids = count(1)
         self._clouds = 0
 
-    def keep(self, segmentation: Segmentation) -> Segmentation:
-        """Return the segmentation of the next cloud with the ids of the stream, in its objects and in its labels, which are changed in place.
+    def keep(self, scene: Scene) -> Scene:
+        """Return the scene of the next cloud with the ids of the stream, in its objects and in its labels, which are changed in place.
 
         Its counts get `new_ids`: objects that were not seen before.
         """
         self._clouds += 1
-        known = self._known(segmentation)
-        names = np.zeros(len(segmentation.objects) + 1, np.int32)
-        for object_ in segmentation.objects:
-            names[object_.id] = known.get(object_.id) or next(self._ids) % _LAST
-        objects = tuple(replace(object_, id=int(names[object_.id])) for object_ in segmentation.objects)
-        shape = segmentation.labels.shape
-        self._seen |= {object_.id: _Seen(object_.pixels, object_.centroid, shape, self._clouds) for object_ in objects}
+        known = self._known(scene)
+        names = np.zeros(len(scene.objects) + 1, np.int32)
+        for label in range(1, len(names)):
+            names[label] = known.get(label) or next(self._ids) % _LAST
+        objects = tuple(replace(object_, id=str(name)) for name, object_ in zip(names[1:], scene.objects, strict=True))
+        shape = scene.labels.shape
+        self._seen |= {
+            int(object_.id): _Seen(object_.pixels, object_.centroid, shape, self._clouds) for object_ in objects
+        }
         self._seen = {id_: sight for id_, sight in self._seen.items() if self._clouds - sight.at < _REMEMBERED}
         if not np.array_equal(names, np.arange(len(names))):
-            _rename(segmentation.labels, names)
-        return replace(
-            segmentation, objects=objects, counts=segmentation.counts | {"new_ids": len(objects) - len(known)}
-        )
+            _rename(scene.labels, names)
+        return replace(scene, objects=objects, counts=scene.counts | {"new_ids": len(objects) - len(known)})
 
-    def _known(self, segmentation: Segmentation) -> dict[int, int]:
-        """Return the id of the stream by that in this cloud: most pixels first, objects of the cloud before first."""
+    def _known(self, scene: Scene) -> dict[int, int]:
+        """Return the id of the stream by the label in this cloud: most pixels first, objects of the cloud before first."""
         known: dict[int, int] = {}
         by_age = sorted(self._seen.items(), key=lambda item: -item[1].at)
         for _, group in groupby(by_age, key=lambda item: item[1].at):
             pairs = [
-                (-share, id_, object_.id)
+                (-share, id_, label)
                 for id_, seen in group
-                for object_, share in zip(
-                    segmentation.objects, _shared(seen, segmentation.labels, segmentation.objects), strict=True
-                )
+                for label, share in enumerate(_shared(seen, scene.labels, scene.objects), 1)
                 if share
             ]
             for _, id_, label in sorted(pairs):
                 if label not in known and id_ not in known.values():
                     known[label] = id_
-            if len(known) == len(segmentation.objects):
+            if len(known) == len(scene.objects):
                 break
         return known
 
@@ -90,7 +87,7 @@ def _rename(labels: Int32, names: Int32) -> None:
     _write_ids(labels, height, width, 0, 0, names, width, labels, np.empty(1, np.int64))
 
 
-def _shared(seen: _Seen, labels: Int32, objects: Sequence[Segment]) -> list[float]:
+def _shared(seen: _Seen, labels: Int32, objects: Sequence[Object]) -> list[float]:
     """Return how much each object of a cloud has in common with one seen before; 0 if it is another."""
     if labels.ndim == 1 or labels.shape != seen.shape:
         apart = [float(np.linalg.norm(object_.centroid - seen.centroid)) for object_ in objects]

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.segmentation.clusters import NOISE_FACTOR, in_range
-from foretouch.cloud.segmentation.objects import Segment
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.errors import CloudError
 from foretouch.types import Bool, Cloud, Float32, Int32, Plane
+from foretouch.types.scene import Object, Scene
 
 _FEWEST: Final = 30  # points that are left of an object
 _NEAR_M: Final = 0.02  # from the plane of the table: its noise, not an object
@@ -25,7 +25,7 @@ _LABELS: Final = 2**31  # an id is an int32
 _NAMED: Final = 5  # labels in a reason
 
 
-def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) -> Segmentation:
+def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) -> Scene:
     """Segment an image by the labels of a mask.
 
     Args:
@@ -46,11 +46,11 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
     rest = segment(replace(cloud, xyz=np.where(masked[..., None], np.float32(np.nan), cloud.xyz)), config)
     counts = rest.counts | dict.fromkeys(("mask_no_depth", "mask_table", "mask_apart", "mask_rejected"), 0)
     counts |= {"mask": int(np.count_nonzero(masked)), "n_rejected": 0, "objects": 0}
-    empty = replace(rest, objects=(), labels=np.zeros_like(labels), counts=counts)
-    if rest.plane is None:
+    empty = replace(rest, cloud=cloud, objects=(), labels=np.zeros_like(labels), counts=counts)
+    if rest.table is None:
         return replace(empty, reason=f"{rest.reason} (in the image without the mask)")
     depth = in_range(cloud.xyz[..., 2], config.crop) & np.isfinite(cloud.xyz).all(axis=2)
-    above = _above(cloud.xyz, depth & ~masked, rest.plane, config.clusters.min_height_m)
+    above = _above(cloud.xyz, depth & ~masked, rest.table, config.clusters.min_height_m)
     counts["mask_no_depth"] = int(np.count_nonzero(masked & ~depth))
     counts["mask_table"] = int(np.count_nonzero(masked & depth & ~above))
     objects, left_out = [], []
@@ -67,13 +67,13 @@ def segment_mask(cloud: Cloud, mask: npt.ArrayLike, config: SegmentationConfig) 
             counts["mask_rejected"] += len(pixels)
             left_out.append(f"label {label} has {len(pixels)} points above the table, fewer than {_FEWEST}")
             continue
-        objects.append(_object(label, pixels, cloud))
+        objects.append(Object.of(str(label), cloud.take(pixels), rest.table, pixels=pixels, image_shape=labels.shape))
         counts["objects"] += len(pixels)
     objects.sort(key=lambda piece: piece.distance_m)
     counts["n_rejected"] = len(left_out)
     ids_of_pixels = np.zeros(labels.size, np.int32)
     for object_ in objects:
-        ids_of_pixels[object_.pixels] = object_.id
+        ids_of_pixels[object_.pixels] = int(object_.id)
     more = f" and {len(left_out) - _NAMED} more" if len(left_out) > _NAMED else ""
     reason = f"mask: {'; '.join(left_out[:_NAMED])}{more}" if left_out else ""
     return replace(
@@ -126,10 +126,3 @@ def _together(points: Float32) -> Bool:
     group = np.zeros(len(points), np.intp)
     group[order] = np.cumsum(np.diff(points[order, 2], prepend=points[order[:1], 2]) > _GAP_M)
     return np.asarray(np.bincount(group)[group] >= _SHARE * len(points), np.bool_)
-
-
-def _object(label: int, pixels: npt.NDArray[np.intp], cloud: Cloud) -> Segment:
-    part = cloud.take(pixels)
-    points = part.xyz.astype(np.float64)
-    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-    return Segment(label, part, pixels.astype(np.int64), points.mean(axis=0), bounds)

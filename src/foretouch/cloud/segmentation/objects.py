@@ -14,6 +14,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float64, Int32, Int64, Plane
+from foretouch.types.scene import NEAR_M, Object
 
 _collect_members = Kernel("collect_members")
 _write = Kernel("write_ids")
@@ -28,28 +29,6 @@ TargetMode = Literal["nearest", "largest", "point", "free", "all"]
 _FREE = 0.2  # of the score that others may cost the best grasp of a free object: a turn by 45 degrees costs as much
 
 
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """One object."""
-
-    id: int  # 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`; 0 for background
-    cloud: Cloud  # its points, unorganised, all finite, in the order of the input
-    pixels: Int64  # (n,) int64, rows of `cloud` as flat indices into the input cloud, ascending
-    centroid: Float64  # (3,) float64, mean of the points [m]
-    bounds: Float64  # (2, 3) float64, smallest and largest x, y, z [m]
-    background: str = ""  # why it is no object, one of `background.REASONS`; "" for an object
-
-    @property
-    def n_points(self) -> int:
-        """Number of points."""
-        return len(self.pixels)
-
-    @property
-    def distance_m(self) -> float:
-        """Distance of the centroid from the camera [m]."""
-        return float(np.linalg.norm(self.centroid))
-
-
 def extract_objects(
     cloud: Cloud,
     windows: Sequence[Clusters],
@@ -57,7 +36,7 @@ def extract_objects(
     config: ClusterConfig,
     labels: Int32,
     reasons: Int64 | None = None,
-) -> tuple[tuple[Segment, ...], tuple[Segment, ...], dict[str, int]]:
+) -> tuple[tuple[Object, ...], tuple[Object, ...], dict[str, int]]:
     """Extract the clusters of a plausible size as objects, and those that are background.
 
     Args:
@@ -76,19 +55,20 @@ def extract_objects(
     rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)  # once, not for each window: it may be a copy
     flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
-    standing: list[tuple[float, int, int, Segment]] = []  # distance, window and label, by which they are sorted
+    shape = image.shape if cloud.organised else None
+    standing: list[tuple[float, int, int, Object]] = []  # distance, window and label, by which they are sorted
     behind = standing.copy()
     rejected = []
     first = 0  # label of the window among all labels
     for number, window in enumerate(windows):
-        for label, segment, top_m in _segments(flat, window, image.shape[1], threshold.plane):
+        for label, candidate, top_m in _clusters(flat, window, image.shape[1], threshold.plane, shape):
             reason = "" if reasons is None else REASONS[reasons[first + label]]
-            if reason == ENTERS or (reason and segment.n_points >= config.min_points):
-                behind.append((segment.distance_m, number, label, replace(segment, background=reason)))
-            elif not reason and _plausible(segment, top_m, threshold, config):
-                standing.append((segment.distance_m, number, label, segment))
+            if reason == ENTERS or (reason and candidate.n_points >= config.min_points):
+                behind.append((candidate.distance_m, number, label, replace(candidate, background=reason)))
+            elif not reason and _plausible(candidate, top_m, threshold, config):
+                standing.append((candidate.distance_m, number, label, candidate))
             else:
-                rejected.append(segment.n_points)
+                rejected.append(candidate.n_points)
         first += window.n_labels
     standing.sort(key=lambda entry: entry[:3])
     behind.sort(key=lambda entry: entry[:3])
@@ -96,16 +76,18 @@ def extract_objects(
     for k, (_, number, label, _) in enumerate(standing, 1):
         ids[number][label] = k
     labelled = sum(_write_ids(image, *entry) for entry in zip(windows, ids, strict=True))
-    objects = tuple(replace(segment, id=k) for k, (*_, segment) in enumerate(standing, 1))
-    background = tuple(segment for *_, segment in behind)
-    used = sum(segment.n_points for segment in objects)
+    objects = tuple(replace(object_, id=str(k)) for k, (*_, object_) in enumerate(standing, 1))
+    background = tuple(object_ for *_, object_ in behind)
+    used = sum(object_.n_points for object_ in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
     counts |= {"n_background": len(background)} | Counter(f"n_{entry.background}" for entry in background)
     return objects, background, counts
 
 
-def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, Segment, float]]:
-    """Iterate over the clusters of a window with solid points: the label, a segment without an id, and its height [m]."""
+def _clusters(
+    flat: Cloud, window: Clusters, width: int, plane: Plane, shape: tuple[int, int] | None
+) -> Iterator[tuple[int, Object, float]]:
+    """Iterate over the clusters of a window with solid points: the label, an object with the id of background, and its height [m]."""
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
     columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
@@ -118,11 +100,11 @@ def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterat
             part = Cloud(points[start:end], rgb, flat.frame_id, flat.stamp_ns)
             centroid = columns[:, start:end].mean(axis=1)
             box = bounds[cluster].astype(np.float64)
-            yield cluster, Segment(0, part, pixels[start:end], centroid, box), float(tops[cluster])
+            yield cluster, Object("0", part, plane, centroid, box, pixels[start:end], shape), float(tops[cluster])
         start = end
 
 
-def _plausible(candidate: Segment, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
+def _plausible(candidate: Object, top_m: float, threshold: HeightThreshold, config: ClusterConfig) -> bool:
     """Neither speckle nor noise or waves of the table, nor a wall."""
     waves_m = 2.0 * threshold.noise_per_m * candidate.centroid[2] ** 2
     return bool(
@@ -150,7 +132,7 @@ class TargetConfig(Settings):
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
     tolerance_m: float = setting(
-        0.03, "Maximum distance of the object's nearest point from the point", bounds=(0.0, 1.0)
+        NEAR_M, "Maximum distance of the object's nearest point from the point", bounds=(0.0, 1.0)
     )
     margin_m: float = setting(0.005, "Two objects whose distances differ less are ambiguous", bounds=(0.0, 1.0))
     max_objects: int = setting(16, "Most objects of modes all and free, nearest first", bounds=(1, 10_000))
@@ -164,8 +146,8 @@ class TargetConfig(Settings):
 
 
 def select_targets(
-    objects: Sequence[Segment], config: TargetConfig, previous: Float64 | None = None
-) -> tuple[list[Segment], str]:
+    objects: Sequence[Object], config: TargetConfig, previous: Float64 | None = None
+) -> tuple[list[Object], str]:
     """Select the objects that get grasps.
 
     Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would
@@ -210,11 +192,11 @@ def select_targets(
 
 
 def select_free(
-    objects: Sequence[Segment],
+    objects: Sequence[Object],
     config: TargetConfig,
-    loss: Callable[[Segment], tuple[float, str]],
+    loss: Callable[[Object], tuple[float, str]],
     previous: Float64 | None = None,
-) -> tuple[list[Segment], str]:
+) -> tuple[list[Object], str]:
     """Select the nearest object whose best grasp is not blocked by another object, for mode `free`.
 
     If there is none, the one that other objects cost least; of several that have no grasp at all, the nearest.
@@ -228,8 +210,8 @@ def select_free(
     Returns:
         The object, and why: which nearer ones are not free, or that none is; "" if the nearest is free.
     """
-    free: list[Segment] = []
-    blocked: list[tuple[float, Segment, str]] = []
+    free: list[Object] = []
+    blocked: list[tuple[float, Object, str]] = []
     for obj in sorted(objects, key=lambda entry: entry.distance_m)[: config.max_objects]:
         if free and obj.distance_m - free[0].distance_m >= config.margin_m:
             break
@@ -247,8 +229,8 @@ def select_free(
 
 
 def _one_of(
-    tied: Sequence[Segment], previous: Float64 | None, how: str, values: Sequence[str], unit: str
-) -> tuple[list[Segment], str]:
+    tied: Sequence[Object], previous: Float64 | None, how: str, values: Sequence[str], unit: str
+) -> tuple[list[Object], str]:
     """Return the object that is selected of those that tie, and the reason where there are several."""
     if len(tied) == 1:
         return [tied[0]], ""
@@ -258,7 +240,7 @@ def _one_of(
     return [chosen], f"{AMBIGUOUS_TARGET}: objects {ids} are {how}, {numbers}; object {chosen.id} {why}"
 
 
-def _break_tie(tied: Sequence[Segment], previous: Float64 | None) -> tuple[Segment, str]:
+def _break_tie(tied: Sequence[Object], previous: Float64 | None) -> tuple[Object, str]:
     if previous is not None:
         nearest = min(tied, key=lambda obj: float(np.linalg.norm(obj.centroid - previous)))
         if np.linalg.norm(nearest.centroid - previous) < _SAME_PLACE_M:
@@ -266,7 +248,7 @@ def _break_tie(tied: Sequence[Segment], previous: Float64 | None) -> tuple[Segme
     angles = {obj.id: float(np.arctan2(np.hypot(*obj.centroid[:2]), obj.centroid[2])) for obj in tied}
     smallest = min(angles.values())
     central = [obj for obj in tied if angles[obj.id] - smallest < _SAME_ANGLE]
-    chosen = min(central, key=lambda obj: (obj.centroid[0], obj.centroid[1], obj.id))
+    chosen = min(central, key=lambda obj: (obj.centroid[0], obj.centroid[1], int(obj.id)))
     if len(central) > 1:
         return chosen, "is the leftmost of those nearest to the optical axis"
     return chosen, "is nearest to the optical axis"

@@ -27,7 +27,7 @@ from foretouch.cloud.segmentation.clusters import (
     label_unorganised,
     pixel_pitch,
 )
-from foretouch.cloud.segmentation.objects import Segment, extract_objects
+from foretouch.cloud.segmentation.objects import extract_objects
 from foretouch.cloud.segmentation.parts import SPLIT_COUNTS, SplitConfig, split_clusters, split_list
 from foretouch.cloud.segmentation.plane import PlaneConfig, find_table
 from foretouch.cloud.segmentation.rays import RayFilter, finite_rows, out_of_view, view_fault
@@ -37,6 +37,7 @@ from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32, Float64, Index, Int32, Plane
 from foretouch.types.camera import DepthImage
 from foretouch.types.cloud import DepthCloud
+from foretouch.types.scene import Object, Scene
 
 SegmentationStatus = Literal[
     "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
@@ -76,33 +77,7 @@ class SegmentationConfig(Settings):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Segmentation:
-    """The table and the objects of a cloud.
-
-    Flying pixels at the outline of an object have its label, but an unreliable depth, so they are not in its cloud.
-
-    Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
-    points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
-    affect the result are checked, of one whose camera is known none has to be; background is the table, points below it, isolated points and those without x or y;
-    rejected are the points of `n_rejected` implausible clusters. The `n_background` clusters that are background for a reason,
-    counted by reason as `n_enters_view` and so on, are within background. `clusters` are split into `parts`; `joined_small`,
-    `joined_border` and `joined_hidden` are the fragments that were joined again, by reason (see `parts`), all 0 where nothing
-    calls for splitting.
-    """
-
-    status: SegmentationStatus  # "ok" with at least one object, else what is missing
-    reason: str  # explanation of the status; "" if ok
-    plane: Plane | None  # the table, its normal towards the camera; None if not found
-    objects: tuple[Segment, ...]  # nearest centroid first; ids 1, 2, ...
-    background: tuple[Segment, ...]  # what is no object, and why; nearest first
-    outline: Float64  # (n, 3) float64, corners of the table's outline [m]; empty if unknown, as in a list of points
-    labels: Int32  # (H, W) or (N,) int32, the id of each point's object, 0 for none
-    counts: dict[str, int]  # of points
-    ms: dict[str, float]  # time of each stage and `total` [ms]
-
-
-def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
+def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Scene:
     """Segment a cloud into the table and the objects on it.
 
     Args:
@@ -110,7 +85,7 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
         config: Settings; the defaults if None. The same input gives bit-equal results.
 
     Returns:
-        The segmentation; unusable points are reported in its status, not raised.
+        The scene, without targets; unusable points are reported in its status, not raised.
     """
     config = SegmentationConfig() if config is None else config
     reasons = (f"n_{reason}" for reason in ("background", *REASONS[1:]))
@@ -118,17 +93,16 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     counts = dict.fromkeys(names, 0)
     ms: dict[str, float] = {}
     with timed(ms, "total"):
-        if _image_of(cloud) is None:
-            cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
-        status, reason, plane, objects, background, outline, labels = _of_imagelist(cloud, config, counts, ms)
+        contiguous = cloud if _image_of(cloud) else replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
+        status, reason, plane, objects, background, outline, labels = _of_imagelist(contiguous, config, counts, ms)
         if status != "ok" and cloud.camera is None and (frame := not_optical(cloud.xyz)):
             status, reason = "unknown_frame", frame
     counts["received"] = cloud.size
     counts["background"] = cloud.size - sum(counts[name] for name in _DROPPED)
-    return Segmentation(status, reason, plane, objects, background, outline, labels, counts, ms)
+    return Scene(status, reason, cloud, plane, objects, background, outline, labels, counts, ms)
 
 
-_Objects = tuple[Segment, ...]
+_Objects = tuple[Object, ...]
 _Result = tuple[SegmentationStatus, str, Plane | None, _Objects, _Objects, Float64, Int32]
 
 
@@ -152,11 +126,13 @@ def _of_imagelist(cloud: Cloud, config: SegmentationConfig, counts: dict[str, in
     return status, reason, plane, listed, others, outline, labels
 
 
-def _listed(of_image: Segment, cloud: Cloud, place: Int32) -> Segment:
+def _listed(of_image: Object, cloud: Cloud, place: Int32) -> Object:
     """Return an object of an image as one of the list of its points, by the row of each pixel in that list."""
     pixels = np.sort(place[of_image.pixels]).astype(np.int64)
     rgb = None if cloud.rgb is None else cloud.rgb[pixels]
-    return replace(of_image, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels)
+    return replace(
+        of_image, cloud=Cloud(cloud.xyz[pixels], rgb, cloud.frame_id, cloud.stamp_ns), pixels=pixels, image_shape=None
+    )
 
 
 def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:

@@ -8,7 +8,7 @@ given by the caller.
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
-from foretouch.types import DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
+from foretouch.types import ASSUMED_TABLE, DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -47,13 +47,6 @@ class AssemblerConfig:
     successes_only: bool = False  # whether grasps that failed after contact are rejected too
     watch_sensors: bool = False  # whether contacts are detected and the sensors' state is followed, which takes time
     check_clock: bool = True  # whether messages are received live, so that clocks can be compared
-
-
-class AssembledSample(NamedTuple):
-    """A sample as it is recorded, without an id, and its readings; None for a sample without a touch."""
-
-    sample: Sample
-    cut: TouchCut | None = None
 
 
 class SampleAssembler:
@@ -87,7 +80,7 @@ class SampleAssembler:
             successes_only=self.config.successes_only,
         )
         self._labelled_clouds: set[int] = set()
-        self._unlabelled: list[AssembledSample] = []
+        self._unlabelled: list[Sample] = []
 
     # State.
 
@@ -162,22 +155,20 @@ class SampleAssembler:
 
     # Output.
 
-    def poll(self, now_s: float, *, ending: bool = False) -> list[AssembledSample | RejectedGrasp]:
-        """Return the samples and rejected grasps that are complete by now; at the end, all."""
+    def poll(self, now_s: float, *, ending: bool = False) -> list[Sample | RejectedGrasp]:
+        """Return the samples, without ids, and rejected grasps that are complete by now; at the end, all."""
         if now_s - self._last_tactile_s > _TACTILE_TIMEOUT_S:
             self._health.silence()
-        results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled]
+        results: list[Sample | RejectedGrasp] = [*self._unlabelled]
         self._unlabelled.clear()
         for match in self.matcher.poll(now_s, ending=ending):
-            result: AssembledSample | RejectedGrasp
+            result: Sample | RejectedGrasp
             try:
-                result = (
-                    match if isinstance(match, RejectedGrasp) else AssembledSample(self._labelled(match), match.cut)
-                )
+                result = match if isinstance(match, RejectedGrasp) else self._labelled(match)
             except PairingError as err:
                 name = match.executed.grasp_id if isinstance(match, MatchedGrasp) else match.grasp_id
                 result = RejectedGrasp(grasp_id=name, reason=err.reason, message=str(err))
-            self.results["recorded" if isinstance(result, AssembledSample) else result.reason] += 1
+            self.results["recorded" if isinstance(result, Sample) else result.reason] += 1
             results.append(result)
         if ending:
             self._remove(self.clouds.clear())
@@ -197,7 +188,7 @@ class SampleAssembler:
                 self.clouds_without_grasps += 1
             elif every_s is not None and not cloud.ambiguous and not soon:
                 try:
-                    self._unlabelled.append(AssembledSample(self._without_touch(cloud, plan)))
+                    self._unlabelled.append(self._without_touch(cloud, plan))
                     self._last_unlabelled_ns = cloud.stamp_ns
                 except PairingError as err:
                     self.rejected_clouds[f"unlabelled {err.reason}"] += 1
@@ -278,7 +269,7 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...],
 def _object_cloud(cloud: BufferedCloud, frame_id: str, grasp: Grasp) -> Cloud:
     try:
         message = cloud.message.decode()
-        objects = decode_objects(message)
+        objects = decode_objects(message, ASSUMED_TABLE)  # only their clouds are used
     except (CloudError, DatasetError) as err:
         raise PairingError("bad_cloud", str(err)) from err
     if message.header.frame_id != frame_id:

@@ -14,12 +14,13 @@ import numpy as np
 
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import card_sensor, load_calibration, read_card
+from foretouch.models.estimator import Estimate
 from foretouch.models.files import file_beside, read_tensors
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold, tensor_shapes
 from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback, object_sizes
-from foretouch.models.touch_model import Estimate, TouchModel
+from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import BIOTAC, MODALITIES, TOUCH_SIZE, Ranges
 from foretouch.types import AnyArray, Cloud, Grasp, Plane
 

@@ -16,12 +16,10 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.pointcloud2 import encode
-from foretouch.cloud.messages import decode_objects
-from foretouch.cloud.segmentation.objects import Segment
-from foretouch.pipeline import Object
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
-from foretouch.types import AnyArray, Cloud, Plane
+from foretouch.types import AnyArray, Cloud
 from foretouch.types.camera import MODELS
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import Object as ObjectMsg
 
 _MILLIMETRE: Final = 1e-3  # [m], the unit of 16UC1
@@ -85,11 +83,7 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
         nanoseconds: Stamp of the scene's cloud [ns].
     """
     colours = [target.cloud.rgb for target in targets if target.cloud.rgb is not None]
-    pixels = [
-        np.divmod(target.pixels, target.image_shape[1])
-        for target in targets
-        if target.pixels is not None and target.image_shape
-    ]
+    pixels = [np.divmod(target.pixels, target.image_shape[1]) for target in targets if target.image_shape]
     xyz = np.concatenate([target.cloud.xyz for target in targets] or [np.empty((0, 3), np.float32)])
     rgb = np.concatenate(colours) if targets and len(colours) == len(targets) else None
     ids, sizes = [int(target.id) for target in targets], [target.cloud.size for target in targets]
@@ -100,36 +94,20 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
     return cloud_to_msg(Cloud(xyz, rgb, frame_id, nanoseconds), **columns)
 
 
-def object_to_msg(segment: Segment, *, target: bool) -> ObjectMsg:
+def object_to_msg(object_: Object, *, target: bool) -> ObjectMsg:
     """Convert an object with the indices of its points.
 
     Args:
-        segment: The object.
+        object_: The object.
         target: Whether grasps are planned on it.
     """
-    low, high = segment.bounds
+    low, high = object_.bounds
     return ObjectMsg(
-        id=str(segment.id),
-        n_points=segment.n_points,
-        centroid=point_to_msg(segment.centroid),
+        id=object_.id,
+        n_points=object_.n_points,
+        centroid=point_to_msg(object_.centroid),
         minimum=point_to_msg(low),
         maximum=point_to_msg(high),
         target=target,
-        indices=array.array("I", segment.pixels.astype(np.uint32).tobytes()),
-    )
-
-
-def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[Object, ...]:
-    """Convert an `object_cloud`, or any cloud of one object.
-
-    Args:
-        message: The cloud.
-        plane: Table of all objects, in the frame of the cloud.
-
-    Raises:
-        CloudError: If its sizes do not add up, or x, y or z is missing or of another type.
-    """
-    return tuple(
-        Object(object_.id, object_.cloud, plane, object_.pixels, object_.image_shape)
-        for object_ in decode_objects(message)
+        indices=array.array("I", object_.pixels.astype(np.uint32).tobytes()),
     )

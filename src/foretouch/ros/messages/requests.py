@@ -13,16 +13,16 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object
+from foretouch.cloud.messages import decode_objects
 from foretouch.errors import CloudError, DatasetError, ForetouchError, FrameError, GraspError, LimitError
 from foretouch.grasp import Obstacles
 from foretouch.grasp.messages import STATUSES, decode_grasp, has_orientation
 from foretouch.grasp.pose import joined_faults, rotation_faults
-from foretouch.pipeline import Object
-from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import obstacles_from_msg, plane_from_msg
 from foretouch.types import ASSUMED_TABLE, Grasp, Grasps, Plane
 from foretouch.types.arrays import Bool, objects
 from foretouch.types.grasps import contact_faults
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TablePlane
 
@@ -139,7 +139,7 @@ def read_targets(message: PointCloud2, plane: Plane, limits: ObjectLimits) -> tu
         RefusalError: BAD_CLOUD, EMPTY_CLOUD, or UNKNOWN_FRAME with a reason that holds `not_optical`.
     """
     with _refused_as(Status.BAD_CLOUD):
-        targets = objects_from_msg(message, plane)
+        targets = decode_objects(message, plane)
     if not targets:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
     for target in targets:

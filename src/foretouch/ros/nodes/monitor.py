@@ -19,13 +19,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.cloud.messages import decode_cloud
-from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
+from foretouch.cloud.messages import decode_cloud, decode_objects
+from foretouch.dataset.pairing.assembler import AssemblerConfig, Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
-from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
-from foretouch.pipeline import Object
-from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.messages.tactile import message_class
 from foretouch.ros.runtime.internal_errors import InternalErrors
@@ -34,7 +31,8 @@ from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileConfig
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
-from foretouch.types import ASSUMED_TABLE, Cloud, stamp_ns
+from foretouch.types import ASSUMED_TABLE, Cloud, Sample, stamp_ns
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -50,7 +48,7 @@ class View:
     reasons: Counter[str] = field(default_factory=Counter)  # how often each kind of reason was given; # is a number
     last_reasons: dict[str, str] = field(default_factory=dict)  # the last one of each kind
     last: TouchPredictionArray | None = None  # the last array
-    executed: tuple[TouchPrediction, TouchCut] | None = None  # of the last grasp with success, and its readings
+    executed: tuple[TouchPrediction, Sample] | None = None  # of the last grasp with success, and its readings
     # Last level, line and numbers by node name.
     nodes: dict[str, tuple[int, str, dict[str, str]]] = field(default_factory=dict)
 
@@ -63,7 +61,7 @@ class View:
         self.last_reasons[kind] = reason
 
 
-Drawable: TypeAlias = tuple[Cloud | None, Object, TouchPrediction, TouchCut | None]
+Drawable: TypeAlias = tuple[Cloud | None, Object, TouchPrediction, Sample | None]
 """The whole cloud, if it was received; the object; its prediction; and the readings of the grasp, if it was executed."""
 
 
@@ -153,7 +151,7 @@ class MonitorNode(Node):
                 newest[unfamiliar] = drawn
         return [newest[key] for key in sorted(newest)]
 
-    def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
+    def _drawn(self, prediction: TouchPrediction, readings: Sample | None = None) -> Drawable | None:
         """Find the clouds of a prediction; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
@@ -164,7 +162,7 @@ class MonitorNode(Node):
         if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
-            objects = objects_from_msg(object_message, ASSUMED_TABLE)
+            objects = decode_objects(object_message, ASSUMED_TABLE)
             scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
@@ -206,12 +204,12 @@ class MonitorNode(Node):
             results = self._assembler.poll(now_s) if self._assembler.matcher.pending else []
             predictions = [touch for answer in self._drawable for touch in answer.predictions] if results else []
         for result in results:
-            if isinstance(result, AssembledSample) and result.cut is not None:
+            if isinstance(result, Sample) and result.touch is not None:
                 for touch in predictions:
-                    if touch.grasp.id == result.sample.grasp.id:
-                        drawn = self._drawn(touch, result.cut)
+                    if touch.grasp.id == result.grasp.id:
+                        drawn = self._drawn(touch, result)
                         with self._lock:
-                            self._view.executed = touch, result.cut
+                            self._view.executed = touch, result
                             if drawn is not None:
                                 self._executed[_is_unfamiliar(touch), bool(touch.touches)] = drawn
 

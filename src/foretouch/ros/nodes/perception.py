@@ -12,7 +12,6 @@ from typing import Final
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
-from foretouch.pipeline import Object
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.requests import (
     RefusalError,
@@ -36,6 +35,7 @@ from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, stamp_ns
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
 _OBJECTS: Final = InputTopic(CLOUD_TOPIC, PointCloud2), InputTopic("table", TablePlane)

@@ -17,7 +17,7 @@ from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.subscriptions import MessageQueue, RecorderInputs
 from foretouch.ros.runtime.subscription import SerializedMessage
 from foretouch.tactile.messages.table import TactileReader
-from foretouch.types import Cloud
+from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import TablePlane
 
 _IMAGES = (Image, CompressedImage)
@@ -76,7 +76,7 @@ class CheckFeed:
                 check.table = plane_from_msg(read_serialized(message.data, TablePlane).plane)
             case "cloud":
                 scene = self._clouds.get(read_header(message.data)[0])
-                objects = decode_objects(read_serialized(message.data, PointCloud2))
+                objects = decode_objects(read_serialized(message.data, PointCloud2), ASSUMED_TABLE)
                 if scene is not None and objects:
                     check.scene = self._scene(scene).xyz
                     check.targets = [object_.cloud.xyz for object_ in objects]

@@ -18,7 +18,6 @@ from typing import Any, Final
 from foretouch.cloud.messages import read_header
 from foretouch.dataset.pairing.assembler import Role, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
-from foretouch.dataset.pairing.cut import TouchCut
 from foretouch.dataset.pairing.matcher import Label, RejectedGrasp
 from foretouch.dataset.recording.operator import Action, Operator, OperatorState
 from foretouch.dataset.recording.records import TopicCounts
@@ -49,7 +48,7 @@ class SessionStatus:
     accounts: Mapping[str, TopicCounts] = field(default_factory=dict)  # by topic, without what waits
     anomalies: Counter[str] = field(default_factory=Counter)  # of tactile stamps, and messages that were not decoded
     operator: OperatorState = OperatorState()
-    last: tuple[TouchPrediction | None, TouchCut] | None = None  # of the latest sample with a touch
+    last: tuple[TouchPrediction | None, Sample] | None = None  # of the latest sample with a touch
 
 
 class RecordingSession:
@@ -90,7 +89,7 @@ class RecordingSession:
         self._operator = operator
         self._dropping = False  # what is received in a pause
         self._predictions: OrderedDict[int, bytes] = OrderedDict()  # serialised, by the stamp of their cloud
-        self._last: tuple[TouchPrediction | None, TouchCut] | None = None
+        self._last: tuple[TouchPrediction | None, Sample] | None = None
         self._warn = warn
         self._hold, self._publish = HoldEvaluator(writer.sensor), publish
         self._unreadable: Counter[str] = Counter()
@@ -193,13 +192,13 @@ class RecordingSession:
                 with self._assembler_lock:
                     self._operator.add_rejected(result.grasp_id, result.message)
                 continue
-            name = self.writer.append(result.sample)
-            if result.cut is not None:
+            name = self.writer.append(result)
+            if result.pairing_error_ns is not None:  # of a sample with a touch
                 self._last_sample = name
-                self._last = self._prediction(result.sample), result.cut
-                self._errors_ns.append(result.cut.error_ns)
+                self._last = self._prediction(result), result
+                self._errors_ns.append(result.pairing_error_ns)
             with self._assembler_lock:
-                self._operator.add_sample(result.sample, name)
+                self._operator.add_sample(result, name)
         self._update_status()
 
     def _without_pause(self, messages: list[SerializedMessage]) -> list[SerializedMessage]:

@@ -10,13 +10,14 @@ from std_msgs.msg import Header
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, HandConfig
-from foretouch.pipeline import Object, Pipeline, PipelineConfig
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.requests import status_code
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.topics import GRASPS_TOPIC
 from foretouch.types import stamp_ns
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import GraspArray
 
 HOLD_TOLERANCE_M: Final = 0.005

@@ -23,20 +23,20 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.cloud.geometry.limits import ObjectLimits
-from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, SampleAssembler
+from foretouch.dataset.pairing.assembler import AssemblerConfig, SampleAssembler
 from foretouch.dataset.pairing.buffers import SerializedCloud
 from foretouch.dataset.pairing.matcher import RejectedGrasp
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.history_keeper import HistoryKeeper
-from foretouch.models.touch_model import Snapshot, TouchModel
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.ros.messages.requests import Targets
 from foretouch.ros.steps.touch_settings import TouchSettings
 from foretouch.tactile import tdc_of
 from foretouch.tactile.dead_taxels import usable
 from foretouch.tactile.live_tare import LiveTare
 from foretouch.tactile.messages.table import TactileReader
-from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Touch, stamp_ns
+from foretouch.types import Cloud, Float32, Grasp, Plane, Predictions, Sample, Touch, stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp
 
 _TABLES = 64  # of the latest clouds, which come before the clouds themselves are kept
@@ -174,7 +174,7 @@ class OnlineAdapter:
                     return
                 del self._tables[oldest]
 
-    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> Snapshot | None:
+    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchSettings) -> History | None:
         """Copy the readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
         now_ns, others = self._now_ns(), self._others
         tdc = (
@@ -185,7 +185,7 @@ class OnlineAdapter:
         with self._keeper.lock:
             try:
                 if tare is not None:
-                    self._history.add_tare(now_ns, tare, tdc=tdc)
+                    self._history.tare(tare, stamp_ns=now_ns, tdc=tdc)
             except TactileError as err:
                 if not self._tare_refused:  # not for every cloud
                     self._warn(f"tare: refused: {err}")
@@ -263,22 +263,22 @@ class OnlineAdapter:
         """Give taxels that the hand's description declares dead the mean of others."""
         return Touch(usable(reading.values, reading.channels, self._valid), reading.channels)
 
-    def _add_touch(self, assembled: AssembledSample, config: TouchSettings) -> None:
-        sample, cut = assembled.sample, assembled.cut
-        assert cut is not None  # noqa: S101  samples without a touch are not asked for
-        touch, tare = self._usable(cut.touch), self._usable(cut.tare) if config.use_tare else None
+    def _add_touch(self, sample: Sample, config: TouchSettings) -> None:
+        assert sample.touch is not None  # noqa: S101  samples without a touch are not asked for
+        touch, tare = self._usable(sample.touch), None
+        if config.use_tare and sample.tare is not None:
+            tare = self._usable(sample.tare)
         try:
             now_ns = self._now_ns()
             extra = sample.extra
             if tare is not None:
-                self._history.add_tare(now_ns, tare, tdc=tdc_of(extra, tare.channels, "tare_"))
-            new = not self._history.is_current(sample.cloud, config.same_object_m)
+                self._history.tare(tare, stamp_ns=now_ns, tdc=tdc_of(extra, tare.channels, "tare_"))
+            same = self._history.is_current(sample.cloud, config.same_object_m)
             table = self._tables.get(sample.cloud.stamp_ns)
             estimate = self._history.model.estimate_executed(sample.cloud, [sample.grasp], config.limits, table)
             tdc = tdc_of(extra, touch.channels)
-            self._history.add_touch(
-                now_ns, sample.cloud, sample.grasp, touch, new_object=new, estimate=estimate, tdc=tdc
-            )
+            read = (sample.cloud, sample.grasp, touch)
+            self._history.touched(*read, stamp_ns=now_ns, same_object=same, estimate=estimate, tdc=tdc)
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
             self._refuse(sample.grasp.id, reasons.get(type(err), "refused"), str(err))

@@ -11,7 +11,7 @@ from foretouch.errors import CloudError, ForetouchError, FrameError, GraspError,
 from foretouch.grasp import GeoGraspConfig, closing_faults, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
 from foretouch.models.equal_pressure import flag_equal_pressures
-from foretouch.pipeline import Object, Pipeline
+from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.requests import RefusalError, RequestedGrasps, Targets, status_name
@@ -22,6 +22,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Predictions
 from foretouch.types.arrays import Bool
 from foretouch.types.channels import NO_CHANNELS, Channels
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import Status
 
 

@@ -21,12 +21,13 @@ from foretouch.errors import described
 from foretouch.grasp import GraspPlan
 from foretouch.grasp.hand import tool_of
 from foretouch.models.equal_pressure import EQUAL_PRESSURE, equal_groups, predicted_pressures
-from foretouch.pipeline import Object, Pipeline, PipelineConfig
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import RefusalError, Targets, no_latest_cloud, requested_targets
 from foretouch.ros.steps.grasping import plan_targets
 from foretouch.ros.steps.touch import TouchStep
 from foretouch.ros.steps.touch_settings import COSTS, HARDER_FINGER, SCORE, TouchSettings
 from foretouch.types import Float64
+from foretouch.types.scene import Object
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPrediction
 

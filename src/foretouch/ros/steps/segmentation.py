@@ -15,7 +15,7 @@ from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.errors import CloudError
 from foretouch.grasp import HandConfig
-from foretouch.pipeline import Pipeline, PipelineConfig, Scene
+from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import obstacles_to_msg, plane_to_msg
 from foretouch.ros.messages.markers import object_markers
@@ -26,6 +26,7 @@ from foretouch.ros.runtime.processing_node import Step, warm_up_cloud
 from foretouch.ros.steps.selection import Selection, SelectionSettings
 from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Cloud, Float64, stamp_ns
+from foretouch.types.scene import Scene
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 
@@ -76,9 +77,7 @@ class SegmentationStep(Step):
         except CloudError as err:
             raise RefusalError(Status.BAD_REQUEST, str(err)) from err
         scene = self._selection.choose(scene)
-        ids = [target.id for target in scene.targets]
-        centroids = [segment.centroid for segment in scene.segmentation.objects if [str(segment.id)] == ids]
-        self._previous = centroids[0] if centroids else None
+        self._previous = scene.targets[0].centroid if len(scene.targets) == 1 else None
         return scene
 
     def publish(self, header: Header, scene: Scene) -> None:
@@ -91,8 +90,8 @@ class SegmentationStep(Step):
         state: dict[str, Any] = {"header": header, "status": status_code(scene.status), "reason": scene.reason}
         drawn = self._markers.get_subscription_count()
         if self._table.get_subscription_count() or drawn:
-            outline = array.array("f", scene.segmentation.outline.astype(np.float32).tobytes())
-            plane, obstacles = plane_to_msg(scene.segmentation.plane), obstacles_to_msg(scene.obstacles)
+            outline = array.array("f", scene.outline.astype(np.float32).tobytes())
+            plane, obstacles = plane_to_msg(scene.table), obstacles_to_msg(scene.obstacles)
             table = TablePlane(plane=plane, outline=outline, **obstacles, **state)
             self._table.publish(table)
         if self._object_cloud.get_subscription_count():
@@ -101,8 +100,8 @@ class SegmentationStep(Step):
             return
         chosen = {target.id for target in scene.targets}
         height, width = np.atleast_2d(scene.labels).shape
-        objects = [object_to_msg(segment, target=str(segment.id) in chosen) for segment in scene.segmentation.objects]
-        background = [segment.background for segment in scene.segmentation.background]
+        objects = [object_to_msg(object_, target=object_.id in chosen) for object_ in scene.objects]
+        background = [part.background for part in scene.background]
         message = ObjectArray(height=height, width=width, objects=objects, background=background, **state)
         self._objects.publish(message)
         if drawn:  # an error must not refuse the cloud, which is answered

@@ -16,12 +16,12 @@ from sensor_msgs.msg import Image
 from foretouch.cloud.io.mask_files import decode_mask
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError
-from foretouch.pipeline import Scene
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.diagnostics import Report
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import AnyArray, Cloud, stamp_ns
+from foretouch.types.scene import Scene
 from foretouch_msgs.msg import Status
 
 MASK_TOPIC: Final = "mask"

@@ -20,7 +20,6 @@ from foretouch.errors import TactileError
 from foretouch.grasp import GeoGraspConfig, GraspPlan
 from foretouch.models.equal_pressure import scale_of
 from foretouch.models.history_keeper import HistoryKeeper
-from foretouch.pipeline import Object
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.conversions import duration_to_msg
 from foretouch.ros.messages.markers import touch_markers
@@ -39,6 +38,7 @@ from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.topics import EXECUTED_TOPIC
 from foretouch.types import LATE, UNKNOWN_FRAME, Predictions, stamp_ns
+from foretouch.types.scene import Object
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, TouchPredictionArray
 
 

@@ -13,9 +13,8 @@ from recording_builders import read_folder
 
 from foretouch.errors import ConfigError
 from foretouch.models.contact.estimator import save_contact
-from foretouch.models.history import History
 from foretouch.models.registry import load_model
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import BIOTAC
 from foretouch.types import Sample
 from foretouch_lab.dataset.store_writer import StoreWriter
@@ -47,7 +46,7 @@ def by_touch_model(model: TouchModel, touched: list[Sample], sample: Sample) -> 
     """(2, 50) value and half width by the history of a hand."""
     history = History(model)
     for one in touched:
-        history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
+        history.touched(one.cloud, one.grasp, one.touch, stamp_ns=one.stamp_ns, same_object=True)
     read = history.snapshot(max([sample.stamp_ns, *(one.stamp_ns for one in touched)]), same_object=True)
     (found,) = model.predict(sample.cloud, [sample.grasp], history=read)
     return np.array([found.value.values, found.upper.values - found.value.values])

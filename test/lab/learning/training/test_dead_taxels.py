@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from run_builders import run_config, write_store
 
-from foretouch.models.history import History
 from foretouch.models.registry import load_model
+from foretouch.models.touch_model import History
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import with_dead_taxels
 from foretouch.types import Sample, Touch
@@ -80,9 +80,9 @@ def test_what_a_dead_electrode_reads_does_not_matter_to_a_hand(broken: Dataset, 
         hand, sample = History(model), damaged(broken.samples[0], column, value)
         assert sample.touch is not None
         if tare:
-            hand.add_tare(10**9, sample.touch)
+            hand.tare(sample.touch, stamp_ns=10**9)
         else:
-            hand.add_touch(10**9, sample.cloud, sample.grasp, sample.touch)
+            hand.touched(sample.cloud, sample.grasp, sample.touch, stamp_ns=10**9, same_object=True)
         (one,) = model.predict(asked.cloud, [asked.grasp], history=hand.snapshot(2 * 10**9, same_object=not tare))
         assert one.ok
         return one.value.values

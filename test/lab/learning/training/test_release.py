@@ -39,6 +39,7 @@ def train(config: Path, folder: Path, *words: object) -> int:
     return main(["train", str(config), f"data={folder}", *map(str, words)])
 
 
+@pytest.mark.slow
 def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config: Path, tmp_path, capsys) -> None:
     out = tmp_path / "out"
     assert train(config, folder, "train.epochs=2", "release=true", "-o", out, "--json") == 0
@@ -58,19 +59,6 @@ def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config:
     (prediction,) = model.predict(sample.cloud, [sample.grasp])
     assert prediction.status == "ok"
     assert "unfamiliar" not in prediction.flags
-
-
-@pytest.mark.slow
-def test_a_contact_model_is_released_with_its_calibration(folder: Path, config: Path, tmp_path: Path) -> None:
-    config.write_text("name: toy\nmethod: contact\ncontact: {trees: 5}\n")
-    assert train(config, folder, "release=true", "-o", tmp_path / "out") == 0
-    model = load_model(tmp_path / "out" / "toy.json")
-    assert set(model.card["calibration"]["regimes"]) == {"known", "new"}
-    assert any("cannot exceed 67%" in line for line in model.card["limits"])  # 2 of 3
-    sample = read_folder(folder)[0]
-    (prediction,) = model.predict(sample.cloud, [sample.grasp])
-    assert (prediction.lower.values < prediction.value.values).all()
-    assert (prediction.value.values < prediction.upper.values).all()
 
 
 @pytest.mark.slow

@@ -2,15 +2,10 @@
 """A run on disk: it resumes bit for bit, keeps its last good state, and refuses to become another run."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 import torch
-import yaml
 from every_case import every_refusal
 from run_builders import MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
@@ -39,26 +34,6 @@ def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) 
     logs = [(tmp_path / name / LOG_FILE).read_text() for name in ("whole", "cut")]
     assert logs[0] == logs[1]
     assert [json.loads(line)["epoch"] for line in logs[0].splitlines()] == [0, 1, 2, 3]
-
-
-@pytest.mark.slow
-def test_a_run_killed_at_any_time_resumes(store, data, tmp_path) -> None:
-    file = tmp_path / "tiny.yaml"
-    file.write_text(yaml.safe_dump(run_config(train={"epochs": 120, "batch_size": 8}).to_mapping()))
-    words = [sys.executable, "-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "--resume"]
-    words += ["-o", str(tmp_path / "run")]
-    env = {**os.environ, "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, env=env, text=True)
-    for _ in range(20):
-        assert "epoch" in process.stdout.readline()
-    process.send_signal(signal.SIGKILL)
-    process.wait(30)
-    process.stdout.close()
-    assert not (tmp_path / "run" / "tiny.json").exists()
-    chosen = run_config(train={"epochs": 120, "batch_size": 8})
-    cut = train_run(chosen, data, tmp_path / "run", quiet, resume=True)
-    whole = train_run(chosen, data, tmp_path / "whole", quiet)
-    assert cut.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
 
 
 def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(data, tmp_path) -> None:

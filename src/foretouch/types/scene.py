@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An object on the table, and the scene of a cloud: its table, its objects, and what stands in the way."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import CloudError, shown
+from foretouch.types.arrays import Float32, Float64, Int32, Int64
+from foretouch.types.cloud import Cloud, Plane
+
+NEAR_M: Final = 0.03
+"""How far from a point the object that is meant by it may be."""
+
+_ON_TABLE_M: Final = 0.01  # from the plane of the table
+_OBSTACLE_POINTS: Final = 400  # at most, of each object
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacles:
+    """Points of all objects of a scene, sampled, which stand in the way of fingers."""
+
+    xyz: Float32  # (M, 3) float32 [m], camera frame
+    object_ids: Int32  # (M,) int32, the object of each
+
+    @classmethod
+    def of(cls, objects: Sequence[tuple[int, Float32]]) -> Self | None:
+        """Return the obstacles of a scene with the ids and the (N, 3) float32 points [m] of its objects; None for a single one."""
+        if len(objects) < 2:
+            return None
+        sampled = [(k, xyz[:: -(-len(xyz) // _OBSTACLE_POINTS)]) for k, xyz in objects]
+        ids = [np.full(len(xyz), k, np.int32) for k, xyz in sampled]
+        return cls(np.concatenate([xyz for _, xyz in sampled]), np.concatenate(ids))
+
+    def without(self, object_id: str) -> "Obstacles":
+        """Return the obstacles for grasps on one object: all others."""
+        others = self.object_ids != (int(object_id) if object_id.isdecimal() else -1)
+        return Obstacles(self.xyz[others], self.object_ids[others])
+
+
+@dataclass(frozen=True, eq=False)
+class Object:
+    """One object, and the table that it stands on."""
+
+    id: str  # unique within its cloud: its label in `Scene.labels` in digits, or a name
+    cloud: Cloud  # (N, 3) [m], only the object's points, in the optical frame of the camera
+    plane: Plane  # the table, in the cloud's frame
+    centroid: Float64  # (3,) float64, mean of its finite points [m]; NaN without any
+    bounds: Float64  # (2, 3) float64, smallest and largest x, y, z [m]; NaN without any
+    # (N,) int64, flat index of each point in the image or list that it comes from; empty where it is not known
+    pixels: Int64 = field(default_factory=lambda: np.empty(0, np.int64))
+    image_shape: tuple[int, int] | None = None  # (H, W) of that image; None for a list
+    flags: tuple[str, ...] = ()  # of its predictions: `ambiguous_target` if other objects fit the rule as well
+    obstacles: Obstacles | None = None  # all objects of the scene, if there are several
+    background: str = ""  # why it is no object, one of `cloud.segmentation.background.REASONS`; "" for an object
+
+    @classmethod
+    def of(cls, object_id: str, cloud: Cloud, plane: Plane, **others: Any) -> Self:
+        """Make an object of its points.
+
+        Args:
+            object_id: Its id.
+            cloud: Its points [m].
+            plane: The table, in the cloud's frame.
+            others: Further fields by name, such as `pixels`.
+        """
+        points = cloud.xyz.reshape(-1, 3).astype(np.float64)
+        points = points[np.isfinite(points).all(axis=1)]
+        if not len(points):
+            return cls(object_id, cloud, plane, np.full(3, np.nan), np.full((2, 3), np.nan), **others)
+        bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+        return cls(object_id, cloud, plane, points.mean(axis=0), bounds, **others)
+
+    @property
+    def n_points(self) -> int:
+        """Number of points."""
+        return self.cloud.size
+
+    @property
+    def distance_m(self) -> float:
+        """Distance of the centroid from the camera [m]."""
+        return float(np.linalg.norm(self.centroid))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The table and the objects in a cloud.
+
+    Flying pixels at the outline of an object have its label, but an unreliable depth, so they are not in its cloud.
+
+    Counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
+    points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points that could
+    affect the result are checked, of one whose camera is known none has to be; background is the table, points below it, isolated points and those without x or y;
+    rejected are the points of `n_rejected` implausible clusters. The `n_background` clusters that are background for a reason,
+    counted by reason as `n_enters_view` and so on, are within background. `clusters` are split into `parts`; `joined_small`,
+    `joined_border` and `joined_hidden` are the fragments that were joined again, by reason (see `parts`), all 0 where nothing
+    calls for splitting.
+    """
+
+    status: str  # "ok", or what is missing: a `SegmentationStatus`, or "no_target"
+    reason: str  # why, in words; for "ok" usually "", or how an ambiguous target was selected
+    cloud: Cloud  # the whole cloud
+    table: Plane | None  # its normal towards the camera; None if not found
+    objects: tuple[Object, ...]  # nearest centroid first, with ids 1, 2, ... or those of the mask or stream
+    background: tuple[Object, ...]  # what is no object, and why; nearest first
+    outline: Float64  # (n, 3) float64, corners of the table's outline [m]; empty if unknown, as in a list of points
+    labels: Int32  # (H, W) int32, or (N,) of an unorganised cloud: the id of each point's object, 0 for none
+    counts: dict[str, int]  # of points
+    ms: dict[str, float]  # time of each stage of the segmentation and `total` [ms]
+    targets: tuple[Object, ...] = ()  # the objects to grasp, best first, where they were selected
+    obstacles: Obstacles | None = None  # the points of all objects, if there are several and targets were selected
+
+    def at(self, u: int, v: int) -> Object:
+        """Return the object at a pixel.
+
+        Args:
+            u: Column of the image, 0 at the left.
+            v: Row of the image, 0 at the top.
+
+        Raises:
+            CloudError: If the pixel is outside the image, or no object is there; says what is. If it is not whole numbers.
+        """
+        if not all(isinstance(value, int | np.integer) for value in (u, v)):
+            raise CloudError(f"pixel: ({shown(u)}, {shown(v)}) is not two whole numbers, column and row; round a click")
+        depth = self.cloud.xyz[..., 2]
+        if depth.ndim != 2:
+            raise CloudError(f"pixel: a list of {depth.size} points has no pixels; select the object by a point")
+        height, width = depth.shape
+        if not (0 <= u < width and 0 <= v < height):
+            raise CloudError(
+                f"pixel: ({u}, {v}) is outside of the image, whose columns end at {width - 1}, rows at {height - 1}"
+            )
+        known = {object_.id: object_ for object_ in self.objects}
+        if (name := str(self.labels[v, u])) in known:
+            return known[name]
+        xyz = self.cloud.xyz[v, u].astype(np.float64)
+        where = "no object"
+        if not np.isfinite(xyz).all():
+            where = "a pixel without depth"
+        elif self.table is not None and abs(self.table.height(xyz)) < _ON_TABLE_M:
+            where = "the table"
+        raise CloudError(f"pixel: ({u}, {v}) is {where}; the objects are {', '.join(known) or 'none'}")
+
+    def near(self, point: npt.ArrayLike, tolerance_m: float = NEAR_M) -> Object:
+        """Return the object with the point that is nearest to a position.
+
+        Args:
+            point: (3,) [m], in the cloud's frame.
+            tolerance_m: Largest distance of the nearest point [m].
+
+        Raises:
+            CloudError: If no object is so near, or the position is not finite.
+        """
+        position = np.asarray(point, np.float64)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise CloudError(f"point: {position.tolist()} is not three finite numbers [m]")
+        away = [
+            float(np.linalg.norm(object_.cloud.xyz.astype(np.float64) - position, axis=1).min())
+            for object_ in self.objects
+        ]
+        if not away or min(away) > tolerance_m:
+            nearest = f"; the nearest is {min(away):.3f} m away" if away else ""
+            at = ", ".join(f"{value:g}" for value in position.tolist())
+            raise CloudError(f"point: no object within {tolerance_m:g} m of ({at}){nearest}")
+        return self.objects[int(np.argmin(away))]
