@@ -230,9 +230,6 @@ def _show(arguments: argparse.Namespace) -> int:
 def _repair(arguments: argparse.Namespace) -> int:
     failed, rows = False, []
     for path in arguments.paths:
-        if any(Path(path).glob("shard-*.arrow")) and not is_dataset(path):
-            rule = "is a training store, which is not repaired: `foretouch dataset verify` names its damage, `foretouch dataset build` writes it anew from its recordings"
-            raise FileError(path, rule)
         for report in repair_dataset(path):
             lost = [str(damage.error(report.path)) for damage in report.lost]
             if arguments.json:

@@ -74,7 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _readings(samples: SampleSet) -> Iterator[ViewStep]:
     """Iterate over the readings of all samples of a recording without a camera, with what became of their grasp."""
     for sample in samples:
-        series, tare, name = sample.readings, sample.tare, f"{sample.id}: {sample.outcome}"
+        series = sample.readings
+        tare = sample.tare
+        name = f"{sample.id}: {sample.outcome}"
         for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
             read = Touch(counts.astype(np.float64), samples.sensor.channels)
             yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")

@@ -82,7 +82,9 @@ def import_samples(
     with ExitStack() as stack:
         if is_sample_set(source):
             samples = open_samples(source)
-            stated, records, sensor = samples.identity, samples.with_discarded(), samples.sensor
+            stated = samples.identity
+            records = samples.with_discarded()
+            sensor = samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
             result.notes = tuple(bag.notes)
@@ -92,7 +94,9 @@ def import_samples(
             else:
                 topics = _with_clouds(bag, topics or BagTopics())
                 reader = _tactile_reader(bag, topics)
-                stated, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
+                stated = _UNKNOWN
+                records = _assemble(bag, topics, reader, result)
+                sensor = reader.sensor
         else:
             raise FileError(source, _not_imported(source))
         write_records(out, records, identity or stated, sensor, result, progress)

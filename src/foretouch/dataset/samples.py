@@ -99,7 +99,9 @@ class SampleSet:
 
     def subset(self, numbers: Sequence[int]) -> "SampleSet":
         """Return some samples by their numbers, in this order."""
-        kept, read, name = list(numbers), self.read, self.name
+        kept = list(numbers)
+        read = self.read
+        name = self.name
         return replace(self, size=len(kept), read=lambda k: read(kept[k]), name=lambda k: name(kept[k]))
 
     def with_discarded(self) -> Iterator[Sample]:

@@ -112,7 +112,9 @@ def open_source(
         with Recording(path) as recording:
             name = recording.cloud_topic(topic)
             topics = {recorded.name: recorded for recorded in recording.topics}
-            count, info, notes = topics.pop(name).count, recording.info_topic(name), recording.notes
+            count = topics.pop(name).count
+            info = recording.info_topic(name)
+            notes = recording.notes
         others = tuple(topics.values())
         entries = partial(_recorded, path, name)
         return Source(path, "recording", count, entries, frame_id, name, info, others, notes=notes)

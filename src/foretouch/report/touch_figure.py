@@ -65,7 +65,9 @@ def save_touch_picture(
     left = [2.6, 1.9][not scenes :] if any(grasp.target for grasp in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
     shown = [levels[sensor.valid[finger]] for row in panels for finger, _, _, levels in row]
-    colours, drawn, ringed = taxel_colours(view, shown, tared=tared), None, False
+    colours = taxel_colours(view, shown, tared=tared)
+    drawn = None
+    ringed = False
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     seen = ""  # title of the last scene, which is not repeated
@@ -151,7 +153,9 @@ def taxel_colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) ->
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     colours = "magma_r" if tared else "viridis_r"  # both dark at the high end
     if tared and not view.channel.contact:  # in both directions from rest
-        low, high, colours = -max(-low, high), max(-low, high), "PuOr"
+        most = max(-low, high)
+        low, high = -most, most
+        colours = "PuOr"
     return {"vmin": low, "vmax": high, "cmap": colours}
 
 

@@ -196,7 +196,10 @@ class SampleAssembler:
     # Records.
 
     def _labelled(self, match: MatchedGrasp) -> Sample:
-        label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
+        label = match.label or Label()
+        cut = match.cut
+        window = match.cut.window
+        executed = match.executed
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
         cloud = _object_cloud(match.cloud, match.plan.frame_id, grasp)
         others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
