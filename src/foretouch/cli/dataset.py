@@ -18,7 +18,7 @@ from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import has_points, only_finite, sensor_of_samples
+from foretouch.dataset.samples import only_finite, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_existing, require_writable
@@ -218,7 +218,7 @@ def _show(arguments: argparse.Namespace) -> int:
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     sensor = sensor_of_samples(samples)
-    if any(has_points(sample) for sample in selected):
+    if any(len(sample.cloud.finite) for sample in selected):
         save_contact_sheet(arguments.out, [only_finite(sample) for sample in selected], sensor)
     else:
         title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"

@@ -353,7 +353,8 @@ def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestor
 
 def _definition(connection: Connection) -> tuple[MessageDefinition, str, bool]:
     """Return what the messages of a connection are decoded by; two of a recording may define a type otherwise."""
-    return connection.msgdef, _type_of(connection), _is_ros1(connection)
+    serialization = getattr(connection.ext, "serialization_format", "ros1")  # bags of ROS 1 have no other
+    return connection.msgdef, _type_of(connection), serialization == "ros1"
 
 
 def types_in(fields: Any) -> Iterator[str]:
@@ -428,10 +429,6 @@ def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
         if not type(err).__module__.startswith("rosbags"):
             cause = f"{type(err).__name__}: {cause}" if cause else type(err).__name__
         raise FileError(path, f"truncated or damaged: {cause}", field=position) from err
-
-
-def _is_ros1(connection: Connection) -> bool:
-    return getattr(connection.ext, "serialization_format", "ros1") == "ros1"  # bags of ROS 1 have no other
 
 
 def _type_of(connection: Connection) -> str:

@@ -128,11 +128,6 @@ def sensor_of_samples(samples: SampleSet) -> Sensor:
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
 
 
-def has_points(sample: Sample) -> bool:
-    """Return whether a point of the cloud is finite; a recording without a camera has none."""
-    return bool(np.isfinite(sample.cloud.xyz).all(axis=-1).any())
-
-
 def only_finite(sample: Sample) -> Sample:
     """Return the sample with an unorganised cloud, without points that have no depth."""
     finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)

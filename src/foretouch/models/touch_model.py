@@ -284,8 +284,7 @@ class TouchModel:
 
 def place_and_size(cloud: Cloud) -> Float64:
     """Return (6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
-    points = cloud.xyz.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+    points = cloud.finite.astype(np.float64)
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.report.panels import new_figure, save
+from foretouch.report.panels import new_figure, save, some_points
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
@@ -25,7 +25,6 @@ from foretouch.types.scene import Object
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _ROW_INCH = 2.2  # height of a grasp
 _SCALE_INCH = 0.85  # height of the scale of colours
-_MAX_POINTS = 6000  # more make a scatter plot slower, not denser
 _LINE = 140  # characters of a title
 _DOT = 100  # of few taxels [points squared]
 _FEW = 32  # taxels that are drawn at full size
@@ -221,9 +220,7 @@ def _draw_scene(axes: Axes, scene: Cloud, target: Object, title: str) -> None:
 
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
-    points = target.xyz.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    points = points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)
+    points = some_points(target)
     if not len(points):
         axes.set_axis_off()
         return
