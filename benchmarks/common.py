@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch_lab.experiments.framework.timing import MachineLoad
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 
 ROOT: Final = Path(__file__).parents[1]
@@ -22,7 +21,7 @@ Rows = Iterable[Mapping[str, Any]]
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Rows of a table; none if it does not exist."""
+    """Return rows of a table; none if it does not exist."""
     if not path.is_file():
         return []
     with path.open(encoding="utf-8", newline="") as file:
@@ -40,7 +39,7 @@ def write_csv(path: Path, rows: Rows) -> None:
 
 
 def markdown(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A table in Markdown."""
+    """Return a table in Markdown."""
     lines = [columns, ["---"] * len(columns), *rows]
     return "".join(f"| {' | '.join(str(cell) for cell in line)} |\n" for line in lines)
 
@@ -67,7 +66,7 @@ def _text(value: Any) -> str:
 
 
 def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> float:
-    """CPU time of a call, all threads of this process, after one call to warm up: the median, or the least [ms]."""
+    """Return the CPU time of a call, all threads of this process, after one call to warm up: the median, or the least [ms]."""
     times = []
     for _ in range(repeats + 1):
         used = time.process_time()
@@ -76,25 +75,8 @@ def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> floa
     return 1e3 * float(min(times[1:]) if least else np.median(times[1:]))
 
 
-class OthersLoad:
-    """Cores that other processes use from now on, without the children that this one has ended meanwhile."""
-
-    def __init__(self) -> None:
-        self._machine, self._children, self._began = MachineLoad(), _ended_children_s(), time.monotonic()
-
-    def cores(self) -> float:
-        """Mean number so far."""
-        own = (_ended_children_s() - self._children) / (time.monotonic() - self._began)
-        return round(max(0.0, float(self._machine.row()["other_cores"]) - own), 3)
-
-
-def _ended_children_s() -> float:
-    times = os.times()
-    return times.children_user + times.children_system
-
-
 def scene(name: str, **changes: Any) -> SceneConfig:
-    """A scene of the repository, with changes by dotted keys given as `a__b=value`."""
+    """Return a scene of the repository, with changes by dotted keys given as `a__b=value`."""
     loaded = load_scene(ROOT / "config" / "scenes" / f"{name}.yaml")
     return loaded.updated({key.replace("__", "."): value for key, value in changes.items()}) if changes else loaded
 

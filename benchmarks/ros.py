@@ -71,18 +71,18 @@ class Client:
         """Called with each report of a node, and the one before of the same process."""
 
     def report(self, node: str) -> Mapping[str, str]:
-        """Values of the latest report of a node; empty if there is none."""
+        """Return the values of the latest report of a node; empty if there is none."""
         with self.lock:
-            found = [report for (name, _), report in self.reports.items() if name == node]
-        return max(found, key=lambda report: report.time_s).values if found else {}
+            reports = [report for (name, _), report in self.reports.items() if name == node]
+        return max(reports, key=lambda report: report.time_s).values if reports else {}
 
     def reported_at(self, node: str) -> float:
-        """Time of the latest report of a node (`time.monotonic`) [s]; 0 if there is none."""
+        """Return the time of the latest report of a node (`time.monotonic`) [s]; 0 if there is none."""
         with self.lock:
             return max((report.time_s for (name, _), report in self.reports.items() if name == node), default=0.0)
 
     def is_active(self, nodes: Sequence[str]) -> bool:
-        """Whether each node has reported that it is active."""
+        """Return whether each node has reported that it is active."""
         return all(self.report(name).get("state") == "active" for name in nodes)
 
     def wait(self, condition: Callable[[], Any], timeout_s: float) -> bool:
@@ -95,7 +95,7 @@ class Client:
         return True
 
     def call(self, kind: type, name: str, request: Any) -> Any:
-        """The answer of a service; None if there is none in time."""
+        """Return the answer of a service; None if there is none in time."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
         client = self._clients[name]
@@ -105,7 +105,7 @@ class Client:
         return future.result() if self.wait(future.done, CALL_S) else None
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
-        """The result of setting a parameter; None without an answer."""
+        """Return the result of setting a parameter; None without an answer."""
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
@@ -163,7 +163,7 @@ def end(process: subprocess.Popen[bytes], timeout_s: float = 20.0) -> bool:
 
 
 def stamp_ns(stamp: Any) -> int:
-    """Nanoseconds of a stamp."""
+    """Return the nanoseconds of a stamp."""
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 

@@ -72,6 +72,14 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture
+def numbers(tmp_path: Path) -> Path:
+    """Data of the experiment `own_experiments.counting`."""
+    path = tmp_path / "numbers.txt"
+    path.write_text("1 2.5\n")
+    return path
+
+
+@pytest.fixture
 def ray_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A cluster whose head has one core; only what the test kills dies, however busy the machine is."""
     pytest.importorskip("ray", reason="ray is not installed: pip install 'foretouch[sweep]'")

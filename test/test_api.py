@@ -107,14 +107,6 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
     every_case(cases, check)
 
 
-def test_a_mask_chooses_the_objects(scene):
-    masked = ft.segment(scene.cloud, mask=np.where(scene.labels == 3, 200, 0))
-    assert [object_.id for object_ in masked.objects] == ["200"]
-    assert ft.plan(masked.objects[0]).object_id.tolist() == ["200"]
-    with pytest.raises(CloudError, match="mask: shape"):
-        ft.segment(scene.cloud, mask=np.ones((3, 3), bool))
-
-
 def test_columns_select_join_and_refuse_what_does_not_fit(scene):
     grasps = ft.plan(scene.objects[0], count=4)
     assert len(grasps) > 2

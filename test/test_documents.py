@@ -171,28 +171,6 @@ def test_the_reference_lists_every_field_parameter_and_option_with_what_is_said_
     assert reference.cell("a | b\n<c> *d*") == "a \\| b &lt;c> \\*d\\*", "a cell is one line and breaks no table"
 
 
-@pytest.mark.ros
-def test_topics_are_those_of_the_design(reference) -> None:
-    pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
-    code = "import reference_pages; print(reference_pages.topics())"  # it needs a context without discovery
-    done = run_python(code, cwd=DOCS / "_ext")
-    assert done.returncode == 0, done.stderr
-    rows = {row.split("`")[1]: row for row in done.stdout.splitlines() if row.startswith("| `")}
-    for name, ends in {
-        "depth/image": ("–", "`perception`, `segmentation`"),
-        "points": ("`camera`, `replay`",),
-        "object_cloud": ("`perception`, `segmentation`", "`grasp`, `touch_predictor`, `recorder`"),
-        "touch": ("`perception`, `touch_predictor`", ""),
-        "/rh/tactile": ("`hand`", "`perception`, `touch_predictor`, `recorder`"),
-        "predict_touch": ("`perception`, `touch_predictor`",),
-        "sample_grasps": ("`perception`, `touch_predictor`",),
-        "start_recording": ("`recorder`",),
-    }.items():
-        assert all(f"| {end}" in rows[name] for end in ends if end), rows[name]
-    assert "parameter" not in " ".join(rows)
-    assert "transition" not in " ".join(rows)
-
-
 def test_the_page_of_scenes_has_the_example_every_shape_and_every_field(reference) -> None:
     page = (DOCS / "scenes.md").read_text(encoding="utf-8")
     example = (ROOT / "examples" / "data" / "objects.yaml").read_text(encoding="utf-8").partition("\n")[2]

@@ -106,6 +106,20 @@ def test_no_private_part_of_another_package_is_used_and_no_ctypes() -> None:
     every_case([(path.relative_to(ROOT).as_posix(), tree) for path, tree in FILES.items()], check)
 
 
+def test_no_class_has_a_name_of_the_other_package() -> None:
+    robot, laboratory = (
+        {
+            node.name
+            for path, tree in FILES.items()
+            if path.is_relative_to(ROOT / "src" / package)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+        }
+        for package in OURS
+    )
+    assert robot & laboratory == set()
+
+
 def is_text_times_truth(node: ast.AST) -> bool:
     """Whether a text or a list is multiplied by whether something holds, where `x if y else z` would be read."""
     if not isinstance(node, ast.BinOp) or not isinstance(node.op, ast.Mult):

@@ -77,66 +77,52 @@ def test_a_robot_loads_nothing_of_the_laboratory() -> None:
     assert done.stdout.splitlines()[-2:] == ["[]", "[]"]
 
 
-def test_no_class_has_a_name_of_the_other_package() -> None:
-    names = {
-        package: [
-            node.name
-            for path in folder.rglob("*.py")
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
-        ]
-        for package, folder in PACKAGES.items()
-    }
-    assert set(names["foretouch"]) & set(names["foretouch_lab"]) == set()
+SCENE = str(ROOT / "config/scenes/clean.yaml")
 
 
 @pytest.mark.parametrize(
-    ("blocked", "words"),
+    ("blocked", "commands"),
     [
-        ("foretouch_lab", ["simulate", "scene.yaml", "-n", "1", "-o", "store"]),
-        ("foretouch_lab", ["dataset", "build", "session", "-o", "store"]),
-        ("foretouch_lab", ["run", "--source", str(ROOT / "config/scenes/clean.yaml")]),
-        ("embreex", ["simulate", str(ROOT / "config/scenes/clean.yaml"), "-n", "1", "-o", "store", "--workers", "1"]),
+        (
+            "foretouch_lab",
+            {
+                "simulate": ["simulate", "scene.yaml", "-n", "1", "-o", "store"],
+                "dataset build": ["dataset", "build", "session", "-o", "store"],
+                f"--source {SCENE}": ["run", "--source", SCENE],
+            },
+        ),
+        ("embreex", {"simulate": ["simulate", SCENE, "-n", "1", "-o", "store", "--workers", "1"]}),
     ],
 )
-def test_a_command_without_the_laboratory_names_the_extra_to_install(blocked, words, tmp_path) -> None:
-    done = _run_without((blocked,), words, tmp_path)
-    (line,) = [one for one in done.stderr.splitlines() if one.startswith("foretouch: ")]
-    assert (done.returncode, line) == (
-        1,
-        f"foretouch: {_user(words)}: {blocked} is not installed: pip install 'foretouch[lab]'",
-    )
-    assert "Traceback" not in done.stderr
+def test_a_command_without_the_laboratory_names_the_extra_to_install(blocked, commands, tmp_path) -> None:
+    for user, answer in zip(commands, _answers_without((blocked,), [*commands.values()], tmp_path), strict=True):
+        line = f"foretouch: {user}: {blocked} is not installed: pip install 'foretouch[lab]'"
+        assert [one for one in answer.splitlines() if one.startswith("foretouch: ")] == [line]
+        assert "Traceback" not in answer
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["run", "--source", "TOPIC"],
-        ["record", "-o", "out"],
-        ["replay", str(ROOT / "examples/data/can.ply")],
-        ["forget", "touches"],
-    ],
-)
-def test_a_command_without_ros_says_so_in_one_line(words, tmp_path) -> None:
-    done = _run_without(("rclpy", *ROS_PACKAGES), words, tmp_path)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
-    assert done.stderr.startswith(f"foretouch: {words[0]}: ROS 2 is not installed: pip install 'foretouch[ros]'")
-    if words[0] in {"run", "record"}:
-        assert "foretouch_msgs is not installed" in _run_without(("foretouch_msgs",), words, tmp_path).stderr
+def test_a_command_without_ros_says_so_in_one_line(tmp_path) -> None:
+    run, record = ["run", "--source", "TOPIC"], ["record", "-o", "out"]
+    commands = [run, record, ["replay", str(ROOT / "examples/data/can.ply")], ["forget", "touches"]]
+    for words, answer in zip(commands, _answers_without(("rclpy", *ROS_PACKAGES), commands, tmp_path), strict=True):
+        assert answer.count("\n") == 1, answer
+        assert answer.startswith(f"foretouch: {words[0]}: ROS 2 is not installed: pip install 'foretouch[ros]'")
+    for answer in _answers_without(("foretouch_msgs",), [run, record], tmp_path):
+        assert "foretouch_msgs is not installed" in answer
 
 
-def _run_without(blocked: tuple[str, ...], words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process that cannot import some modules."""
+def _answers_without(blocked: tuple[str, ...], commands: list[list[str]], folder: Path) -> list[str]:
+    """What commands write to stderr in a process that cannot import some modules; each must end with 1."""
     code = (
-        f"import sys\nsys.modules.update(dict.fromkeys({blocked!r}))\n"
-        f"from foretouch.cli.main import main\nsys.exit(main({words!r}))"
+        f"import contextlib, io, json, sys\nsys.modules.update(dict.fromkeys({blocked!r}))\n"
+        f"from foretouch.cli.main import main\nanswers = []\nfor words in {commands!r}:\n"
+        "    with contextlib.redirect_stderr(io.StringIO()) as err: status = main(words)\n"
+        "    answers.append(err.getvalue() if status == 1 else f'exit status {status}')\n"
+        "print(json.dumps(answers))"
     )
-    return run_python(code, cwd=folder)
-
-
-def _user(words: list[str]) -> str:
-    return {"dataset": "dataset build", "run": " ".join(words[1:])}.get(words[0], words[0])
+    done = run_python(code, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def test_help_answers_at_once_and_without_heavy_libraries() -> None:

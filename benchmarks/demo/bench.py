@@ -26,19 +26,19 @@ DRAWN = (0, 2)  # touches before the grasps that are drawn
 
 
 def demo_run(model: TouchModel, seed: int) -> ModelReplay:
-    """Ten grasps of the demo, each predicted from all that was read before it."""
+    """Return ten grasps of the demo, each predicted from all that was read before it."""
     return replay_model(model, list(Simulation(scene("demo").replace(seed=seed)).samples(10)))
 
 
 def inside(run: ModelReplay, name: str, touches: int) -> tuple[int, float]:
-    """Index of the grasp of an object after so many touches of it, and the share of its electrodes in their intervals."""
+    """Return the index of the grasp of an object after so many touches of it, and the share of its electrodes in their intervals."""
     (k,) = np.flatnonzero((run.recording.objects == name) & (run.recording.touches() == touches))
     errors = np.abs(run.recording.readings[k] - run.played.counts[k])[2:]
     return int(k), float((errors <= run.played.half[k][2:]).mean())
 
 
 def demo_rows(runs: Sequence[ModelReplay]) -> list[dict[str, Any]]:
-    """By object and touches: mean share over the runs with its standard error, share of flagged grasps, mean difference [counts]."""
+    """Return a row for each object and number of touches: mean share over the runs with its standard error, share of flagged grasps, mean difference [counts]."""
     rows = []
     for name in OBJECTS:
         for touches in TOUCHES:
@@ -58,11 +58,16 @@ def draw(runs: Sequence[ModelReplay], path: Path) -> None:
     """Draw the run whose share over the four grasps is the median of all runs; of two, the lower."""
     total = [np.mean([inside(run, name, touches)[1] for name in OBJECTS for touches in DRAWN]) for run in runs]
     seed = int(np.argsort(total, kind="stable")[(len(runs) - 1) // 2])
-    run, maker, pipeline, drawn = runs[seed], FrameMaker(scene("demo").replace(seed=seed)), Pipeline(), []
+    run = runs[seed]
+    maker = FrameMaker(scene("demo").replace(seed=seed))
+    pipeline = Pipeline()
+    drawn = []
     for name, known in OBJECTS.items():
         for touches in DRAWN:
             k, _ = inside(run, name, touches)
-            sample, value, half = run.samples[k], run.played.counts[k], run.played.half[k]
+            sample = run.samples[k]
+            value = run.played.counts[k]
+            half = run.played.half[k]
             value, lower, upper = (biotac_touch(counts) for counts in (value, value - half, value + half))
             cloud = maker.frame(int(sample.extra["slot"]), int(sample.extra["attempt"])).cloud()
             (target,) = pipeline.segment(cloud).targets

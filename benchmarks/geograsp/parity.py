@@ -55,20 +55,20 @@ _COLUMNS = {
 
 
 def read_reference(data: Path) -> list[ReferenceRow]:
-    """All rows of the original's output, in a folder next to the recordings."""
+    """Return all rows of the original's output, in a folder next to the recordings."""
     rows = []
     for row in read_csv(data.parent / "reference" / "geograsp_reference.csv"):
-        found = {name: np.array([float(row[one]) for one in words.split()]) for name, words in _COLUMNS.items()}
-        found |= {name: found[name].reshape(-1, 3) for name in ("initial", "contacts", "rotation")}
+        results = {name: np.array([float(row[column]) for column in words.split()]) for name, words in _COLUMNS.items()}
+        results |= {name: results[name].reshape(-1, 3) for name in ("initial", "contacts", "rotation")}
         plane = Plane.from_coefficients([float(word) for word in row["plane"].split()])
         config = GeoGraspConfig(method="original", tip_mm=float(row["tip"]))
         cloud, counts = _folder(data, row) / "cloud-object.pcd", {name: int(row[name]) for name in COUNTS}
-        rows.append(ReferenceRow(cloud, plane, config, counts, found, row["fallback"] == "1"))
+        rows.append(ReferenceRow(cloud, plane, config, counts, results, row["fallback"] == "1"))
     return rows
 
 
 def read_executed(data: Path) -> list[ExecutedGrasp]:
-    """The executed grasps, with the known interval of slides of each."""
+    """Return the executed grasps, with the known interval of slides of each."""
     grasps = []
     for row in read_csv(data.parent / "reference" / "executed_slab_offsets.csv"):
         folder = _folder(data, row)
@@ -84,10 +84,12 @@ def _folder(data: Path, row: dict[str, str]) -> Path:
 
 
 def faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
-    """Names of the differences from the original; `score_undefined` if the original score is not finite."""
+    """Return the names of the differences from the original; `score_undefined` if the original score is not finite."""
     if plan.status == "no_grasp":
         return ["status"]
-    best, known, score = plan.grasps[0], row.found, float(row.found["score"][0])
+    best = plan.grasps[0]
+    known = row.found
+    score = float(row.found["score"][0])
     contacts = np.stack([best.g1, best.g2])
     # The original marks a grasp as initial by its points, so a ranked pair of the very same points is one too.
     at_initial = np.abs(contacts - plan.initial_points).max() < INITIAL_TOLERANCE_M
@@ -110,23 +112,23 @@ def faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
 
 
 def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
-    """Number of rows with each difference."""
-    found: Counter[str] = Counter()
+    """Return the number of rows with each difference."""
+    differences: Counter[str] = Counter()
     for cloud, of_cloud in groupby(rows, lambda row: row.cloud):
         points = read_cloud(cloud)
         for row in of_cloud:
-            found.update(set(faults(row, plan_grasps(points, row.plane, row.config))))
-    return found
+            differences.update(set(faults(row, plan_grasps(points, row.plane, row.config))))
+    return differences
 
 
 def reproduces(grasp: ExecutedGrasp, slide_m: float) -> bool:
-    """Whether the initial points of a grasp plane shifted by this are the executed contacts."""
+    """Return whether the initial points of a grasp plane shifted by this are the executed contacts."""
     plan = plan_grasps(read_cloud(grasp.cloud), TOP_VIEW, GeoGraspConfig(method="original"), slide_m=slide_m)
     return plan.initial_points is not None and _are_executed(grasp, plan.initial_points)
 
 
 def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
-    """The slide in the known interval, nearest to its middle, that reproduces the grasp; None if there is none."""
+    """Return the slide in the known interval, nearest to its middle, that reproduces the grasp; None if there is none."""
     config = GeoGraspConfig(method="original")
     xyz = read_cloud(grasp.cloud).xyz.reshape(-1, 3)
     xyz = xyz[inlier_mask(xyz, config.neighbours, config.outlier_deviations)]

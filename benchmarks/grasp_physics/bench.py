@@ -24,6 +24,7 @@ from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Float64
 from foretouch.types.scene import Object
+from foretouch_lab.experiments.shared.tables import select
 
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
@@ -50,7 +51,7 @@ def rows_of(
     conditions: Sequence[tuple[float, float]] = ((TIPS_MM[0], FRICTIONS[0]),),
     settings: Mapping[str, Any] | None = None,
 ) -> Iterator[Row]:
-    """What became of the grasps on one object: "held", the kind of failure, or why there was none, and the time of the plan.
+    """Iterate over what became of the grasps on one object: "held", the kind of failure, or why there was none, and the time of the plan.
 
     Args:
         item: The object.
@@ -63,7 +64,9 @@ def rows_of(
         seen = see(item, number, view)
         targets = Pipeline().segment(seen.cloud).targets
         for method in methods:
-            ms, grasp, reason = math.nan, None, NO_GRASP
+            ms = math.nan
+            grasp = None
+            reason = NO_GRASP
             if method != BEST and not targets:
                 reason = NO_OBJECT
             elif method != BEST:
@@ -82,12 +85,12 @@ def rows_of(
 
 
 def pipeline_of(method: str, settings: Mapping[str, Any] | None) -> Pipeline:
-    """That plans by a method."""
+    """Return a pipeline that plans by a method."""
     return Pipeline(PipelineConfig().updated({"grasp.method": method, **(settings or {})} if method in OURS else {}))
 
 
 def propose(method: str, pipeline: Pipeline, target: Object) -> Float64 | None:
-    """Contacts (2, 3) in the camera frame of the first grasp; None where there is none."""
+    """Return contacts (2, 3) in the camera frame of the first grasp; None where there is none."""
     if method == RULE:
         return simple_rule(target)
     plan = pipeline.plan(target)
@@ -95,7 +98,7 @@ def propose(method: str, pipeline: Pipeline, target: Object) -> Float64 | None:
 
 
 def simple_rule(target: Object) -> Float64:
-    """(2, 3) contacts in the camera frame: a horizontal line across the narrower side of the visible footprint.
+    """Return (2, 3) contacts in the camera frame: a horizontal line across the narrower side of the visible footprint.
 
     It passes through the middle of the footprint, at half of the height that is seen, 10 mm or more over the table.
     """
@@ -119,23 +122,18 @@ def simple_rule(target: Object) -> Float64:
 # --- tables: intervals are over objects ------------------------------------------------------------------------------
 
 
-def select(rows: Sequence[Row], **wanted: Any) -> list[Row]:
-    """The rows that have these values."""
-    return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
-
-
 def values(rows: Sequence[Row], *names: str) -> list[tuple[Any, ...]]:
-    """What the columns hold, in order of appearance."""
+    """Return what the columns hold, in order of appearance."""
     return list(dict.fromkeys(tuple(row[name] for name in names) for row in rows))
 
 
 def mean(rows: Sequence[Row], what: str) -> float:
-    """Share of grasps that are held, or held and strict."""
+    """Return the share of grasps that are held, or held and strict."""
     return float(np.mean([row[what] for row in rows]))
 
 
 def share(rows: Sequence[Row], what: str) -> str:
-    """Mean over objects with its interval of 95 %, by drawing as many objects again, with replacement."""
+    """Return the mean over objects with its interval of 95 %, by drawing as many objects again, with replacement."""
     means = np.array([mean(select(rows, object=name), what) for (name,) in values(rows, "object")])
     again = means[np.random.default_rng(0).integers(len(means), size=(_DRAWS, len(means)))].mean(axis=1)
     low, high = np.quantile(again, [0.025, 0.975])
@@ -143,8 +141,8 @@ def share(rows: Sequence[Row], what: str) -> str:
 
 
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Held and strict by view, of the best on the true surface, and time beside that of the reference."""
-    found, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
+    """Return lines of what is held and strict by view, of the best on the true surface, and time beside that of the reference."""
+    lines, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
     for (method,) in values(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
         for (view,) in values(rows, "view"):
@@ -156,12 +154,12 @@ def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
             line["time, median (p95)"] = "" if np.isnan(times).all() else "{:.2f} ({:.2f})".format(*ratios)
-        found.append(line)
-    return found
+        lines.append(line)
+    return lines
 
 
 def by_method_and(rows: Sequence[Row], names: Sequence[str], cell: Callable[[list[Row]], str]) -> list[dict[str, str]]:
-    """A line for each value of some columns, and in it a cell of the rows of each method."""
+    """Return a line for each value of some columns, and in it a cell of the rows of each method."""
     return [
         {", ".join(names): ", ".join(map(str, value))}
         | {method: cell(select(own, method=method)) for (method,) in values(rows, "method")}
@@ -171,7 +169,7 @@ def by_method_and(rows: Sequence[Row], names: Sequence[str], cell: Callable[[lis
 
 
 def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
-    """All tables by what they hold; but for the last one, under the first conditions."""
+    """Return all tables by what they hold; but for the last one, under the first conditions."""
     tip, friction = values(rows, "tip_mm", "friction")[0]
     first = select(rows, tip_mm=tip, friction=friction)
     often = Counter(row["reason"] for row in first)
@@ -186,7 +184,7 @@ def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
 
 
 def pictured(rows: Sequence[Row], items: Sequence[Item], settings: Mapping[str, Any] | None = None) -> Iterator[Case]:
-    """A grasp that holds and one of each kind of failure, planned again; of the default method and seen obliquely where there is one."""
+    """Iterate over a grasp that holds and one of each kind of failure, planned again; of the default method and seen obliquely where there is one."""
     tip, friction = values(rows, "tip_mm", "friction")[0]
     planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] != BEST]
     reasons = {row["reason"] for row in planned} - {NO_GRASP, NO_OBJECT}
@@ -199,11 +197,6 @@ def pictured(rows: Sequence[Row], items: Sequence[Item], settings: Mapping[str, 
         contacts, points = propose(method, pipeline_of(method, settings), target), target.cloud.xyz.astype(np.float64)
         title = f"{reason.replace(f'{HELD}, ', f'{HELD}, but ')}\n{name},\n{method}, {view}"
         yield Case(title, item.at(seen.pose), *map(seen.camera.to_world, (points, contacts)), 1e-3 * tip)
-
-
-def markdown_of(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A table in Markdown."""
-    return markdown(list(rows[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in rows])
 
 
 def main() -> None:
@@ -230,13 +223,16 @@ def main() -> None:
     rows = [row for item in items for row in rows_of(item, *chosen, settings)]
     if options.rows:
         write_csv(options.rows, rows)
-    found = tables(rows)
-    for title, lines in found.items():
+    results = tables(rows)
+    for title, lines in results.items():
         print(f"\n{title}")
         print_rows(lines)
     if options.renew:
         text = [f"{len(items)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
-        text += [f"{title}:\n\n{markdown_of(lines)}" for title, lines in found.items()]
+        text += [
+            f"{title}:\n\n{markdown(list(lines[0]), [list(line.values()) for line in lines])}"
+            for title, lines in results.items()
+        ]
         replace_marked(HERE / "README.md", "\n\n".join(text).strip())
         draw(list(pictured(rows, items, settings)), HERE / "grasps.png")
 

@@ -63,7 +63,7 @@ class Planned(NamedTuple):
 
 
 def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None) -> Take:  # fmt: skip
-    """Whether a hand reaches a grasp and holds the object, at its pose (4, 4), object to world; the table is z = 0.
+    """Return whether a hand reaches a grasp and holds the object, at its pose (4, 4), object to world; the table is z = 0.
 
     Args:
         item: The object.
@@ -80,7 +80,7 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
         return Take(False, False, where)
     if off is not None:
         rng = np.random.default_rng([zlib.crc32(item.name.encode()), off])
-        shift, turn = (one / np.linalg.norm(one) for one in rng.standard_normal((2, 3)))
+        shift, turn = (vector / np.linalg.norm(vector) for vector in rng.standard_normal((2, 3)))
         turned, rotation = np.zeros(4), np.zeros(9)
         mujoco.mju_axisAngle2Quat(turned, turn, np.radians(OFF_DEG))
         mujoco.mju_quat2Mat(rotation, turned)
@@ -91,7 +91,7 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
 
 @lru_cache(maxsize=8)
 def body_of(item: Item, hand: str, friction: float) -> "Body":
-    """The simulated world of an object and a hand, built once."""
+    """Return the simulated world of an object and a hand, built once."""
     return (ShadowBody if hand == SHADOW else JawBody)(item, load_hand(hand), friction)
 
 
@@ -118,7 +118,7 @@ class Body:
         self.model.body_pos[self.mount], self.model.body_quat[self.mount] = mount[:3, 3], quaternion(mount[:3, :3])
 
     def near(self) -> str:
-        """The part of the hand that is too near to the object or the table, by name; "" if none is."""
+        """Return the part of the hand that is too near to the object or the table, by name; "" if none is."""
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
@@ -134,19 +134,19 @@ class Body:
         return ""
 
     def part(self, geom: int) -> str:
-        """What a shape of the hand belongs to."""
+        """Return what a shape of the hand belongs to."""
         return "finger" if geom in self.fingers else "palm or arm"
 
     def touch(self) -> dict[int, float]:
-        """Normal force [N] on the object by the shape that touches it."""
-        force, found = np.zeros(6), dict[int, float]()
+        """Return the normal force [N] on the object by the shape that touches it."""
+        force, forces = np.zeros(6), dict[int, float]()
         for k in range(self.data.ncon):
             pair = self.data.contact[k].geom1, self.data.contact[k].geom2
             for mine, other in (pair, pair[::-1]):
                 if self.of_object[other] and not self.of_object[mine] and self.data.contact[k].dist < 0.0:
                     mujoco.mj_contactForce(self.model, self.data, k, force)
-                    found[mine] = found.get(mine, 0.0) + float(force[0])
-        return found
+                    forces[mine] = forces.get(mine, 0.0) + float(force[0])
+        return forces
 
     def lift(self, time_s: float) -> None:
         """Set the arm's drives for a time after closing."""
@@ -156,7 +156,7 @@ class Body:
         self.data.ctrl[1:3] = np.multiply(SHAKE_M, shaken)
 
     def ending(self) -> str:
-        """Whether both fingers hold the object in the end, and the table carries less than a fifth of it."""
+        """Return whether both fingers hold the object in the end, and the table carries less than a fifth of it."""
         if not np.isfinite(self.data.qpos).all():
             return UNSTABLE
         touch = self.touch()
@@ -168,11 +168,11 @@ class Body:
     fingers: tuple[int, ...]
 
     def obstruction(self, pose: Float64, planned: Planned) -> str:
-        """What is in the way; "" if nothing is."""
+        """Return what is in the way; "" if nothing is."""
         raise NotImplementedError
 
     def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
-        """Close, lift and shake; `HELD`, or what went wrong."""
+        """Close, lift and shake; return `HELD`, or what went wrong."""
         raise NotImplementedError
 
 
@@ -189,7 +189,7 @@ class JawBody(Body):
             f"{''.join(_box(f'{part}{k}', box, f'{solid} {rough}') for k, box in enumerate(boxes[part]))}</body>"
             for part, axis in ((FINGER, 1), (THUMB, -1))
         )
-        palms = "".join(_box(f"palm{k}", one, f'{solid} mass=".7" friction=".3 .005 .0001"') for k, one in enumerate(boxes[PALM]))  # fmt: skip
+        palms = "".join(_box(f"palm{k}", corners, f'{solid} mass=".7" friction=".3 .005 .0001"') for k, corners in enumerate(boxes[PALM]))  # fmt: skip
         meshes, scene = object_xml(item, NEAR_M)
         slides, inertial, drives = arm_xml(50000.0, 700.0)
         super().__init__(
@@ -218,11 +218,11 @@ class JawBody(Body):
         self.data.qpos[self._slides] = -wide / 2.0
 
     def obstruction(self, pose: Float64, planned: Planned) -> str:
-        """Opened, and on the way in; jaws are parallel, so that they are as deep when closed."""
+        """Return what is in the way of the opened hand and on the way in; jaws are parallel, so that they are as deep when closed."""
         for back in (0.0, *_BACK_M):
             self._open(pose, planned, back, opened=True)
-            if found := self.near():
-                return found
+            if obstacle := self.near():
+                return obstacle
         return ""
 
     def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
@@ -249,21 +249,23 @@ class JawBody(Body):
 
 
 def _box(name: str, corners: Float64, rest: str) -> str:
-    """A box of MuJoCo from its corners (8, 3)."""
+    """Return a box of MuJoCo from its corners (8, 3)."""
     edges = corners[[4, 2, 1]] - corners[0]
     length = np.linalg.norm(edges, axis=1)
-    size, middle, turn = length / 2.0, corners.mean(axis=0), quaternion((edges / length[:, None]).T)
-    texts = (" ".join(f"{v:.6g}" for v in one) for one in (size, middle, turn))
+    size = length / 2.0
+    middle = corners.mean(axis=0)
+    turn = quaternion((edges / length[:, None]).T)
+    texts = (" ".join(f"{v:.6g}" for v in numbers) for numbers in (size, middle, turn))
     return '<geom name="{}" type="box" size="{}" pos="{}" quat="{}" {}/>'.format(name, *texts, rest)
 
 
 @cache
 def _shadow_files() -> tuple[str, Path]:
-    """The hand of the MuJoCo model in the package gymnasium-robotics, without what is only seen, and the folder of its meshes."""
-    found = find_spec("gymnasium_robotics")
-    if found is None or found.origin is None:
+    """Return the hand of the MuJoCo model in the package gymnasium-robotics, without what is only seen, and the folder of its meshes."""
+    package = find_spec("gymnasium_robotics")
+    if package is None or package.origin is None:
         raise SystemExit("benchmarks: the Shadow Hand needs `pip install --no-deps gymnasium-robotics`")
-    assets = Path(found.origin).parent / "envs" / "assets"
+    assets = Path(package.origin).parent / "envs" / "assets"
     tree = ET.parse(assets / "hand" / "robot.xml")
     mount = tree.getroot().find("body")
     assert mount is not None
@@ -331,12 +333,12 @@ class ShadowBody(Body):
         self._bodies = [int(self.model.geom_bodyid[pad]) for pad in self.pads]
 
     def _ends(self, data: mujoco.MjData) -> Float64:
-        """(2, 3) float64 [m], the middles of both fingertips' ends."""
+        """Return (2, 3) float64 [m], the middles of both fingertips' ends."""
         pairs = zip(self.pads, _TIP_ENDS, strict=True)
         return np.array([data.geom_xpos[pad] + end * data.geom_xmat[pad].reshape(3, 3)[:, 2] for pad, end in pairs])
 
     def _angles(self, width_m: float) -> Float64:
-        """(9,) float64 [rad], the posture at a width as the MuJoCo model counts it."""
+        """Return (9,) float64 [rad], the posture at a width as the MuJoCo model counts it."""
         return self.hand.at(width_m).posture * _SIGNS
 
     def _mounted(self, planned: Planned) -> Float64:
@@ -346,7 +348,7 @@ class ShadowBody(Body):
         return mount
 
     def obstruction(self, pose: Float64, planned: Planned) -> str:
-        """Opened, and on the way in."""
+        """Return what is in the way of the opened hand and on the way in."""
         self.reset(pose)
         mount = self._mounted(planned)
         opened = self._angles(planned.width_m + 2.0 * self.hand.config.open_m)
@@ -355,17 +357,19 @@ class ShadowBody(Body):
             moved[:3, 3] -= back * planned.frame[:3, 2]
             self.place(moved)
             self.data.qpos[self._places] = opened
-            if found := self.near():
-                return found
+            if obstacle := self.near():
+                return obstacle
         return ""
 
     def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
-        """Each finger moves in until it touches or is `_BEYOND_M` behind its contact; then both push along the line between their tips."""
+        """Move each finger in until it touches or is `_BEYOND_M` behind its contact, then let both push along the line between their tips."""
         model, data = self.model, self.data
         self.reset(pose)
         self.place(self._mounted(planned))
         widths = planned.width_m + 2.0 * np.linspace(self.hand.config.open_m, -_BEYOND_M, _WAY)
-        table, at, on = np.array([self._angles(width) for width in widths.tolist()]), [0.0, 0.0], [False, False]
+        table = np.array([self._angles(width) for width in widths.tolist()])
+        at = [0.0, 0.0]
+        on = [False, False]
         wanted = table[0].copy()
         data.qpos[self._places] = wanted
         mujoco.mj_forward(model, data)

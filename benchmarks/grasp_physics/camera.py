@@ -31,7 +31,7 @@ class Surface(Body):
 
     @classmethod
     def of(cls, item: Item, pose: Float64) -> "Surface":
-        """Of an object at a pose."""
+        """Return the surface of an object at a pose."""
         mesh = item.at(pose)
         low, high = mesh.bounds
         triangles = np.ascontiguousarray(mesh.triangles, np.float32)
@@ -47,14 +47,14 @@ class Surface(Body):
         return tree
 
     def cast(self, origins: Float64, directions: Float64) -> Hits:
-        """First hits of rays from outside, as those of `Body`."""
+        """Return first hits of rays from outside, as `Body` does."""
         along = np.ascontiguousarray(directions, np.float32)
         answer = self._tree.run(np.array(np.broadcast_to(origins, along.shape), np.float32), along, output=1)
         t = answer["tfar"].astype(np.float64)
         return Hits(np.where(t < _MISS, t, np.inf), answer["Ng"])
 
     def world_normals(self, normal: Float32) -> Float64:
-        """Unit normals (n, 3) float64."""
+        """Return unit normals (n, 3) float64."""
         return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), np.float64)
 
 
@@ -69,7 +69,7 @@ class Seen:
 
 
 def see(item: Item, number: int, view: str) -> Seen:
-    """An image of an object at its pose of this number, in one of `VIEWS`."""
+    """Return an image of an object at its pose of this number, in one of `VIEWS`."""
     slot = len(VIEWS) * number + VIEWS.index(view)
     seed = zlib.crc32(item.name.encode())
     rng = np.random.default_rng([seed, slot, 1])

@@ -50,7 +50,7 @@ def _draw_view(axis: Any, frame: Float64, case: Case) -> None:
     origin = case.contacts.mean(axis=0)
 
     def flat(xyz: Float64) -> Float64:
-        """In millimetres."""
+        """Return places in the view [mm]."""
         return np.asarray(1e3 * ((xyz - origin) @ frame[:2].T), np.float64)
 
     axis.add_collection(PolyCollection(flat(case.mesh.triangles), facecolors="0.9", edgecolors="0.9"))

@@ -26,7 +26,7 @@ Row = dict[str, Any]
 
 
 def planned_in_world(seen: Seen, grasp: Grasp) -> Planned:
-    """A grasp with a way in, in the world."""
+    """Return a grasp with a way in, in the world."""
     assert grasp.way is not None
     ends = seen.camera.to_world(np.stack([grasp.g1, grasp.g2]))
     x = (ends[1] - ends[0]) * (1.0 if grasp.way.thumb_at == "g2" else -1.0)
@@ -38,7 +38,7 @@ def planned_in_world(seen: Seen, grasp: Grasp) -> Planned:
 
 
 def rows_of(item: Item, hand: str, poses: int) -> Iterator[Row]:
-    """What became of the first grasp on each image of an object."""
+    """Iterate over what became of the first grasp on each image of an object."""
     pipeline = Pipeline(PipelineConfig().updated({"hand.name": hand}))
     for number, view in product(range(poses), VIEWS):
         seen = see(item, number, view)
@@ -62,7 +62,7 @@ def rows_of(item: Item, hand: str, poses: int) -> Iterator[Row]:
 
 
 def table(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """A line for each hand."""
+    """Return a line for each hand."""
     lines = []
     for hand in dict.fromkeys(row["hand"] for row in rows):
         own = [row for row in rows if row["hand"] == hand]
@@ -90,7 +90,7 @@ def table(rows: Sequence[Row]) -> list[dict[str, str]]:
 
 
 def by_object(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Taken and held by object."""
+    """Return how many grasps each hand takes and holds, by object."""
     return [
         {"object": name}
         | {
@@ -114,8 +114,8 @@ def main() -> None:
     ensure_libusb()
     items = read_items(options.objects or Path(options.data or "") / "ycb")
     rows = [row for hand in options.hands for item in items for row in rows_of(item, hand, options.poses)]
-    found = {"First grasps": table(rows), "Taken and held, by object": by_object(rows)}
-    for title, lines in found.items():
+    tables = {"First grasps": table(rows), "Taken and held, by object": by_object(rows)}
+    for title, lines in tables.items():
         print(f"\n{title}")
         print_rows(lines)
     if options.renew:
@@ -124,7 +124,7 @@ def main() -> None:
         ]
         text += [
             f"{title}:\n\n{markdown(list(lines[0]), [list(line.values()) for line in lines])}"
-            for title, lines in found.items()
+            for title, lines in tables.items()
         ]
         replace_marked(HERE / "HANDS.md", "\n\n".join(text).strip())
 

@@ -39,7 +39,7 @@ class Item:
         return trimesh.util.concatenate(list(self.parts))
 
     def at(self, pose: Float64) -> trimesh.Trimesh:
-        """The mesh at a pose (4, 4), object to world."""
+        """Return the mesh at a pose (4, 4), object to world."""
         moved = self.mesh.copy()
         moved.apply_transform(pose)
         return moved
@@ -69,11 +69,11 @@ class Item:
         return poses, probabilities / probabilities.sum()
 
     def random(self, number: int) -> np.random.Generator:
-        """The random numbers of one pose, whatever other objects there are."""
+        """Return the random numbers of one pose, whatever other objects there are."""
         return np.random.default_rng([zlib.crc32(self.name.encode()), number])
 
     def pose(self, number: int) -> Float64:
-        """(4, 4) float64 pose at rest: even ones upright (the highest centre of mass), odd ones as it falls."""
+        """Return (4, 4) float64 pose at rest: even ones upright (the highest centre of mass), odd ones as it falls."""
         poses, probabilities = self._rests
         rng = self.random(number)
         heights = poses[:, 2, :3] @ self.centre + poses[:, 2, 3]
@@ -85,7 +85,7 @@ class Item:
 
 
 def placed(item: Item, pose: Float64, at: Float64) -> Float64:
-    """The pose (4, 4) shifted so that the object stands on the table, the middle of its footprint at (2,) [m]."""
+    """Return the pose (4, 4) shifted so that the object stands on the table, the middle of its footprint at (2,) [m]."""
     vertices = trimesh.transform_points(item.mesh.vertices, pose)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     shifted = pose.copy()
@@ -94,7 +94,7 @@ def placed(item: Item, pose: Float64, at: Float64) -> Float64:
 
 
 def read_item(folder: Path) -> Item:
-    """An object from its folder."""
+    """Return an object from its folder."""
     loaded = trimesh.load(folder / PARTS, process=False, split_object=True, group_material=False)
     meshes = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
     mass = re.search(r'mass value="([\d.]+)"', (folder / MASS).read_text(encoding="utf-8"))
@@ -105,8 +105,8 @@ def read_item(folder: Path) -> Item:
 
 
 def read_items(folder: Path) -> list[Item]:
-    """All objects of a folder, by name."""
-    found = sorted(path.parent for path in folder.glob(f"*/{PARTS}"))
-    if not found:
+    """Return all objects of a folder, by name."""
+    folders = sorted(path.parent for path in folder.glob(f"*/{PARTS}"))
+    if not folders:
         raise FileError(folder, f"holds no folder with {PARTS}")
-    return [read_item(one) for one in found]
+    return [read_item(item_folder) for item_folder in folders]

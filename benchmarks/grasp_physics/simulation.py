@@ -61,7 +61,7 @@ def held(
     friction: float = 0.8,
     opening_m: float = OPENING_M,
 ) -> Verdict:
-    """Whether a grasp holds an object.
+    """Return whether a grasp holds an object.
 
     Args:
         item: The object.
@@ -77,7 +77,7 @@ def held(
 
 @lru_cache(maxsize=16)
 def grip(item: Item, tip_radius_m: float, friction: float) -> "Grip":
-    """The simulated world of one object and two tips, built once."""
+    """Return the simulated world of one object and two tips, built once."""
     return Grip(item, tip_radius_m, friction)
 
 
@@ -118,8 +118,8 @@ class Grip:
         reason = self._lift_and_shake()
         if reason != HELD:
             return Verdict(False, False, reason)
-        found = [name for name, there in faults.items() if there]
-        return Verdict(True, not found, ", ".join([HELD, *found]))
+        faulty = [name for name, there in faults.items() if there]
+        return Verdict(True, not faulty, ", ".join([HELD, *faulty]))
 
     def _reset(self, pose: Float64, g1: Float64, g2: Float64) -> None:
         model, data = self.model, self.data
@@ -161,13 +161,13 @@ class Grip:
         return HELD if self._load(self._table) < TABLE_SHARE * self.weight_n else HANGS
 
     def _contacts(self, geom: int) -> list[int]:
-        """Contacts of a geom with the object."""
-        found = []
+        """Return the contacts of a geom with the object."""
+        contacts = []
         for i in range(self.data.ncon):
             pair = self.data.contact[i].geom1, self.data.contact[i].geom2
             if geom in pair and self._object in self.model.geom_bodyid[list(pair)]:
-                found.append(i)
-        return found
+                contacts.append(i)
+        return contacts
 
     def _touches(self, geom: int) -> bool:
         return bool(self._contacts(geom))
@@ -176,7 +176,7 @@ class Grip:
         return all(self._touches(tip) for tip in self._tips)
 
     def _load(self, geom: int) -> float:
-        """Normal force between a geom and the object [N]."""
+        """Return the normal force between a geom and the object [N]."""
         force, total = np.zeros(6), 0.0
         for i in self._contacts(geom):
             mujoco.mj_contactForce(self.model, self.data, i, force)
@@ -184,16 +184,16 @@ class Grip:
         return total
 
     def _opening(self) -> float:
-        """Distance of the contacts of both tips [m]."""
-        one, other = (np.mean([self.data.contact[i].pos for i in self._contacts(tip)], axis=0) for tip in self._tips)
-        return float(np.linalg.norm(one - other))
+        """Return the distance of the contacts of both tips [m]."""
+        first, second = (np.mean([self.data.contact[i].pos for i in self._contacts(tip)], axis=0) for tip in self._tips)
+        return float(np.linalg.norm(first - second))
 
     def _clearance(self) -> float:
         return float(self.data.geom_xpos[self._tips, 2].min()) - self.radius_m
 
 
 def quaternion(rotation: Float64) -> Float64:
-    """(4,) float64, w first, of a (3, 3) rotation."""
+    """Return (4,) float64, w first, of a (3, 3) rotation."""
     result = np.zeros(4)
     mujoco.mju_mat2Quat(result, np.ascontiguousarray(rotation).ravel())
     return result
@@ -203,7 +203,7 @@ ROUGH: Final = 'condim="4" friction="0.6 0.005 0.0001"'
 
 
 def object_xml(item: Item, near_m: float = 0.0) -> tuple[str, str]:
-    """The meshes of an object, and table and object as MuJoCo reads them; what is nearer than that is found, without a force."""
+    """Return the meshes of an object, and table and object as MuJoCo reads them; what is nearer than that is found, without a force."""
     names = [f"part{i}" for i in range(len(item.parts))]
     vertices = [" ".join(f"{value:.7f}" for value in part.vertices.ravel()) for part in item.parts]
     meshes = "".join(f'<mesh name="{n}" vertex="{v}"/>' for n, v in zip(names, vertices, strict=True))
@@ -222,7 +222,7 @@ def object_xml(item: Item, near_m: float = 0.0) -> tuple[str, str]:
 
 
 def arm_xml(kp: float, kv: float) -> tuple[str, str, str]:
-    """The joints of a hand that is lifted and shaken, its arm's inertia, and the drives, which come first."""
+    """Return the joints of a hand that is lifted and shaken, its arm's inertia, and the drives, which come first."""
     axes = (("z", "0 0 1"), ("x", "1 0 0"), ("y", "0 1 0"))
     slides = "".join(f'<joint name="{name}" type="slide" axis="{axis}" damping="10"/>' for name, axis in axes)
     drives = "".join(f'<position joint="{name}" kp="{kp:g}" kv="{kv:g}"/>' for name, _ in axes)
@@ -230,7 +230,7 @@ def arm_xml(kp: float, kv: float) -> tuple[str, str, str]:
 
 
 def _xml(item: Item, tip_radius_m: float, friction: float) -> str:
-    """The model; the tips' friction counts at their contacts, and they collide with the object alone."""
+    """Return the model; the tips' friction counts at their contacts, and they collide with the object alone."""
     meshes, scene = object_xml(item)
     tip = f'type="sphere" size="{tip_radius_m}" mass="0.05" contype="2" conaffinity="0" condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"'
     tips = "".join(

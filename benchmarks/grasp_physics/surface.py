@@ -27,7 +27,7 @@ _SMOOTH_M: Final = 0.003  # around a contact
 
 
 def best_grasp(item: Item, pose: Float64, tip_radius_m: float, friction: float) -> Float64 | None:
-    """Contacts (2, 3) in the world [m] on an object at a pose (4, 4), object to world; None where no line passes."""
+    """Return contacts (2, 3) in the world [m] on an object at a pose (4, 4), object to world; None where no line passes."""
     mesh = item.at(pose)
     samples, faces = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
     around, tree = mesh.face_normals[faces], cKDTree(samples)
@@ -37,7 +37,7 @@ def best_grasp(item: Item, pose: Float64, tip_radius_m: float, friction: float) 
     force /= np.linalg.norm(force, axis=2, keepdims=True)
 
     def rank(normals: Float64, rows: slice | int) -> Float64:
-        """Of some lines by their outward normals (n, 2, 3): infinite where a side is too steep or absent."""
+        """Return the rank of some lines by their outward normals (n, 2, 3): infinite where a side is too steep or absent."""
         slope = np.arccos(np.clip(-np.einsum("...k,...k->...", force[rows], normals), -1.0, 1.0)).max(axis=-1)
         limit = _SPARE * np.arctan(friction)
         return np.where(slope < limit, slope / limit + arm[rows] / _ARM_M, np.inf)
@@ -57,7 +57,7 @@ def best_grasp(item: Item, pose: Float64, tip_radius_m: float, friction: float) 
 
 
 def meet(mesh: trimesh.Trimesh, g1: Float64, g2: Float64, outside_m: float) -> tuple[Float64, Float64, Float64]:
-    """Where tips first meet a mesh that close from outside of planned contacts (n, 3).
+    """Return where tips first meet a mesh that close from outside of planned contacts (n, 3).
 
     Returns:
         (n, 2, 3) float64 points [m], ways in which the tips move, and outward normals there; points and normals are NaN where nothing is met.
@@ -73,7 +73,7 @@ def meet(mesh: trimesh.Trimesh, g1: Float64, g2: Float64, outside_m: float) -> t
 
 
 def _lines(samples: Float64, normals: Float64) -> tuple[Float64, Float64]:
-    """Two points (n, 3) each on lines through points of the surface."""
+    """Return two points (n, 3) each on lines through points of the surface."""
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(samples), _LINES, replace=False)
     tilt = np.tan(np.radians(_TILT_DEG)) * rng.uniform(-1.0, 1.0, (_LINES, 1))
@@ -84,7 +84,7 @@ def _lines(samples: Float64, normals: Float64) -> tuple[Float64, Float64]:
 
 
 def _arm(points: Float64, closing: Float64, centre: Float64) -> Float64:
-    """(n,) of the weight about the line of each grasp, and how far it is beyond both contacts, together [m]."""
+    """Return (n,) the arm of the weight about the line of each grasp, and how far it is beyond both contacts, together [m]."""
     middle, half = points.mean(axis=1), np.linalg.norm(np.diff(points, axis=1)[:, 0], axis=1) / 2.0
     offset, along = (centre - middle)[:, :2], closing[:, 0, :2]
     beside = np.abs(offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0])

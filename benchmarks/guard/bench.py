@@ -49,7 +49,7 @@ class Runner:
             self._calls = [max(1, math.ceil(_TURN_S / max(self._turn(job, 1), 1e-6))) for job in self._jobs]
 
     def measure(self) -> Measured:
-        """Both ways turn by turn, so that what loads the machine meets both."""
+        """Time both ways turn by turn, so that what loads the machine meets both."""
         least, spent = [math.inf, math.inf], 0.0
         for number in range(1 if self.case.own_clock else _TURNS):
             if number >= _FEWEST_TURNS and spent > _CASE_S:
@@ -76,15 +76,15 @@ def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> bool:
         return not best[name].ratio >= ALLOWED * committed.get(name, 0.0)
 
     best = {runner.case.name: runner.measure() for runner in runners}
-    for one in AGAIN * list(runners):
-        if lost(name := one.case.name):
+    for again in AGAIN * list(runners):
+        if lost(name := again.case.name):
             print(f"  {name}: {best[name].ratio:.3g} of {committed[name]:.3g}, measured again", flush=True)
-            best[name] = max(best[name], one.measure())
+            best[name] = max(best[name], again.measure())
     rows = []
     for runner in runners:
         (ratio, ours_s), known = best[runner.case.name], committed.get(runner.case.name)
-        found = {"CPU ms": 1e3 * ours_s, "ratio now": ratio, "committed": known, "peer": runner.case.peer}
-        rows.append({"": runner.case.name, **found, "is": "LOST" if lost(runner.case.name) else ""})
+        facts = {"CPU ms": 1e3 * ours_s, "ratio now": ratio, "committed": known, "peer": runner.case.peer}
+        rows.append({"": runner.case.name, **facts, "is": "LOST" if lost(runner.case.name) else ""})
     print_rows(rows)
     return not any(row["is"] for row in rows)
 

@@ -47,20 +47,20 @@ class Case:
 
 @cache
 def scene_cloud(width: int = 848, height: int = 480, seed: int = 1) -> Cloud:
-    """A generated scene of three objects with noise and flying pixels."""
+    """Return a generated scene of three objects with noise and flying pixels."""
     rng = np.random.default_rng(seed)
     return random_scene(rng, width, height).render(rng, 0.001, True).cloud()
 
 
 @cache
 def target() -> Object:
-    """The object of a generated scene that gets grasps."""
+    """Return the object of a generated scene that gets grasps."""
     return Pipeline().segment(scene_cloud(seed=2)).targets[0]
 
 
 @cache
 def grasps() -> list[Grasp]:
-    """A thousand grasps on the target."""
+    """Return a thousand grasps on the target."""
     xyz = target().cloud.xyz.astype(np.float64)
     pairs = np.random.default_rng(0).choice(len(xyz), (1000, 2))
     pairs = pairs[np.linalg.norm(xyz[pairs[:, 0]] - xyz[pairs[:, 1]], axis=1) > 0.01]
@@ -68,13 +68,15 @@ def grasps() -> list[Grasp]:
 
 
 def touch(model: str, count: int) -> Job:
-    """Predictions for so many grasps."""
-    loaded, one, asked = load_model(model), target(), grasps()[:count]
-    return lambda: loaded.predict(one.cloud, asked)
+    """Return a job that predicts so many grasps."""
+    loaded = load_model(model)
+    object_ = target()
+    asked = grasps()[:count]
+    return lambda: loaded.predict(object_.cloud, asked)
 
 
 def training_step() -> Job:
-    """A supervised step of P2's network with eight random clouds."""
+    """Return a job: a supervised step of P2's network with eight random clouds."""
     import torch
 
     from foretouch.models.network.config import ModelConfig
@@ -92,7 +94,7 @@ def training_step() -> Job:
 
 
 def simulator(name: str) -> Job:
-    """Four samples of a scene, cloud and touch."""
+    """Return a job that makes four samples of a scene, cloud and touch."""
     made = scene(name)
     engine = Engine(made, EFFECTS)
     return lambda: [engine.run(SampleKey(made.seed, slot)) for slot in range(4)]
@@ -112,7 +114,7 @@ def yardstick() -> None:
 
 
 def graph() -> tuple[Job, Job]:
-    """CPU seconds a cloud: the whole graph of `foretouch run` in one process, and `Pipeline.run` with its settings."""
+    """Return jobs that give CPU seconds a cloud: the whole graph of `foretouch run` in one process, and `Pipeline.run` with its settings."""
     clouds = [scene_cloud(seed=seed) for seed in (2, 4, 6, 8)]
     made = Pipeline()
 
@@ -130,7 +132,7 @@ def graph() -> tuple[Job, Job]:
 
 
 def _program_seconds(folder: str, count: int) -> float:
-    """CPU seconds of `foretouch run`, which ends once `count` clouds are answered."""
+    """Return CPU seconds of `foretouch run`, which ends once `count` clouds are answered."""
     command = [sys.executable, "-m", "foretouch.cli.main", "run", "--source", folder, "--count", str(count), "--json"]
     environment = {"ROS_DOMAIN_ID": "88", **os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     before = os.times()
@@ -143,14 +145,16 @@ def _program_seconds(folder: str, count: int) -> float:
 
 
 def all_cases() -> list[Case]:
-    """In the order of the table. A kernel is added by a line with `yard`."""
+    """Return the cases in the order of the table. A kernel is added by a line with `yard`."""
 
     def yard(name: str, make: Callable[[], Job]) -> Case:
         return Case(name, "a yardstick of NumPy", lambda: (make(), yardstick))
 
     def plan(method: str) -> Job:
-        one, config = target(), GeoGraspConfig(method=method)
-        return lambda: plan_grasps(one.cloud, one.plane, config, pixels=one.pixels, image_shape=one.image_shape)
+        object_, config = target(), GeoGraspConfig(method=method)
+        return lambda: plan_grasps(
+            object_.cloud, object_.plane, config, pixels=object_.pixels, image_shape=object_.image_shape
+        )
 
     return [
         yard("segmentation 848x480", lambda: partial(segment, scene_cloud(848, 480))),

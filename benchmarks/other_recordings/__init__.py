@@ -78,7 +78,7 @@ def _cells(settings: OtherSettings, data: Records) -> list[Cell]:
 
 
 def folds_of(objects: Any, count: int, seed: int) -> Any:
-    """(S,) the fold of each grasp: objects are dealt out in a shuffled order."""
+    """Return (S,) the fold of each grasp: objects are dealt out in a shuffled order."""
     names = np.random.default_rng(seed).permutation(np.unique(objects))
     return np.array([dict(zip(names, np.arange(len(names)) % count, strict=True))[object_] for object_ in objects])
 
@@ -96,14 +96,14 @@ def _run(cell: Cell, settings: OtherSettings, data: Records) -> list[Row]:
     test, learnt = test & known, learnt & known
     rows: list[Row] = []
     for method in settings.methods if test.any() else ():
-        if (found := hold_chance(method, settings, data, learnt, held)) is not None:
-            facts = {"objects": data.objects, "sessions": data.sessions, "held": held, "chance": np.round(found, 6)}
+        if (chance := hold_chance(method, settings, data, learnt, held)) is not None:
+            facts = {"objects": data.objects, "sessions": data.sessions, "held": held, "chance": np.round(chance, 6)}
             rows.append({"method": method, **{name: values[test].tolist() for name, values in facts.items()}})
     return rows
 
 
 def hold_chance(method: str, settings: OtherSettings, data: Records, learnt: Bool, held: Bool) -> Float64 | None:
-    """(S,) probability that each grasp holds, by a method fitted to some grasps and whether they held; None where it does not apply."""
+    """Return (S,) probability that each grasp holds, by a method fitted to some grasps and whether they held; None where it does not apply."""
     from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.linear_model import LogisticRegression
     from sklearn.pipeline import make_pipeline
@@ -123,12 +123,12 @@ def hold_chance(method: str, settings: OtherSettings, data: Records, learnt: Boo
     model: Any = make_pipeline(StandardScaler(), LogisticRegression(C=0.1, max_iter=1000))
     if method == "boosted trees":
         model = HistGradientBoostingClassifier(max_iter=settings.trees, learning_rate=0.08, random_state=settings.seed)
-    found: Float64 = model.fit(features[learnt], held[learnt]).predict_proba(features)[:, 1]
-    return found
+    chance: Float64 = model.fit(features[learnt], held[learnt]).predict_proba(features)[:, 1]
+    return chance
 
 
 def electrodes(touches: Float64, channels: Channels) -> Float64 | None:
-    """(S, 3, 24) electrodes of (S, D) touches by `FINGERS`; None of another sensor."""
+    """Return (S, 3, 24) electrodes of (S, D) touches by `FINGERS`; None of another sensor."""
     names = [f"E_{finger}" for finger in FINGERS]
     if not set(names) <= set(channels.modalities):
         return None
@@ -136,24 +136,24 @@ def electrodes(touches: Float64, channels: Channels) -> Float64 | None:
 
 
 def fit(readings: Float64, held: Bool, seed: int) -> TouchHold:
-    """A model of (S, 3, 24) readings and whether the grasps held, not calibrated."""
+    """Return a model of (S, 3, 24) readings and whether the grasps held, not calibrated."""
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.neural_network import MLPClassifier
 
-    found = patterns(readings)
-    mean, deviation = standardisation(found)
+    inputs = patterns(readings)
+    mean, deviation = standardisation(inputs)
     how = {"activation": "tanh", "alpha": CONFIG["decay"], "max_iter": CONFIG["epochs"]}
     networks = [MLPClassifier((CONFIG["units"],), random_state=seed + k, **how) for k in range(CONFIG["networks"])]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is part of the recipe
         for network in networks:
-            network.fit((found - mean) / deviation, held)
+            network.fit((inputs - mean) / deviation, held)
     # The standardisation is part of the first layer.
     hidden = np.stack([network.coefs_[0] / deviation[:, None] for network in networks])
     bias = np.stack([network.intercepts_[0] for network in networks]) - np.einsum("d,kdh->kh", mean, hidden)
     out = np.stack([network.coefs_[1][:, 0] for network in networks])
     last = np.array([network.intercepts_[1][0] for network in networks])
-    low, high = np.quantile(found, _USUAL, axis=0)
+    low, high = np.quantile(inputs, _USUAL, axis=0)
     return TouchHold(low, high, hidden, bias, out, last, np.array([1.0, 0.0]))
 
 

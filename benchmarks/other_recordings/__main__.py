@@ -28,13 +28,13 @@ _LIMITS: Final = (
 
 
 def calibrated(readings: Float64, held: Bool, folds: AnyArray, seed: int) -> tuple[TouchHold, float]:
-    """The model of all grasps, calibrated on those left out by folds; and the share of those that it would refuse."""
+    """Return the model of all grasps, calibrated on those left out by folds; and the share of those that it would refuse."""
     from sklearn.linear_model import LogisticRegression
 
     logits, outside = np.zeros(len(held)), np.zeros(len(held))
     for k in np.unique(folds):
-        one, test = fit(readings[folds != k], held[folds != k], seed), folds == k
-        logits[test], outside[test] = one.logits(readings[test]), one.outside(readings[test])
+        fitted, test = fit(readings[folds != k], held[folds != k], seed), folds == k
+        logits[test], outside[test] = fitted.logits(readings[test]), fitted.outside(readings[test])
     scale = LogisticRegression(C=1e6).fit(logits[:, None], held)
     numbers = np.array([scale.coef_[0, 0], scale.intercept_[0]])
     return replace(fit(readings, held, seed), calibration=numbers), float((outside > OUTSIDE).mean())

@@ -10,7 +10,7 @@ from sklearn.metrics import roc_auc_score
 from foretouch.types import Bool, Float64
 from foretouch_lab.experiments.framework.experiment import Row, Table
 from foretouch_lab.experiments.shared.tables import grouped
-from foretouch_lab.learning.evaluation.metrics import BootstrapConfig
+from foretouch_lab.learning.evaluation.metrics import BootstrapConfig, drawn_weights
 
 BINS: Final = 15
 _COLUMNS: Final = (
@@ -21,7 +21,7 @@ _NOTE: Final = "[95 % interval by bootstrap over objects]"
 
 
 def slip_first(chance: Float64, held: Bool, sessions: Any) -> tuple[Float64, Float64]:
-    """(N,) won and all comparisons of each session of a grasp that held with one that did not and came before it, in the order of the rows."""
+    """Return (N,) won and all comparisons of each session of a grasp that held with one that did not and came before it, in the order of the rows."""
     won, pairs = [], []
     for name in np.unique(sessions):
         own, yes = chance[sessions == name], held[sessions == name]
@@ -32,16 +32,10 @@ def slip_first(chance: Float64, held: Bool, sessions: Any) -> tuple[Float64, Flo
 
 
 def calibration_error(chance: Float64, held: Bool, bins: int = BINS) -> float:
-    """Mean difference of predicted and observed share over bins of equal width, weighted by their grasps."""
+    """Return the mean difference of predicted and observed share over bins of equal width, weighted by their grasps."""
     place = np.minimum((chance * bins).astype(int), bins - 1)
     parts = [(place == k) for k in range(bins)]
     return float(sum(abs(chance[part].sum() - held[part].sum()) for part in parts if part.any()) / len(chance))
-
-
-def _draws(objects: int, config: BootstrapConfig) -> Float64:
-    """(draws, O) how often each object is in a resample."""
-    rng, shares = np.random.default_rng(0), np.full(objects, 1.0 / objects)
-    return rng.multinomial(objects, shares, config.draws).astype(np.float64)
 
 
 def _interval(scores: Sequence[float] | Float64, name: str) -> dict[str, float]:
@@ -50,28 +44,28 @@ def _interval(scores: Sequence[float] | Float64, name: str) -> dict[str, float]:
 
 
 def tabulate(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
-    """Rows of `results.csv`, of the rows of all cells."""
-    found: list[Row] = []
+    """Return rows of `results.csv`, of the rows of all cells."""
+    result: list[Row] = []
     for (left_out, method), parts in grouped(rows, "left_out", "method"):
         chance, held, objects, sessions = (
             np.concatenate([np.array(part[key]) for part in parts]) for key in ("chance", "held", "objects", "sessions")
         )
         names, numbers = np.unique(objects, return_inverse=True)
-        drawn = _draws(len(names), config)[:, numbers]  # how often each grasp is in a resample
+        drawn = drawn_weights(len(names), config)[:, numbers]  # how often each grasp is in a resample
         facts: Row = {"grasps": len(held), "objects": len(names), "score": roc_auc_score(held, chance)}
-        facts |= _interval([roc_auc_score(held, chance, sample_weight=one) for one in drawn], "score")
+        facts |= _interval([roc_auc_score(held, chance, sample_weight=weights) for weights in drawn], "score")
         facts["calibration_error"] = calibration_error(chance, held)
         won, against = slip_first(chance, held, sessions)
         if against.any():
-            drawn = _draws(len(won), config)
+            drawn = drawn_weights(len(won), config)
             facts |= {"slip_first": won.sum() / against.sum(), "slip_first_pairs": int(against.sum())}
             facts |= _interval(drawn @ won / (drawn @ against), "slip_first")
-        found.append({"left_out": left_out, "method": method, **facts})
-    return [{name: row.get(name) for name in _COLUMNS} for row in found]
+        result.append({"left_out": left_out, "method": method, **facts})
+    return [{name: row.get(name) for name in _COLUMNS} for row in result]
 
 
 def summarise(rows: Sequence[Row]) -> list[Table]:
-    """A table for each way of leaving out."""
+    """Return a table for each way of leaving out."""
     tables, columns = [], ("method", "AUC", "AUC, slip before stable", f"calibration error, {BINS} bins")
     for left_out, parts in grouped(rows, "left_out"):
         lines = [

@@ -39,7 +39,7 @@ class Scored:
 
 
 def simulated(scene: str, seed: int, count: int) -> list[Sample]:
-    """Grasps of eight objects of a scene in runs of five; the order of the objects is drawn anew in each round."""
+    """Return grasps of eight objects of a scene in runs of five; the order of the objects is drawn anew in each round."""
     content = load_yaml(ROOT / f"config/scenes/{scene}.yaml")
     content["seed"] = seed
     for family in content["families"]:
@@ -72,12 +72,12 @@ def on_another_hand(samples: Sequence[Sample], offset: float, seed: int) -> list
 
 
 def estimates(model: TouchModel, samples: Sequence[Sample]) -> list:
-    """What the model says of each grasp by vision."""
+    """Return what the model says of each grasp by vision."""
     return [model.estimate_executed(sample.cloud, [sample.grasp]) for sample in samples]
 
 
 def predicted(model: TouchModel, seen: Sequence, samples: Sequence[Sample], first: int, count: int) -> Float64:
-    """(2, T, D) predictions of the tested grasps and half widths, each from the `count` grasps before it, from `first` on.
+    """Return (2, T, D) predictions of the tested grasps and half widths, each from the `count` grasps before it, from `first` on.
 
     `seen` are the estimates of all grasps. A reading of the open hand is taken before each grasp, as the nodes do.
     """
@@ -104,7 +104,7 @@ def predicted(model: TouchModel, seen: Sequence, samples: Sequence[Sample], firs
 
 
 def scored(counts: Float64, half: Float64, readings: Float64, channels: Channels) -> Scored:
-    """Skill against the mean of the tested readings themselves, and coverage of the intervals of 90 %."""
+    """Return the skill against the mean of the tested readings themselves, and coverage of the intervals of 90 %."""
     off, spread = counts - readings, readings - readings.mean(axis=0)
     inside = np.where(np.isnan(half), np.nan, np.abs(off) <= half)
     columns = channels.modality_columns.values()
@@ -115,7 +115,7 @@ def scored(counts: Float64, half: Float64, readings: Float64, channels: Channels
 
 
 def of_one_hand(name: str, seed: int) -> list[dict[str, object]]:
-    """Rows of one simulated hand."""
+    """Return rows of one simulated hand."""
     samples = on_another_hand(simulated(SCENES[name], seed, RECORDED + TESTED), OFFSET[name], seed)
     if name == "BioTac SP":
         start = ft.load_model("contact-v3")
@@ -159,7 +159,7 @@ def of_one_hand(name: str, seed: int) -> list[dict[str, object]]:
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Mean over the hands, and half the width of its interval of 95 % by Student's t."""
+    """Return the mean over the hands, and half the width of its interval of 95 % by Student's t."""
     mean, count = float(np.mean(values)), len(values)
     if count < 2:
         return mean, float("nan")

@@ -35,7 +35,7 @@ TOPIC = "/rh/tactile"
 
 
 def made_sample(number: int, points: int = POINTS) -> Sample:
-    """A sample whose content is determined by its number."""
+    """Return a sample whose content is determined by its number."""
     rng = np.random.default_rng(number)
     xyz = rng.normal(size=(points, 3)).astype(np.float32)
     rgb = rng.integers(0, 256, (points, 3), dtype=np.uint8)
@@ -45,7 +45,7 @@ def made_sample(number: int, points: int = POINTS) -> Sample:
 
 
 def contents(folder: Path) -> dict[str, int]:
-    """Id and number of every sample; -1 if its content differs from that of its number."""
+    """Return the id and number of every sample; -1 if its content differs from that of its number."""
     if not (folder / "manifest.json").exists():
         return {}
     result = {}
@@ -125,7 +125,7 @@ def main() -> int:
             rounds.append(kill_once(number, folder, float(rng.uniform(0.0, LONGEST_S))))
             if not arguments.json:
                 print(", ".join(f"{name} {value}" for name, value in rounds[-1].items()), flush=True)
-    total = {name: sum(one[name] for one in rounds) for name in ("acknowledged", "lost", "wrong", "not_clean")}
+    total = {name: sum(round_[name] for round_ in rounds) for name in ("acknowledged", "lost", "wrong", "not_clean")}
     total = {"kills": len(rounds), **total}
     text = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in total.items())
     print(json.dumps({**total, "rounds": rounds}) if arguments.json else text)

@@ -26,7 +26,7 @@ class Outage:
     end_s: float
 
     def covers(self, time_s: float) -> bool:
-        """Whether a cloud of this time may be lost to it."""
+        """Return whether a cloud of this time may be lost to it."""
         return self.start_s - QUEUED_S <= time_s <= self.end_s + MATCHED_S
 
 
@@ -57,7 +57,7 @@ def account(
         clouds with their node.
     """
     seen = {topic: set(stamps) for topic, stamps in outputs.items()}
-    left = [[drop] * drop.count for drop in sorted(drops, key=lambda one: one.end_s)]
+    left = [[drop] * drop.count for drop in sorted(drops, key=lambda drop: drop.end_s)]
     fates: Counter[str] = Counter()
     unexplained = []
     for stamp, time_s in sorted(clouds.items(), key=lambda item: item[1]):
@@ -65,9 +65,9 @@ def account(
             fates["answered"] += 1
             continue
         node = next(node for node, topics in STAGES if any(stamp not in seen[topic] for topic in topics))
-        counted = next((one for one in left if one and _explains(one[0], node, time_s)), None)
-        outage = next((one for one in outages if one.node == node and one.covers(time_s)), None)
-        source = next((one for one in outages if one.node in _SOURCES[node] and one.covers(time_s)), None)
+        counted = next((equal for equal in left if equal and _explains(equal[0], node, time_s)), None)
+        outage = next((cause for cause in outages if cause.node == node and cause.covers(time_s)), None)
+        source = next((cause for cause in outages if cause.node in _SOURCES[node] and cause.covers(time_s)), None)
         if outage:  # before a drop, which is left for the cloud that was counted
             fates[f"dropped by {node}: {outage.reason}"] += 1
         elif counted:

@@ -31,14 +31,14 @@ TMPFS_MB = 64
 
 
 def memory_row(node: str, sizes: Sequence[tuple[float, float]], warm_up_s: float) -> dict[str, Any] | None:
-    """A row of `memory.csv` from times [s] and sizes [MB] of a process, if it lived long enough."""
+    """Return a row of `memory.csv` from times [s] and sizes [MB] of a process, if it lived long enough."""
     kept = np.array([size for size in sizes if size[0] >= sizes[0][0] + warm_up_s])
     if len(kept) < 60:
         return None
     times, values = kept.T
     slope = np.polyfit(times / 3600.0, values, 1)[0]
-    found = {"first_mb": values[0], "last_mb": values[-1], "greatest_mb": values.max(), "slope_mb_per_h": slope}
-    return {"process": node, "watched_s": round(times[-1] - times[0])} | {k: round(v, 2) for k, v in found.items()}
+    sizes_mb = {"first_mb": values[0], "last_mb": values[-1], "greatest_mb": values.max(), "slope_mb_per_h": slope}
+    return {"process": node, "watched_s": round(times[-1] - times[0])} | {k: round(v, 2) for k, v in sizes_mb.items()}
 
 
 class Soak:
@@ -156,7 +156,7 @@ class Soak:
         return "" if shown else "recorder_status does not show it"
 
     def reported(self, began: float) -> str:
-        """How soon the recorder has reported the end of its recording, and how."""
+        """Return how soon the recorder has reported the end of its recording, and how."""
         if not self.seen.wait(lambda: self.seen.recorder is not None and not self.seen.recorder.recording, 10.0):
             return "NOT NOTICED"
         return f"reported after {time.monotonic() - began:.1f} s: {self.seen.recorder.reason}"
@@ -195,7 +195,7 @@ class Soak:
     # The course of the soak.
 
     def works(self, name: str) -> Callable[[], bool]:
-        """A condition that holds once the part of the graph that a disturbance concerns works again."""
+        """Return a condition that holds once the part of the graph that a disturbance concerns works again."""
         seen, since = self.seen, time.monotonic()
         if "hand" in name:
             return lambda: seen.tactile_s > since
@@ -205,7 +205,7 @@ class Soak:
         return lambda: bool(seen.answers) and seen.answers[-1] > since
 
     def disturb(self, name: str, action: Callable[[], str], origin: float) -> dict[str, Any]:
-        """Disturb, and wait until the graph works again; a row of `disturbances.csv`.
+        """Disturb, wait until the graph works again, and return a row of `disturbances.csv`.
 
         Recovery is the time from when the cause is gone (the process is active, the topic flows, the space is free) to the first sign of normal work.
         """
@@ -218,7 +218,7 @@ class Soak:
 
 
 def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str]]]:
-    """What is done, in order; the short form does one thing of each kind.
+    """Return what is done, in order; the short form does one thing of each kind.
 
     Processes are killed at the beginning only, so that the memory of the others can be watched for a long time.
     """
@@ -236,7 +236,7 @@ def disturbances(soak: Soak, *, every: bool) -> list[tuple[str, Callable[[], str
     disk = [("disk full", soak.fill_disk), ("folder removed", soak.remove_folder)]
     if every:
         rest = [*cycles, *stalls, *jumps, *disk]
-        mixed = [one for k in range(4) for one in rest[k::4]]
+        mixed = [disturbance for k in range(4) for disturbance in rest[k::4]]
         return [*kills, *mixed, *mixed]
     return [kills[0], cycles[0], disk[0], stalls[0], cycles[1], jumps[0], disk[1], jumps[1], kills[2]]
 
@@ -282,28 +282,28 @@ def verified(path: Path) -> str:
 
 
 def latency_rows(seen: Observer, origin: float, minutes: float) -> list[dict[str, Any]]:
-    """Latency of the answers in each tenth of the time."""
-    found: dict[int, list[float]] = {}
+    """Return the latency of the answers in each tenth of the time."""
+    latencies_ms: dict[int, list[float]] = {}
     for stamp, at in seen.answered_at.items():
         if stamp in seen.clouds:
-            found.setdefault(int((at - origin) / (6.0 * minutes)), []).append(1e3 * (at - seen.clouds[stamp]))
+            latencies_ms.setdefault(int((at - origin) / (6.0 * minutes)), []).append(1e3 * (at - seen.clouds[stamp]))
     return [
         {"from_min": round(tenth * minutes / 10.0, 1), "answers": len(values)}
         | {f"p{q}_ms": round(float(np.percentile(values, q)), 1) for q in (50, 95, 99)}
-        for tenth, values in sorted(found.items())
+        for tenth, values in sorted(latencies_ms.items())
     ]
 
 
 def summary(
     soak: Soak, done: Sequence[Mapping[str, Any]], origin: float, datasets: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The figures; what breaks a limit is printed, and `limits broken` counts it."""
+    """Return the figures; what breaks a limit is printed, and `limits broken` counts it."""
     seen = soak.seen
     fates, unexplained = account(seen.clouds, seen.stamps, soak.outages, seen.drops)
-    found = [(name, key) for (name, _), report in seen.reports.items() for key in report.values]
-    errors = [f"{name}: {key}" for name, key in found if "internal_errors." in key]
-    recoveries = [PATIENCE_S if one["recovery_s"] == "none" else float(one["recovery_s"]) for one in done]
-    late = [one["disturbance"] for one, recovery in zip(done, recoveries, strict=True) if recovery > RECOVERY_S]
+    reported = [(name, key) for (name, _), report in seen.reports.items() for key in report.values]
+    errors = [f"{name}: {key}" for name, key in reported if "internal_errors." in key]
+    recoveries = [PATIENCE_S if row["recovery_s"] == "none" else float(row["recovery_s"]) for row in done]
+    late = [row["disturbance"] for row, recovery in zip(done, recoveries, strict=True) if recovery > RECOVERY_S]
     broken = [
         *(
             f"unexplained at {node}: {seen.clouds[stamp] - origin:.1f} s after the start, followed by "
@@ -315,7 +315,7 @@ def summary(
         *errors,
         *(f"no recovery within {RECOVERY_S:g} s: {name}" for name in late),
         *(f"dataset {name}: {text}" for name, text in datasets.items() if "NOT " in text),
-        *(f"failed: {one['disturbance']}" for one in done if "NOT " in one["note"] or "REFUSED" in one["note"]),
+        *(f"failed: {row['disturbance']}" for row in done if "NOT " in row["note"] or "REFUSED" in row["note"]),
     ]
     print("".join(f"  {text}\n" for text in broken), end="")
     return {
@@ -359,8 +359,8 @@ def main() -> int:
             soak.close()
             for log in Path(name).glob("*.log"):
                 shutil.copy(log, options.out)
-        found = {str(p.parent.relative_to(name)): p.parent for p in Path(name).rglob("session-0001.mcap")}
-        figures = summary(soak, done, origin, {key: verified(path) for key, path in sorted(found.items())})
+        folders = {str(p.parent.relative_to(name)): p.parent for p in Path(name).rglob("session-0001.mcap")}
+        figures = summary(soak, done, origin, {key: verified(path) for key, path in sorted(folders.items())})
     warm_up_s = min(WARM_UP_S, 20.0 * options.minutes)
     memory = [row for name, sizes in soak.memory.items() if (row := memory_row(name, sizes, warm_up_s))]
     tables = {

@@ -51,17 +51,17 @@ class Observer(Client):
         self.serve()
 
     def processes(self, node: str) -> set[bytes]:
-        """The processes of a node that have reported so far."""
+        """Return the processes of a node that have reported so far."""
         with self.lock:
             return {process for name, process in self.reports if name == node}
 
     def active(self, node: str, besides: AbstractSet[bytes]) -> bool:
-        """Whether a process of a node, besides these, has reported that it is active."""
+        """Return whether a process of a node, besides these, has reported that it is active."""
         with self.lock:
-            found = [
+            reports = [
                 report for (name, process), report in self.reports.items() if name == node and process not in besides
             ]
-        return any(report.values.get("state") == "active" for report in found)
+        return any(report.values.get("state") == "active" for report in reports)
 
     def reported(self, node: str, before: Report | None, now: Report) -> None:
         """Note what was dropped since the report before."""
@@ -104,4 +104,4 @@ class Observer(Client):
             self.answers.append(now)
             self.answered_at.setdefault(stamp, now)
             self.statuses[status_name(message.status)] += 1
-            self.not_finite += not all(math.isfinite(value) for one in good for value in one)
+            self.not_finite += not all(math.isfinite(value) for values in good for value in values)

@@ -29,14 +29,14 @@ class Change:
     more: Callable[[Float64, np.random.Generator], Float64] = lambda xyz, _: xyz
 
     def carry(self, points: Float64, centre: Float64) -> Float64:
-        """Where points (..., 3) are carried."""
+        """Return where points (..., 3) are carried."""
         c, s = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         return np.asarray((points - centre) @ turn.T + centre + self.shift)
 
 
 def jitter(sigma_m: float) -> Change:
-    """Independent normal noise on each coordinate."""
+    """Return a change by independent normal noise on each coordinate."""
     return Change(more=lambda xyz, rng: xyz + rng.normal(0.0, sigma_m, xyz.shape))
 
 
@@ -51,7 +51,7 @@ CHANGES: Mapping[str, Change] = {
 
 
 def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, Any]]:
-    """The rows of the table for some clouds."""
+    """Iterate over the rows of the table for some clouds."""
     moved: dict[tuple[str, str], list[float]] = {(change, method): [] for change in CHANGES for method in METHODS}
     for seed, xyz in enumerate(clouds):
         centre = xyz.mean(axis=0, dtype=np.float64)
@@ -70,16 +70,16 @@ def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, Any]]:
 
 
 def plan(xyz: Float32, method: str) -> GraspPlan:
-    """The best grasp on an object seen from above."""
+    """Return the best grasp on an object seen from above."""
     return plan_grasps(Cloud(xyz), TOP_VIEW, GeoGraspConfig(method=method))
 
 
 def distance_mm(before: GraspPlan, after: GraspPlan, change: Change, centre: Float64) -> float:
-    """How far the contact that moved more is from where the change carries it; infinite if one plan has no grasp."""
+    """Return how far the contact that moved more is from where the change carries it; infinite if one plan has no grasp."""
     if not before.grasps or not after.grasps:
         return 0.0 if len(before.grasps) == len(after.grasps) else float("inf")
-    one, other = (np.stack([plan.grasps[0].g1, plan.grasps[0].g2]) for plan in (before, after))
-    return float(np.linalg.norm(change.carry(one, centre) - other, axis=1).max() * 1e3)
+    contacts, moved = (np.stack([plan.grasps[0].g1, plan.grasps[0].g2]) for plan in (before, after))
+    return float(np.linalg.norm(change.carry(contacts, centre) - moved, axis=1).max() * 1e3)
 
 
 def main() -> None:

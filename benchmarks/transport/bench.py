@@ -18,7 +18,7 @@ import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from benchmarks.common import ROOT, OthersLoad, markdown, print_rows, read_csv, replace_marked, write_csv
+from benchmarks.common import ROOT, markdown, print_rows, read_csv, replace_marked, write_csv
 from benchmarks.ros import Client, end, prepare_domain, spawn, stamp_ns, stamped
 from benchmarks.transport.round_trip import compare
 from foretouch.camera.stream import DepthFrame
@@ -27,6 +27,7 @@ from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import cloud_to_msg, depth_to_msgs
 from foretouch.ros.runtime.environment import profile_variable
 from foretouch.types import CameraModel, Cloud
+from foretouch_lab.experiments.framework.timing import MachineLoad
 from foretouch_lab.simulation.depth_scene import random_scene
 from foretouch_msgs.msg import TouchPredictionArray
 
@@ -49,7 +50,7 @@ class Condition(NamedTuple):
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time of all threads of a process so far [s]."""
+    """Return the processor time of all threads of a process so far [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
@@ -99,7 +100,7 @@ class Bench(Client):
         return stamps
 
     def received(self) -> int:
-        """Number of images or clouds that the first node has received so far, by a report that is newer than all of them."""
+        """Return the number of images or clouds that the first node has received so far, by a report that is newer than all of them."""
         now = time.monotonic()
         self.wait(lambda: self.reported_at(self._nodes[0]) > now + 0.1, 5.0)  # at least a callback later
         return int(self.report(self._nodes[0])["received"])
@@ -111,7 +112,7 @@ class Bench(Client):
 
 
 def scenes(n_objects: int = 3, count: int = 5) -> list[DepthFrame]:
-    """Depth images (480, 848) of seeded scenes, with noise and without stamps, in which all objects are found."""
+    """Return depth images (480, 848) of seeded scenes, with noise and without stamps, in which all objects are found."""
     frames: list[DepthFrame] = []
     for seed in itertools.takewhile(lambda _: len(frames) < count, itertools.count()):
         rng = np.random.default_rng(seed)
@@ -147,7 +148,7 @@ def check(bench: Bench, clouds: Sequence[Cloud], inputs: Sequence[Sequence[Any]]
 def measure(
     condition: Condition, source: Path, rates: Sequence[float], seconds: float, busy: int
 ) -> list[dict[str, Any]]:
-    """A row of the results for each rate, of one start of a version's graph, whose checkout is `source`; in a process alone.
+    """Return a row of the results for each rate, of one start of a version's graph, whose checkout is `source`; in a process alone.
 
     Beside it, `busy` processes compute.
     """
@@ -156,7 +157,9 @@ def measure(
         os.environ[ignored] = ""  # so that neither version names its profile
     prepare_domain(DOMAIN)
     os.environ["PYTHONPATH"] = str(source / "src")  # of the graph
-    frames, others, rows = scenes(), OthersLoad(), []
+    frames = scenes()
+    load = MachineLoad()
+    rows = []
     clouds = [frame.cloud() for frame in frames]
     inputs: list[tuple[Any, ...]] = [depth_to_msgs(frame)[::-1] for frame in frames]
     if condition.input == "points":
@@ -190,23 +193,25 @@ def measure(
         for process in (graph, *beside):
             end(process)
         bench.leave()
-    return [{"busy": busy} | row | {"other_cores": others.cores()} for row in rows]
+    return [{"busy": busy} | row | {"other_cores": load.row()["other_cores"]} for row in rows]
 
 
 def in_turns(
     before: Path | None, rates: Sequence[float], seconds: float, turns: int, busy: int
 ) -> list[dict[str, Any]]:
     """Measure all inputs, transports and versions one after the other, `turns` times."""
-    conditions = [Condition(*one) for one in itertools.product(["now"], TOPICS, ["profile", "shipped"])]
+    conditions = [Condition(*parts) for parts in itertools.product(["now"], TOPICS, ["profile", "shipped"])]
     if before:
         conditions += [Condition("before", "points", transport) for transport in ("profile", "shipped")]
     rows = []
-    for turn, condition in itertools.product(range(turns), sorted(conditions, key=lambda one: one.transport)):
+    for turn, condition in itertools.product(
+        range(turns), sorted(conditions, key=lambda condition: condition.transport)
+    ):
         source = before if before and condition.version == "before" else ROOT
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:  # Fast DDS reads its profile once
-            found = alone.submit(measure, condition, source, rates, seconds, busy).result()
-        rows += [{"turn": turn + 1} | row for row in found]
-        print_rows(rows[-len(found) :])
+            measured = alone.submit(measure, condition, source, rates, seconds, busy).result()
+        rows += [{"turn": turn + 1} | row for row in measured]
+        print_rows(rows[-len(measured) :])
     return rows
 
 

@@ -26,7 +26,7 @@ _START = (
 
 
 def requests(points: int = 3000) -> Any:
-    """From (count, oriented) to a request: as many grasps at any height of the cylinder, of which one half is seen."""
+    """Return a function from (count, oriented) to a request: as many grasps at any height of the cylinder, of which one half is seen."""
     from sensor_msgs.msg import PointCloud2, PointField
     from shape_msgs.msg import Plane
 
@@ -96,26 +96,26 @@ def _ask(client: "subprocess.Popen[str]", count: int, oriented: bool) -> dict[st
     client.stdin.flush()
     if not (line := client.stdout.readline()):
         raise SystemExit("a client of the round trips ended")
-    found: dict[str, Any] = json.loads(line)
-    return found
+    answer: dict[str, Any] = json.loads(line)
+    return answer
 
 
 def compare(old: Path, new: Path, domain: int, rounds: int = 20) -> list[dict[str, Any]]:
-    """Rows of the least and the median round trip of both checkouts by the number of grasps, asked in turns.
+    """Return rows of the least and the median round trip of both checkouts by the number of grasps, asked in turns.
 
     Predictions must be equal to the last bit of a float32 where the orientations are given.
     """
     rows = []
     with _client(old, domain) as before, _client(new, domain + 1) as now:
         for oriented, count in ((oriented, count) for oriented in (True, False) for count in COUNTS):
-            found = [[_ask(one, count, oriented) for one in (before, now)] for _ in range(rounds + 1)]
-            if oriented and any(one["values"] != other["values"] for one, other in found):
+            answers = [[_ask(client, count, oriented) for client in (before, now)] for _ in range(rounds + 1)]
+            if oriented and any(earlier["values"] != later["values"] for earlier, later in answers):
                 raise SystemExit(f"{count} grasps: the predictions of both versions differ")
-            ms = np.array([[one["ms"] for one in pair] for pair in found[1:]])  # the first warms up
+            ms = np.array([[answer["ms"] for answer in pair] for pair in answers[1:]])  # the first warms up
             row: dict[str, Any] = {"grasps": count, "orientations": "given" if oriented else "computed"}
-            for what, (one, other) in (("best", ms.min(axis=0)), ("median", np.median(ms, axis=0))):
-                row |= {f"old_{what}_ms": f"{one:.3g}", f"new_{what}_ms": f"{other:.3g}"}
-                row[f"{what}_ratio"] = f"{other / one:.3f}"
+            for what, (old_ms, new_ms) in (("best", ms.min(axis=0)), ("median", np.median(ms, axis=0))):
+                row |= {f"old_{what}_ms": f"{old_ms:.3g}", f"new_{what}_ms": f"{new_ms:.3g}"}
+                row[f"{what}_ratio"] = f"{new_ms / old_ms:.3f}"
             rows.append(row)
             print(row, flush=True)
     return rows

@@ -46,7 +46,7 @@ class View:
 
 
 def scene(objects: int, objects_seed: int, seed: int) -> SceneConfig:
-    """A scene of soft objects of eight shapes, 5 to 12 cm large, seen from straight above."""
+    """Return a scene of soft objects of eight shapes, 5 to 12 cm large, seen from straight above."""
     shapes = ["random", "can", "box", "ball", "flat_ball", "sponge", "volleyball", "minion"]
     sizes = {"size_m": [0.05, 0.12], "young_pa": [2e4, 1.5e5], "thickness_m": [0.01, 0.03]}
     family = {"name": "o", "count": objects, "seed": objects_seed, "shapes": shapes, "rests": ["upright", "side"]}
@@ -82,7 +82,7 @@ def views(from_above: SceneConfig, samples: Sequence[Sample]) -> Iterator[View]:
 
 
 def fitted(samples: Sequence[Sample]) -> ContactEstimator:
-    """A contact model of the grasps that were seen from above."""
+    """Return a contact model of the grasps that were seen from above."""
     readings = np.array([sample.touch.values for sample in samples])
     return fit_contact(
         describe_samples(samples), readings, [sample.object for sample in samples], ContactTrainingConfig()
@@ -90,18 +90,18 @@ def fitted(samples: Sequence[Sample]) -> ContactEstimator:
 
 
 def flagged(detector: NoveltyDetector, seen: Sequence[View]) -> float:
-    """Share of the grasps that are unfamiliar."""
+    """Return the share of the grasps that are unfamiliar."""
     return float((detector.scores(np.array([view.row for view in seen])) < IN_DISTRIBUTION).mean())
 
 
 def length_error_mm(seen: Sequence[View], from_above: Mapping[str, View]) -> float:
-    """Root mean square error of the length and the width of the upper side [mm], beside the same grasps from above."""
+    """Return the root mean square error of the length and the width of the upper side [mm], beside the same grasps from above."""
     errors = np.array([view.row[LENGTHS] - from_above[view.grasp].row[LENGTHS] for view in seen])
     return 1e3 * float(np.sqrt((errors**2).mean()))
 
 
 def of_set(seed: int) -> list[dict[str, Any]]:
-    """Rows of one set of objects, one for each tilt."""
+    """Return rows of one set of objects, one for each tilt."""
     known, strange = scene(KNOWN, 100 + seed, seed), scene(STRANGE, 1000 + seed, seed)
     samples = list(Simulation(known).samples(KNOWN * (TRAINED + TESTED)))
     train, test = samples[: KNOWN * TRAINED], samples[KNOWN * TRAINED :]

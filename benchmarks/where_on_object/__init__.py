@@ -61,7 +61,7 @@ def _load(_settings: WhereSettings, path: Path) -> Grasps:
 
 
 def in_order(samples: Sequence[Sample]) -> list[Sample]:
-    """Samples in order of time; object by object, a minute apart, where none has a stamp."""
+    """Return samples in order of time; object by object, a minute apart, where none has a stamp."""
     if any(sample.stamp_ns for sample in samples):
         return sorted(samples, key=lambda sample: sample.stamp_ns)
     samples = sorted(samples, key=lambda sample: sample.object)
@@ -69,19 +69,19 @@ def in_order(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def features_of(samples: Sequence[Sample]) -> Float64:
-    """(S, P) what is compared of the grasps: the features of `models.contact` without distance and density of the cloud."""
+    """Return (S, P) what is compared of the grasps: the features of `models.contact` without distance and density of the cloud."""
     return describe_samples(samples)[:, len(CONDITIONS) :]
 
 
 def recorded(samples: Sequence[Sample]) -> TimedReadings:
-    """Readings in order of time, without tares; what is expected of each is the mean of all other objects."""
+    """Return readings in order of time, without tares; what is expected of each is the mean of all other objects."""
     labels = labels_of(samples)
     recording = TimedReadings.of_samples(samples, labels, labels, rest_level(samples)[0])
     return replace(recording, expected=other_objects_mean(recording), tares=None, tare_tdc=None)
 
 
 def predicted(recording: TimedReadings, where: Float64 | None, target: str, parameters: TrackerParameters) -> Float64:
-    """(S, D) predictions of the grasps on one object, each from earlier readings alone; NaN for the others.
+    """Return (S, D) predictions of the grasps on one object, each from earlier readings alone; NaN for the others.
 
     What is expected is the mean of the readings before the run on other objects. Nothing is predicted of the first run.
     """
@@ -113,7 +113,9 @@ def _run(cell: Cell, _settings: WhereSettings, data: Grasps) -> list[Row]:
     held_out = HeldOutPredictions(others.expected, others.readings, others.objects, others.objects, channels)
     group = fit_group(held_out, new=True)
     level, features = fit_tracker(others, group, group), features_of(data.samples)
-    reference, touches, rows = other_objects_mean(recording), recording.touches(), []
+    reference = other_objects_mean(recording)
+    touches = recording.touches()
+    rows = []
     placed = fit_places(level, replace(others, where=features[~own]))
     for name, where, parameters in ((LEVEL, None, level), (WHERE, features, placed)):
         counts = predicted(recording, where, target, parameters)
@@ -124,7 +126,9 @@ def _run(cell: Cell, _settings: WhereSettings, data: Grasps) -> list[Row]:
             if chosen.any():
                 row: Row = {"variant": name, "regime": regime, "count": int(chosen.sum())}
                 row |= {key: values[chosen].sum(axis=0).tolist() for key, values in sums.items()}
-                rows.append(row | {"modalities": {one: channel.size for one, channel in channels.channel_of.items()}})
+                rows.append(
+                    row | {"modalities": {modality: channel.size for modality, channel in channels.channel_of.items()}}
+                )
     return rows
 
 
@@ -135,7 +139,7 @@ _COLUMNS: Final = (
 
 
 def _tabulate(settings: WhereSettings, cells: Sequence[Row]) -> list[Row]:
-    """A row for each variant, regime and modality, and their mean, of all objects together."""
+    """Return a row for each variant, regime and modality, and their mean, of all objects together."""
     sizes = cells[0]["modalities"]
     parts = np.split(np.arange(sum(sizes.values())), np.cumsum(list(sizes.values()))[:-1])
     columns = dict(zip(sizes, parts, strict=True))
@@ -144,9 +148,9 @@ def _tabulate(settings: WhereSettings, cells: Sequence[Row]) -> list[Row]:
     rows: list[Row] = []
     for regime in REGIMES:
         own = dict(grouped(select(cells, regime=regime), "variant"))
-        errors = {name: ObjectErrors.of_rows(found, channels) for name, found in own.items()}
-        for name, found in own.items():
-            estimates, grasps = skills(errors[name], settings.bootstrap), sum(row["count"] for row in found)
+        errors = {name: ObjectErrors.of_rows(variant_rows, channels) for name, variant_rows in own.items()}
+        for name, variant_rows in own.items():
+            estimates, grasps = skills(errors[name], settings.bootstrap), sum(row["count"] for row in variant_rows)
             gains = compare(errors[name], errors[LEVEL], settings.bootstrap)
             for modality in (*sizes, MEAN):
                 row: Row = {"variant": name, "regime": regime, "object": ALL_OBJECTS, "modality": modality}

@@ -18,13 +18,13 @@ BLOCK = re.compile(r"```python\n(.*?)```\n(?:\n```text\n(.*?)```\n)?", re.DOTALL
 
 
 def code_lines(page: Path) -> int:
-    """Lines of the program of a page, without empty ones, comments and imports."""
+    """Return the number of lines of the program of a page, without empty ones, comments and imports."""
     lines = "\n".join(match[1] for match in BLOCK.finditer(page.read_text(encoding="utf-8"))).splitlines()
     return sum(bool(line.strip()) and not line.lstrip().startswith(("#", "import ", "from ")) for line in lines)
 
 
 def run(page: Path, pictures: Path) -> Iterator[tuple[str, str, str]]:
-    """Each block of a page with what it printed and what the page says that it prints; pictures go to a folder `docs`."""
+    """Run a page, and iterate over its blocks, each with what it printed and what the page says that it prints; pictures go to a folder `docs`."""
     names: dict[str, object] = {"__name__": "__main__"}
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         for name, place in (("examples", ROOT / "examples"), ("config", ROOT / "config"), ("docs", pictures)):

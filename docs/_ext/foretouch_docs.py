@@ -19,7 +19,7 @@ LINK = re.compile(
 
 
 def outward(text: str, page: Path, site: Path) -> str:
-    """The text of a page with links that leave the site, or name a folder, as addresses of the repository."""
+    """Return the text of a page with links that leave the site, or name a folder, as addresses of the repository."""
     root = site.parent
 
     def lead(match: re.Match[str]) -> str:
@@ -39,18 +39,18 @@ def _read(app: Sphinx, docname: str, content: list[str]) -> None:
 
 
 def field_comments(cls: type) -> dict[str, str]:
-    """The description of each field that a dataclass declares itself: of `setting(...)`, or the comment beside it."""
+    """Return the description of each field that a dataclass declares itself: of `setting(...)`, or the comment beside it."""
     source = inspect.getsource(cls)
-    found = {}
+    comments = {}
     for field in dataclasses.fields(cls):
         beside = re.search(rf"^    {field.name}: [^#\n]*#\s*(?!noqa|fmt)(.+)$", source, re.MULTILINE)
         if field.name in cls.__annotations__ and ("description" in field.metadata or beside):
-            found[field.name] = field.metadata.get("description") or (beside[1] if beside else "")
-    return found
+            comments[field.name] = field.metadata.get("description") or (beside[1] if beside else "")
+    return comments
 
 
 def _short(annotation: str) -> str:
-    """An annotation with arrays as `NDArray[float64]`."""
+    """Return an annotation with arrays as `NDArray[float64]`."""
     array = r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?numpy\.(\w+)\]\]"
     return re.sub(array, r"NDArray[\1]", annotation)
 

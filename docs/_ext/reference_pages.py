@@ -30,18 +30,18 @@ INTERFACES = ROOT / "foretouch_msgs"
 
 
 def cell(text: str) -> str:
-    """A text as one cell of a table: in Markdown, `<`, `|` and new lines have meanings there."""
+    """Return a text as one cell of a table: in Markdown, `<`, `|` and new lines have meanings there."""
     return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table of cells that are Markdown themselves; "" without rows."""
+    """Return a Markdown table of cells that are Markdown themselves; "" without rows."""
     lines = [f"| {' | '.join(row)} |" for row in rows]
     return "\n".join([f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}", *lines, ""]) if lines else ""
 
 
 def sections(parts: Iterable[str]) -> str:
-    """Parts with an empty line between them."""
+    """Return parts with an empty line between them."""
     return "\n\n".join(part.strip("\n") for part in parts if part.strip()) + "\n"
 
 
@@ -71,7 +71,7 @@ _LINE = re.compile(r"(?P<type>[\w/]+(?:\[[<=\d]*\])?)\s+(?P<name>\w+)(?:\s*=\s*(
 
 
 def interfaces(kind: str) -> list[Interface]:
-    """The interfaces of a kind, `msg`, `srv` or `action`, in order of their names."""
+    """Return the interfaces of a kind, `msg`, `srv` or `action`, in order of their names."""
     return [read_interface(path) for path in sorted((INTERFACES / kind).glob(f"*.{kind}"))]
 
 
@@ -117,7 +117,7 @@ def _fields(fields: Sequence[Field]) -> str:
 
 
 def messages() -> str:
-    """All interfaces, each with its fields, their types and comments."""
+    """Return all interfaces, each with its fields, their types and comments."""
     titles = {"msg": ("Messages", [""]), "srv": ("Services", ["Request", "Response"]),
               "action": ("Action", ["Goal", "Result", "Feedback"])}  # fmt: skip
     parts = []
@@ -152,31 +152,33 @@ def _default(info: SettingInfo) -> str:
     if value is None:
         return "none"
     if isinstance(value, tuple):
-        value = f"[{', '.join(str(one) for one in value)}]"
+        value = f"[{', '.join(str(item) for item in value)}]"
     text = str(value).lower() if isinstance(value, bool) else str(value)
     return f"`{text}`" if text else "empty"
 
 
 def setting_rows(infos: Iterable[SettingInfo], *, live: bool) -> Iterator[tuple[str, ...]]:
-    """A row for each setting; `live` adds whether a running node accepts a change."""
+    """Iterate over the rows, one for each setting; `live` adds whether a running node accepts a change."""
     for info in infos:
         row = (f"`{info.name}`", cell(_default(info)), cell(_kind(info)), cell(info.description))
         yield (*row, "no" if info.read_only else "yes") if live else row
 
 
 def settings_table(infos: Iterable[SettingInfo], *, live: bool = False) -> str:
-    """A table of settings."""
+    """Return a table of settings."""
     columns = ["parameter" if live else "setting", "default", "values", "meaning"]
     return table([*columns, "while running"] if live else columns, setting_rows(infos, live=live))
 
 
 def all_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
-    """As `setting_infos`, with optional groups, and lists of groups as `name[]`."""
+    """Return settings of a class as `setting_infos` does, with optional groups, and lists of groups as `name[]`."""
     own = {info.name: info for info in setting_infos(cls)}
     infos: list[SettingInfo] = []
     for field in dataclasses.fields(cls):
         hint = typing.get_type_hints(cls)[field.name]
-        inner = [one for one in (hint, *typing.get_args(hint)) if isinstance(one, type) and issubclass(one, Settings)]
+        inner = [
+            kind for kind in (hint, *typing.get_args(hint)) if isinstance(kind, type) and issubclass(kind, Settings)
+        ]
         if inner and not dataclasses.fields(inner[0]):
             infos.append(_switch(cls, field.name, prefix))
         elif inner:
@@ -188,23 +190,23 @@ def all_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
 
 
 def _switch(cls: type[Settings], name: str, prefix: str) -> SettingInfo:
-    """A group without settings, described under `Attributes` of the class that has it."""
-    found = re.search(rf"^ +{name}: (.*)", inspect.getdoc(cls) or "", re.MULTILINE)
-    meaning = found[1].rstrip(".") if found else ""
+    """Return a group without settings, described under `Attributes` of the class that has it."""
+    described = re.search(rf"^ +{name}: (.*)", inspect.getdoc(cls) or "", re.MULTILINE)
+    meaning = described[1].rstrip(".") if described else ""
     limits: dict[str, Any] = {"unit": "", "minimum": None, "maximum": None, "choices": ("{}",)}
     kind: dict[str, Any] = {"type": str, "is_list": False, "optional": True, "read_only": True}
     return SettingInfo(name=prefix + name, default=None, description=meaning, **limits, **kind)
 
 
 def _summary(documented: Any) -> str:
-    """The first paragraph of a docstring."""
+    """Return the first paragraph of a docstring."""
     text = " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())
     text = text.removeprefix("Run the command; ").removeprefix("Make ")  # where the page says so itself
     return text[:1].upper() + text[1:]
 
 
 def _grouped(cls: type[Settings]) -> str:
-    """A section for the settings of a class, and one for each of its groups."""
+    """Return a section for the settings of a class, and one for each of its groups."""
     groups: dict[str, list[SettingInfo]] = {}
     for info in all_infos(cls):
         groups.setdefault(info.name.partition(".")[0] if "." in info.name else "", []).append(info)
@@ -237,7 +239,7 @@ def sensors() -> str:
 
 
 def shapes() -> str:
-    """The shapes of simulated objects, each with what it looks like."""
+    """Return the shapes of simulated objects, each with what it looks like."""
     from foretouch_lab.simulation.objects import shapes as module
 
     rows = [(f"`{name}`", cell(_summary(builder))) for name, builder in module._BUILDERS.items()]
@@ -264,7 +266,7 @@ def recipes() -> str:
 
 
 def experiments() -> str:
-    """Each experiment: its question, presets and settings."""
+    """Return each experiment: its question, presets and settings."""
     from foretouch_lab.experiments import list_experiments
 
     parts = []
@@ -276,14 +278,14 @@ def experiments() -> str:
 
 
 def node_configs() -> dict[str, type[Settings]]:
-    """The settings of each node by its name."""
+    """Return the settings of each node by its name."""
     from foretouch.ros.nodes import NODES
 
     return {name: load().config_class for name, load in NODES.items()}
 
 
 def parameters() -> str:
-    """The parameters of every node; those that all nodes have come first, once."""
+    """Return the parameters of every node; those that all nodes have come first, once."""
     from foretouch.ros.runtime.lifecycle_node import NodeConfig
 
     shared = {info.name for info in setting_infos(NodeConfig)}
@@ -321,8 +323,8 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
 
 
 def topics() -> str:
-    """Topics, services and the action, from nodes that are configured for it, each alone, without discovery."""
-    found = graph()
+    """Return topics, services and the action, from nodes that are configured for it, each alone, without discovery."""
+    ends_of = graph()
     parts = []
     for title, kind, ends in (
         ("Topics", "topic", ["publisher", "subscriber"]),
@@ -330,7 +332,7 @@ def topics() -> str:
         ("Action", "action", ["server"]),
     ):
         rows = []
-        for name, (type_name, nodes) in sorted(found[kind].items()):
+        for name, (type_name, nodes) in sorted(ends_of[kind].items()):
             users = [", ".join(f"`{node}`" for node in nodes.get(end, [])) or "–" for end in ends]
             package, _, own = (
                 type_name.replace("/msg/", "/").replace("/srv/", "/").replace("/action/", "/").partition("/")
@@ -361,7 +363,7 @@ Ends = dict[str, tuple[str, dict[str, list[str]]]]
 
 
 def graph() -> dict[str, Ends]:
-    """By kind (topic, service, action) and name: the type, and the nodes at each end."""
+    """Return, by kind (topic, service, action) and name, the type, and the nodes at each end."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
     from foretouch.ros.runtime.environment import prepare_environment
 
@@ -374,7 +376,7 @@ def graph() -> dict[str, Ends]:
 
     from foretouch.ros.nodes import NODES, node_class
 
-    found: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
+    ends_of: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
     context = Context()
     rclpy.init(context=context)
     with tempfile.TemporaryDirectory() as folder:
@@ -400,10 +402,10 @@ def graph() -> dict[str, Ends]:
                 for full, types in pairs:
                     if not _INTERNAL.search(full):
                         short = full.removeprefix(f"{own[1]}/")
-                        found[kind].setdefault(short, (types[0], {}))[1].setdefault(end, []).append(name)
+                        ends_of[kind].setdefault(short, (types[0], {}))[1].setdefault(end, []).append(name)
             node.destroy_node()
     context.try_shutdown()
-    return found
+    return ends_of
 
 
 # The command line.
@@ -418,7 +420,7 @@ def parser_of(command: str) -> CommandParser:
 
 
 def command_names() -> list[str]:
-    """All commands, and the actions of those that have some."""
+    """Return all commands, and the actions of those that have some."""
     from foretouch.cli.main import COMMANDS
 
     return [
@@ -429,7 +431,7 @@ def command_names() -> list[str]:
 
 
 def commands() -> str:
-    """Every command with its arguments, options and exit status."""
+    """Return every command with its arguments, options and exit status."""
     from foretouch.cli.main import COMMANDS, command_module, main
 
     parts = ["## Exit status", _status(main)]
@@ -444,7 +446,7 @@ def commands() -> str:
 
 
 def _status(function: Callable[..., Any]) -> str:
-    """What the docstring of a command states on its exit status."""
+    """Return what the docstring of a command states on its exit status."""
     text = (inspect.getdoc(function) or "").removeprefix("Run the command; ")
     return cell(text[:1].upper() + text[1:].partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
 
@@ -458,7 +460,7 @@ def _option_row(action: argparse.Action) -> tuple[str, str]:
 
 
 def results() -> str:
-    """A table of the pages of committed results, by folder."""
+    """Return a table of the pages of committed results, by folder."""
     rows = []
     for page in sorted((ROOT / "docs" / "results").glob("*/**/*.md")):
         place = page.relative_to(ROOT / "docs")
@@ -487,12 +489,12 @@ GENERATED = re.compile(r"^<!-- generated (\w+) -->\n.*?^<!-- end -->$", re.MULTI
 
 
 def filled(text: str) -> str:
-    """The text of a page with its generated parts made anew."""
+    """Return the text of a page with its generated parts made anew."""
     return GENERATED.sub(lambda part: f"<!-- generated {part[1]} -->\n\n{GENERATORS[part[1]]()}\n<!-- end -->", text)
 
 
 def generated_pages() -> list[Path]:
-    """The pages that have a generated part."""
+    """Return the pages that have a generated part."""
     pages = sorted((ROOT / "docs").rglob("*.md"))
     return [page for page in pages if GENERATED.search(page.read_text(encoding="utf-8"))]
 

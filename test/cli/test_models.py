@@ -39,7 +39,7 @@ def test_coverage_is_that_of_the_card_and_a_flipped_byte_or_an_absent_file_is_fo
     assert result["regimes"]["new"] == {"objects": 4, "samples": 40, "coverage": 0.91}
     table = call("models", tmp_path / "contact.json").out
     assert "0.91" in table
-    assert "the guaranteed coverage of one more object is at most 80%" in table
+    assert "the guaranteed coverage of one more is at most 80%" in table
     card = save_calibrated_network(tmp_path)
 
     def check(name: str) -> None:

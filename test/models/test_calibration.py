@@ -68,12 +68,21 @@ def test_touches_move_predictions_as_conditioning_does(rng) -> None:
 
 def test_what_lasts_on_known_objects_too_is_of_the_sensors() -> None:
     groups = make_calibration().groups
-    small = replace(groups["known"], between=0.3 * groups["new"].between, within=groups["new"].within)
+    small = replace(groups["new"], between=0.3 * groups["new"].between)
     parameters = Calibration(BIOTAC, REST, {"known": small, "new": groups["new"]}).tracker_parameters
     lasting = parameters.object + parameters.slow
     assert_allclose(parameters.slow, 0.3 * lasting[0], rtol=1e-9)
     assert_allclose(parameters.object[1], 0.0, atol=1e-9)
     assert_allclose(parameters.basis @ np.diag(lasting[0]) @ parameters.basis.T, groups["new"].between, rtol=1e-9)
+
+
+def test_a_tracker_without_a_fit_has_the_half_widths_over_deviations_of_either_group() -> None:
+    new = make_calibration().groups["new"]
+    known = replace(new, half_width=0.8 * new.half_width)
+    tracker = SensorTracker(Calibration(BIOTAC, REST, {"known": known, "new": new}).tracker_parameters)
+    for name, group in (("known", known), ("new", new)):
+        _, half = tracker.adapt(tracker.level(0, same_object=False, known=name == "known"), REST[None])
+        assert_allclose(half[0], group.half_width, rtol=1e-9)
 
 
 def test_before_any_reading_intervals_are_conformal_or_those_of_the_fitted_tracker() -> None:

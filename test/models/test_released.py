@@ -28,8 +28,9 @@ def test_the_default_is_first_all_load_and_cards_hold_what_they_must(can, make_g
         model, card = load_model(name), load_model(name).card
         assert model.name == name
         assert {"known", "new"} <= set(card["calibration"]["regimes"])
-        objects = len(card["data"]["objects"])
-        assert any(f"cannot exceed {objects / (objects + 1):.0%}" in line for line in card["limits"])
+        left_out = card["calibration"]["regimes"]["new"]["objects"]
+        assert left_out == (3 if model.simulated else len(card["data"]["objects"]))
+        assert any(f"cannot exceed {left_out / (left_out + 1):.0%}" in line for line in card["limits"])
         if model.simulated:
             assert card["data"]["recipe"] == "foretouch train simulated data=simulated_hand release=true"
             assert card["data"]["source"] == "foretouch simulate config/scenes/simulated_hand.yaml -n 1200"

@@ -72,9 +72,10 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the calibration of the intervals; None without intervals.
 
     Returns:
-        `level`: nominal coverage. `objects`: how many it was calibrated on. `promise`: the highest coverage that
-        conformal intervals guarantee for one more object, whatever the distribution [Vovk et al. 2005]. `regimes`: by
-        group, the `coverage` of held-out objects, mean over the modalities.
+        `level`: nominal coverage. `objects`: how many objects, or shapes, the intervals of unfamiliar objects were
+        calibrated on. `left_out`: which of the two. `promise`: the highest coverage that conformal intervals guarantee
+        for one more, whatever the distribution [Vovk et al. 2005]. `regimes`: by group, the `coverage` of held-out
+        ones, mean over the modalities.
     """
     facts = card.get("calibration")
     if facts is None:
@@ -84,8 +85,9 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
         | {"coverage": _mean(regime.get("coverage", {}), "mean")}
         for name, regime in facts.get("regimes", {}).items()
     }
-    objects = max((group["objects"] or 0 for group in groups.values()), default=0)
-    return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": groups}
+    objects = groups.get("new", {}).get("objects") or 0
+    stated = {"level": facts.get("level"), "objects": objects, "left_out": facts.get("left_out", "objects")}
+    return {**stated, "promise": objects / (objects + 1), "regimes": groups}
 
 
 def _show(records: list[dict[str, Any]], *, in_full: bool) -> None:
@@ -122,8 +124,9 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
     """Return summary, guarantee of the intervals and limits of a model."""
     notes, calibration = [str(record["card"].get("summary", ""))], record["calibration"]
     if calibration is not None:
-        note = f"{calibration['level']:.0%} intervals, calibrated on {calibration['objects']} objects: "
-        note += f"the guaranteed coverage of one more object is at most {calibration['promise']:.0%}"
+        count = f"{calibration['objects']} {calibration['left_out']}"
+        note = f"{calibration['level']:.0%} intervals, calibrated on {count}: "
+        note += f"the guaranteed coverage of one more is at most {calibration['promise']:.0%}"
         recorded = record["card"]["calibration"].get("rest") == "recorded tares"
         notes.append(note if recorded else f"{note}; not calibrated for predictions with a tare")
     return [note for note in [*notes, *map(str, record["card"].get("limits", []))] if note]

@@ -94,6 +94,8 @@ class Calibration:
         """Return the fitted ones, or else the ones of the groups, by B of known objects split into sensors and objects.
 
         On an object that the model knows, what stays is of the sensors; what stays beyond it on new ones, of the object.
+        The tracker has one factor from deviations to half widths, of known objects. Where the half widths of new ones
+        are wider deviations, their B and W are taken as larger.
 
         Raises:
             ModelError: If B and W amplify residuals, or are out of any range.
@@ -101,15 +103,17 @@ class Calibration:
         if self.tracker is not None:
             return self.tracker
         new, known = self.groups["new"], self.groups["known"]
-        ratio = new.half_width / np.sqrt(new.spread)
+        factor = self.channels.modality_means @ (known.half_width / np.sqrt(known.spread))
+        new_factor = self.channels.modality_means @ (new.half_width / np.sqrt(new.spread))
         try:
             with np.errstate(all="ignore"):  # what is not finite is refused below
+                wider = self.channels.by_modality(new_factor / factor)
                 parameters = TrackerParameters.from_calibration(
                     self.channels,
-                    (new.between, known.between),
-                    (new.within, known.within),
+                    (new.between * np.outer(wider, wider), known.between),
+                    (new.within * wider**2, known.within),
                     (new.difference_shrinkage, known.difference_shrinkage),
-                    np.array([ratio[own].mean() for own in self.channels.modality_columns.values()]),
+                    factor,
                 )
             sensors = parameters.object.min(axis=0)
             parameters = replace(parameters, slow=sensors, object=parameters.object - sensors)

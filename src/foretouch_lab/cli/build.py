@@ -2,14 +2,13 @@
 """`foretouch dataset build`: a training store with splits from any datasets."""
 
 import argparse
-import json
 from collections.abc import Sequence
 
 from foretouch.cli.dataset import print_result
 from foretouch.cli.output import progress_bar, warn
 from foretouch.dataset.formats import open_samples
 from foretouch_lab.dataset.store_writer import build_store
-from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits
+from foretouch_lab.learning.data.splits import SPLITS_FILE, make_splits, read_splits
 
 
 def _warn_of_other_hands(paths: Sequence[str]) -> None:
@@ -37,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
             attach=lambda samples: {SPLITS_FILE: make_splits(samples, arguments.seed)},
             progress=advance,
         )
-    splits = json.loads(make_splits(result.samples, arguments.seed))
+    splits, omitted = read_splits(arguments.out)
     record = {
         "out": str(arguments.out),
         "samples": len(result.samples),
@@ -45,8 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
         "left_out": dict(result.left_out),
         "renumbered": result.renumbered,
         "sha256": result.sha256,
-        "seed": splits["seed"],
-        "splits": {kind: [part["name"] for part in parts] for kind, parts in splits["splits"].items()},
-        "omitted": splits["omitted"],
+        "seed": arguments.seed,
+        "splits": {kind: [part["name"] for part in parts] for kind, parts in splits.items()},
+        "omitted": omitted,
     }
     return print_result("built", record, as_json=arguments.json)

@@ -122,7 +122,9 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
 
 def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
     count = arguments.count
-    plans, calls, seconds_of = explain_scene(simulation.scene), simulation.calls, simulation.seconds
+    plans = explain_scene(simulation.scene)
+    calls = simulation.calls
+    seconds_of = simulation.seconds
     if arguments.json:
         effects = [
             {

@@ -87,13 +87,17 @@ def _run(split: str, cell: Cell, settings: HoldOutSettings, data: Dataset) -> li
     samples, folds = _folds(split, data, cell.values["seed"])
     (fold,) = (fold for fold in folds if fold.name == cell.values["part"])
     train, tested = fold.sides(samples)
-    labels, name, seed = labels_of(train), cell.values["predictor"], cell.values["seed"]
+    labels = labels_of(train)
+    name = cell.values["predictor"]
+    seed = cell.values["seed"]
     if name == MODEL:
         fitted = contact_predictor(settings.training_fraction, train, labels, seed)
         everything = fitted.predict(tested)
     else:
         everything = PREDICTORS[name](settings.training_fraction)(train, labels, tested, seed)
-    actual, mean, names = labels_of(tested), labels.mean(axis=0), [sample.object for sample in tested]
+    actual = labels_of(tested)
+    mean = labels.mean(axis=0)
+    names = [sample.object for sample in tested]
     if split != _OBJECT:
         return error_rows(names, everything, actual, mean)
 

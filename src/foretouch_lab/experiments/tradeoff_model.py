@@ -60,7 +60,7 @@ def described(data: Dataset) -> tuple[ContactPredictor, dict[str, int]]:
     return predictor, {sample.id: k for k, sample in enumerate(samples)}
 
 
-class MeanEstimator:
+class _MeanEstimator:
     """Predicts the mean of the training labels of a model for every grasp, and looks at no cloud."""
 
     def __init__(self, model: TouchModel) -> None:
@@ -149,7 +149,7 @@ def _timed(variant: Variant, settings: TradeoffSettings, data: Dataset) -> Timed
         return lambda count: np.tile(mean, (count, 1)), 1.0
     if readings:
         if name == _MEAN:
-            shipped = TouchModel(MeanEstimator(shipped), shipped.card, shipped.calibration)
+            shipped = TouchModel(_MeanEstimator(shipped), shipped.card, shipped.calibration)
         return _after_reading(shipped, sample, grasps), 1.0
     estimator = _reduced(cast("ContactEstimator", shipped.estimator), variant.values)
     return lambda count: estimator.estimate(sample.cloud, grasps[:count]).counts, 1.0

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from foretouch.config import setting
-from foretouch.errors import ConfigError, SimulationError
+from foretouch.errors import ConfigError
 from foretouch.tactile import BIOTAC
 from foretouch.types import Float64, Sample
 from foretouch_lab.experiments.framework.experiment import Row
@@ -29,7 +29,6 @@ from foretouch_lab.simulation.effects import EFFECTS
 from foretouch_lab.simulation.engine import Engine
 from foretouch_lab.simulation.scene import SceneConfig, load_scene
 from foretouch_lab.simulation.simulate import Simulation
-from foretouch_lab.simulation.world import SampleKey
 
 RIGID: Final = "rigid"
 SOFT: Final = "deformables"
@@ -146,13 +145,10 @@ def _accuracy(skill: str, settings: SimulationSettings, data: Scenes) -> dict[st
 
 def _drops(scene: SceneConfig, count: int) -> dict[int, Float64]:
     """Return (2, 24) drops of the electrodes of both fingers before sensor effects [counts], by slot; those that fail are left out."""
-    engine, drops = Engine(scene, EFFECTS), {}
-    for slot in range(count):
-        try:
-            rest, pressed = engine.run(SampleKey(scene.seed, slot)).readings
-        except SimulationError:
-            continue
-        drops[slot] = (rest - pressed)[:, 1:]
+    drops = {}
+    for key, state in Engine(scene, EFFECTS).first_tries(count):
+        rest, pressed = state.readings
+        drops[key.slot] = (rest - pressed)[:, 1:]
     return drops
 
 
@@ -162,15 +158,8 @@ def _samples(scene: SceneConfig, count: int) -> list[Sample]:
 
 def _timed(variant: Variant, _settings: SimulationSettings, data: Scenes) -> Timed:
     """Return what simulates the first grasps that do not fail, one after the other."""
-    scene = data.changed(variant)
-    engine, kept = Engine(scene, EFFECTS), []
-    for slot in range(2 * _TIMED):
-        try:
-            engine.run(SampleKey(scene.seed, slot))
-        except SimulationError:
-            continue
-        kept.append(SampleKey(scene.seed, slot))
-    keys = cycle(kept[:_TIMED])
+    engine = Engine(data.changed(variant), EFFECTS)
+    keys = cycle([key for key, _ in engine.first_tries(2 * _TIMED)][:_TIMED])
     return lambda _: engine.run(next(keys)), 1.0
 
 

@@ -231,7 +231,9 @@ class HandNode(ThreadNode[HandNodeConfig]):
 
     def _run(self) -> None:
         period_ns = round(1e9 / self.config.course.rate_hz)
-        start_ns, start, number = self.get_clock().now().nanoseconds, time.monotonic(), 0
+        start_ns = self.get_clock().now().nanoseconds
+        start = time.monotonic()
+        number = 0
         while True:
             due = start + number * period_ns * 1e-9
             if self.stopping.wait(max(0.0, due - time.monotonic())):

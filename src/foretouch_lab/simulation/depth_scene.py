@@ -18,7 +18,7 @@ from foretouch_lab.simulation.solids import LYING, Primitive, about_z, footprint
 Window = tuple[slice, slice]
 
 
-def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
+def _pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
     """Return (3, 3) float64 intrinsics [px] of square pixels and a centred axis.
 
     Args:
@@ -56,7 +56,7 @@ class CameraView:
         forward = np.array([0.0, sine, -cosine])
         right = np.array([1.0, 0.0, 0.0])
         rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-        return cls(width, height, pinhole_matrix(width, height, hfov_deg), -distance_m * forward, rotation)
+        return cls(width, height, _pinhole_matrix(width, height, hfov_deg), -distance_m * forward, rotation)
 
     def directions(self, window: Window = (slice(None), slice(None))) -> Float64:
         """Return (h, w, 3) float64 ray of each pixel in the world, one metre deep in the camera frame."""

@@ -7,7 +7,8 @@ Of each object of the scene, those effects run, in the order of their list, that
 
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -180,6 +181,13 @@ class Engine:
             reason = ", ".join(dict.fromkeys(why for _, why in ran)) or effect.off or f"no {effect.when}"
             plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(item.name for item, _ in ran)))
         return plans
+
+    def first_tries(self, count: int) -> Iterator[tuple[SampleKey, SampleState]]:
+        """Make the first try at each of the first slots; those that fail are left out."""
+        for slot in range(count):
+            key = SampleKey(self.scene.seed, slot)
+            with suppress(SimulationError):
+                yield key, self.run(key)
 
     def run(self, key: SampleKey, **given: Any) -> SampleState:
         """Make one sample, from the keys that are given; a `SimulationError` names the `reason` of a refusal."""

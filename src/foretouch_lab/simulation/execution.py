@@ -46,7 +46,9 @@ def _drift(job: Job, state: SampleState) -> None:
 
 def _at_rest(job: Job, state: SampleState) -> None:
     """Let nothing touch the fingertips."""
-    array, rows, timeline = job.world.array, state.idle_rows, job.scene.fingers.timeline
+    array = job.world.array
+    rows = state.idle_rows
+    timeline = job.scene.fingers.timeline
     assert timeline is not None  # noqa: S101  # of the hand
     low = np.array([finger.rest for finger in state.sensors]) if array is None else array.rest
     reading.start(state, np.arange(rows) / timeline.rate_hz, np.zeros(rows), low, low)

@@ -210,7 +210,9 @@ def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: Co
     """
     if solution.force_n == 0.0:
         return finger.rest
-    skin, cell_m2, normal = solution.displacement[0], pad.step_m**2, window.frame.normal
+    skin = solution.displacement[0]
+    cell_m2 = pad.step_m**2
+    normal = window.frame.normal
     # Where the skin's displacement is a rise, it takes liquid up.
     volume_m3 = max(float(np.minimum(skin, BOTTOMING_M).sum()) * cell_m2, 0.0)
     approach = electrode_weights(pad, window) @ skin.ravel() - volume_m3 / BULGE_AREA_M2

@@ -90,6 +90,14 @@ def test_what_stands_behind_the_edge_of_the_table_is_beyond_it() -> None:
     assert reasons(found, labels) == {4: "beyond_table"}
 
 
+def test_what_hovers_over_the_table_is_no_object() -> None:
+    above = ((-0.1, 0.1, 0.2), (0.0, 0.2, 0.25))
+    cloud, labels = room(PACKET, above, tilt_deg=50.0, distance_m=1.1)
+    found = segment(cloud)
+    assert labelled(found, labels) == [3]
+    assert reasons(found, labels) == {4: "floating"}
+
+
 @pytest.mark.parametrize("tilt", [10.0, 25.0, 40.0])
 def test_the_sides_of_a_bin_are_walls_and_what_lies_in_it_are_objects(tilt: float) -> None:
     cloud, labels = room(CAN, PACKET, *BIN, tilt_deg=tilt, noise_m=0.001)

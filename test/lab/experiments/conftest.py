@@ -10,13 +10,6 @@ from foretouch_lab.ray_cluster import outcome
 
 
 @pytest.fixture
-def numbers(tmp_path: Path) -> Path:
-    path = tmp_path / "numbers.txt"
-    path.write_text("1 2.5\n")
-    return path
-
-
-@pytest.fixture
 def trace(tmp_path: Path) -> Path:
     path = tmp_path / "trace"
     path.mkdir()

@@ -68,8 +68,8 @@ def test_the_printed_recipe_is_that_of_p2(data: Dataset) -> None:
     assert set(found) == {f"P2, {one}" for one in ("as_printed", "contrast", "batch_means", "srgan")}
     for trial, config in found.items():
         assert (config.batch_size, config.epochs, f"P2, {config.loss.loss_variant}") == (10, 30, trial)
-        weights = (config.loss.weight_labeled, config.loss.weight_unlabeled, config.loss.weight_fake)
-        assert weights == (1.0, 10.0, 0.1)
+        weights = (config.loss.weight_unlabeled, config.loss.weight_fake)
+        assert weights == (10.0, 0.1)
 
 
 def test_settings_that_cannot_be_are_refused(data: Dataset, store: Path) -> None:

@@ -41,7 +41,7 @@ class Table:
     notes: Sequence[str] = ()
 
 
-def require_data(_settings: Any, source: Path | None, _out: Path) -> Path:
+def _require_data(_settings: Any, source: Path | None, _out: Path) -> Path:
     """Return the given data, or raise a `ConfigError` if no data are given: the default `prepare`."""
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
@@ -83,7 +83,7 @@ class Experiment:
     tabulate: Callable[[Any, Sequence[Row]], list[Row]]
     summarise: Callable[[Sequence[Row]], Sequence[Table]]
     figure: Callable[[Sequence[Row], Path], list[Path]] | None = None
-    prepare: Callable[[Any, Path | None, Path], Path] = require_data
+    prepare: Callable[[Any, Path | None, Path], Path] = _require_data
     load: Callable[[Any, Path], Any] = lambda _settings, path: load_dataset(path)
     resumable_settings: Sequence[str] = ()
     data_folder: str | None = None

@@ -17,27 +17,21 @@ class MachineLoad:
     """What other processes use of this machine from its construction on."""
 
     def __init__(self) -> None:
-        self._before = os.getloadavg()[0]
         self._start = self._now()
 
     def row(self) -> dict[str, Any]:
-        """Return columns `state` (idle or loaded), `other_cores`, `load_before` and `load_after`."""
+        """Return columns `state` (idle or loaded) and `other_cores`."""
         busy, own, wall = (now - before for now, before in zip(self._now(), self._start, strict=True))
         others = max(0.0, busy - own) / max(wall, 1e-9)
-        return {
-            "state": "idle" if others < 0.15 else "loaded",
-            "other_cores": round(others, 2),
-            "load_before": round(self._before, 2),
-            "load_after": round(os.getloadavg()[0], 2),
-        }
+        return {"state": "idle" if others < 0.15 else "loaded", "other_cores": round(others, 2)}
 
     @staticmethod
     def _now() -> tuple[float, float, float]:
-        """Return busy time of all cores, processor time of this process, and wall time [s]."""
+        """Return busy time of all cores, processor time of this process and of its children that ended, and wall time [s]."""
         fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()[1:]
         user, nice, system, _idle, _wait, irq, softirq, steal = map(int, fields[:8])
         busy_s = (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
-        return busy_s, time.process_time(), time.monotonic()
+        return busy_s, sum(os.times()[:4]), time.monotonic()
 
 
 def cpu_name() -> str:

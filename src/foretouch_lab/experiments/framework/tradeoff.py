@@ -136,7 +136,7 @@ class Area(Experiment):
             ]
             for row in {row["variant"]: row for row in rows}.values()
         ]
-        first, wall = rows[0], time_column(rows) == "ms_p50"
+        first, wall = rows[0], _time_column(rows) == "ms_p50"
         machine = f"{first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores"
         notes = [
             f"Times of requests of these sizes: {'p50, p95, p99 of the wall time' if wall else 'median of the processor time'}.",
@@ -222,8 +222,7 @@ def _time_variants(
         load = MachineLoad()
         calls = {name: call for name, (call, _) in ready.items()}
         times = time_calls(calls, sizes, settings.timing_s, progress, settings.pause_s)
-    state = load.row()
-    machine = {"state": state["state"], "other_cores": state["other_cores"], "cpu": cpu_name()}
+    machine = {**load.row(), "cpu": cpu_name()}
     rows: list[tuple[Variant, Row]] = []
     for variant, request in product(area.variants, sizes):
         if (own := times.get((variant.name, request))) is not None:
@@ -239,7 +238,7 @@ def _best_state(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["state"] == "idle"] or list(rows)
 
 
-def time_column(rows: Sequence[Row]) -> str:
+def _time_column(rows: Sequence[Row]) -> str:
     """Return wall time if the machine was idle, else processor time, which other processes disturb less."""
     return "ms_p50" if all(row["state"] == "idle" for row in rows) else "cpu_ms"
 
@@ -252,7 +251,7 @@ def _of_panel(rows: Sequence[Row], panel: Panel) -> list[Row]:
 def frontier(rows: Sequence[Row], panel: Panel) -> list[Row]:
     """Return rows that no other beats in both skill and time, by ascending time."""
     skill, shown = panel.skill, _of_panel(rows, panel)
-    column, skills = time_column(shown), {row["variant"]: float(row[skill]) for row in shown}
+    column, skills = _time_column(shown), {row["variant"]: float(row[skill]) for row in shown}
 
     def level(row: Row) -> float:
         """Return the skill of the one that it equals; its own where they were not compared."""
@@ -267,7 +266,7 @@ def frontier(rows: Sequence[Row], panel: Panel) -> list[Row]:
 
 def times_text(row: Row, rows: Sequence[Row]) -> str:
     """Return percentiles of the wall time, or the median of the processor time if the machine was loaded, with two digits."""
-    keys = ("ms_p50", "ms_p95", "ms_p99") if time_column(rows) == "ms_p50" else ("cpu_ms",)
+    keys = ("ms_p50", "ms_p95", "ms_p99") if _time_column(rows) == "ms_p50" else ("cpu_ms",)
     return ", ".join("–" if row[key] is None else f"{float(f'{row[key]:.2g}'):g}" for key in keys)
 
 
@@ -281,8 +280,10 @@ def _interval(row: Row, name: str) -> str:
 
 def _draw_panel(axes: Axes, panel: Panel, rows: Sequence[Row]) -> None:
     """Draw the points of all variants in the colour of their factor, and the frontier with its intervals; its names stand beside it."""
-    own, line, skill = _of_panel(rows, panel), frontier(rows, panel), panel.skill
-    column, factors = time_column(own), list(dict.fromkeys(row["factor"] for row in own))
+    own = _of_panel(rows, panel)
+    line = frontier(rows, panel)
+    skill = panel.skill
+    column, factors = _time_column(own), list(dict.fromkeys(row["factor"] for row in own))
     named = [row for row in own if row in line or row["factor"] == "shipped"]
     low, high = min(row[skill] for row in named), max(row[skill] for row in own)
     floor = low - _LOWEST * ((high - low) or 0.05)  # what is far worse is drawn there, as a triangle

@@ -199,7 +199,7 @@ class PointnetTrainer(SrganTrainer):
         self._set_mode()
         for batch in shuffled_batches(self._labelled, self.config.batch_size, self.rng):
             error = self.net(*self._inputs(batch)) - self._targets(batch)
-            loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
+            loss = labeled_loss(error, torch.zeros_like(error), self.sizes)
             self.step("net", loss)
             yield {"labeled": float(loss.detach())}
 

@@ -77,7 +77,9 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     samples, target = ordered(data), cell.values["name"]
     fit = PREDICTORS[cell.values["predictor"]](settings.training_fraction)
     whole = recording_without(samples, target, fit)
-    parameters, runs, rows = tracker_parameters(whole.take(whole.objects != target)), whole.runs(), []
+    parameters = tracker_parameters(whole.take(whole.objects != target))
+    runs = whole.runs()
+    rows = []
     for run in np.unique(runs[whole.objects == target]).tolist():
         row: Row = {"run": run, "runs": int(runs[-1]) + 1, "readings": whole.readings[runs == run].tolist()}
         if run > 0:

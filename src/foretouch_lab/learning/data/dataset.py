@@ -47,6 +47,7 @@ class Dataset:
         aliases: Other hashes by which cards may name the same samples.
         omitted: By kind of split, why these samples do not have it.
         origin: `source`, `licence` and known `limits` of public and simulated data, for a card.
+        shapes: By object, its shape; of simulated data alone.
         sensor: That was read; taxels that the samples show to be dead are declared so.
     """
 
@@ -57,6 +58,7 @@ class Dataset:
     aliases: tuple[str, ...] = ()
     omitted: dict[str, str] = field(default_factory=dict)
     origin: dict[str, Any] = field(default_factory=dict)
+    shapes: dict[str, str] = field(default_factory=dict)
     sensor: Sensor = BIOTAC_SP
 
     @cached_property
@@ -100,8 +102,8 @@ class Dataset:
         return parts
 
     def hashes(self, index: Indices) -> list[str]:
-        """Return `sample_hash` of the samples with these indices."""
-        return [sample_hash(self.samples[k]) for k in index]
+        """Return `_sample_hash` of the samples with these indices."""
+        return [_sample_hash(self.samples[k]) for k in index]
 
     def partition(self, split: str | None) -> Fold:
         """Split the samples for one training.
@@ -147,7 +149,7 @@ class LazySample(Sample):
         return only_finite(store[number]).cloud
 
 
-def sample_hash(sample: Sample) -> str:
+def _sample_hash(sample: Sample) -> str:
     """Return what identifies a recorded grasp in any dataset, by whatever name: 16 hexadecimal digits.
 
     They cover the finite points, the contacts and the reading as float32, which every format keeps; not the rotation,
@@ -180,8 +182,9 @@ def load_dataset(path: str | Path) -> Dataset:
         samples.append(sample if store is None else LazySample.of(sample, store, len(samples)))
     public = opened.kind == "vision2tactile"
     data = dataset_of(samples, path.name, opened.sensor, path, content.hexdigest())
-    origin = _VISION2TACTILE if public else {} if store is None else _simulated(store)
-    return replace(data, aliases=(folder_sha256(path),) if public else (), origin=origin)
+    if store is not None:
+        return replace(data, origin=_simulated(store), shapes=_shapes(store))
+    return replace(data, aliases=(folder_sha256(path),), origin=_VISION2TACTILE) if public else data
 
 
 def dataset_of(
@@ -234,6 +237,12 @@ def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
         np.array([places[sample_id] for sample_id in part.get(side, ())], np.intp) for side in SIDES
     )
     return Fold(np.sort(train), test, part["name"], unlabelled)
+
+
+def _shapes(store: Store) -> dict[str, str]:
+    """Return the shape of each object of a store that `foretouch simulate` wrote; nothing of another store."""
+    scene = store.manifest.get("about", {}).get("scene", {})
+    return {item["name"]: item["shape"] for item in scene.get("objects", [])}
 
 
 def _simulated(store: Store) -> dict[str, Any]:

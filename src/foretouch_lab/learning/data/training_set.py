@@ -112,7 +112,9 @@ class TrainingSet:
             raise DatasetError("training set: no sample")
         missing = np.full(TOUCH_SIZE, np.nan)
         labels = [missing if unlabelled and sample.touch is None else _label(sample) for sample in samples]
-        clouds, grasps, lengths = CloudFile(), [], []
+        clouds = CloudFile()
+        grasps = []
+        lengths = []
         for sample in samples:
             points, grasp, length = _prepared(sample, config)
             clouds.append(points)

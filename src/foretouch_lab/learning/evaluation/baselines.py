@@ -18,7 +18,7 @@ from foretouch_lab.learning.data.folds import Fold
 _CONTACT_RADIUS_M: Final = 0.02  # about the size of a fingertip's pad
 
 
-def geometry_features(sample: Sample) -> Float64:
+def _geometry_features(sample: Sample) -> Float64:
     """Return (44,) float64: lengths in metres, camera frame; contacts relative to the centroid.
 
     Centroid, extents, spreads along the principal axes, radius and logarithm of the number of points; g1, g2, width, offset
@@ -62,13 +62,13 @@ def _spreads(centred: Float64) -> Float64:
     return np.asarray(np.sqrt(np.maximum(values, 0.0)), np.float64)
 
 
-def pose_free_features(sample: Sample) -> Float64:
-    """Return (28,) float64: `geometry_features` without the pose of the camera.
+def _pose_free_features(sample: Sample) -> Float64:
+    """Return (28,) float64: `_geometry_features` without the pose of the camera.
 
     Centroid, extents along the camera's axes, rotation and the number of points are left out; places of the contacts, and of
     the points near them, are in the frame of the hand, x away from the camera.
     """
-    every, hand = geometry_features(sample), sample.grasp.rotation
+    every, hand = _geometry_features(sample), sample.grasp.rotation
     hand = hand * np.array([-1.0, -1.0, 1.0]) if hand[2, 0] < 0.0 else hand
     turned = [every[at : at + 3] @ hand for at in (11, 14, 33, 41)]
     return np.concatenate([every[6:10], *turned[:2], every[17:19], every[28:33], turned[2], every[36:41], turned[3]])
@@ -111,16 +111,16 @@ def object_time_trees(
 def geometry_trees(
     train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
-    """Fit extremely randomised trees on `geometry_features`."""
-    known, asked = (np.array([geometry_features(sample) for sample in side]) for side in (train, test))
+    """Fit extremely randomised trees on `_geometry_features`."""
+    known, asked = (np.array([_geometry_features(sample) for sample in side]) for side in (train, test))
     return _forest(known, labels, asked, seed, trees)
 
 
 def geometry_trees_pose_free(
     train: Sequence[Sample], labels: Float64, test: Sequence[Sample], seed: int, trees: int = TREES
 ) -> Float64:
-    """Fit extremely randomised trees on `pose_free_features`: what a model knows that ignores where the camera is."""
-    known, asked = (np.array([pose_free_features(sample) for sample in side]) for side in (train, test))
+    """Fit extremely randomised trees on `_pose_free_features`: what a model knows that ignores where the camera is."""
+    known, asked = (np.array([_pose_free_features(sample) for sample in side]) for side in (train, test))
     return _forest(known, labels, asked, seed, trees)
 
 

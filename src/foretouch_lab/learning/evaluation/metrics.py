@@ -248,8 +248,16 @@ def _by_modality(values: Float64, channels: Channels) -> dict[str, Float64]:
 
 def _weights(size: int, config: BootstrapConfig) -> Float64:
     """Return (draws, O): how often each object is drawn; no row where there are too few objects."""
-    if size < LEAST_OBJECTS:
-        return np.empty((0, size))
+    return np.empty((0, size)) if size < LEAST_OBJECTS else drawn_weights(size, config)
+
+
+def drawn_weights(size: int, config: BootstrapConfig) -> Float64:
+    """Return (draws, O): how often each of O objects is in a resample.
+
+    Args:
+        size: O.
+        config: Number of resamples.
+    """
     rng = np.random.default_rng(0)
     return rng.multinomial(size, np.full(size, 1.0 / size), config.draws).astype(np.float64)
 

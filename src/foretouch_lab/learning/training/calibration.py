@@ -4,11 +4,14 @@
 Two conditions, distinguished in prediction by the `unfamiliar` flag:
 
     known   objects in the training data, at another time: residuals of time-blocked folds
-    new     objects outside the training data: residuals of objects left out
+    new     objects outside the training data: residuals of objects left out, or of whole shapes
 
-Half widths are conformal with objects as the unit [Dunn, Wasserman and Ramdas 2022]: the scores |residual| / deviation
-of all calibration objects are pooled, each object weighing the same, and cut at level (1 - α)(1 + 1/G) of G objects.
-With few objects that level exceeds what their scores can show; it is capped at 0.95, and then no finite-sample
+Whole shapes are left out where objects that no training object resembles will be met: on data of few shapes, an object
+that is left out has many like it in training, so that its residuals are too small for a stranger.
+
+Half widths are conformal with objects, or shapes, as the unit [Dunn, Wasserman and Ramdas 2022]: the scores |residual| / deviation
+of all calibration objects are pooled, each object weighing the same, and cut at level (1 - α)(1 + 1/G) of G of them.
+With few that level exceeds what their scores can show; it is capped at 0.95, and then no finite-sample
 guarantee is given.
 """
 
@@ -48,7 +51,7 @@ class HeldOutPredictions:
 
     predicted: Float64  # (S, D) [counts]
     labels: Float64  # (S, D) [counts]
-    objects: Names  # (S,) names
+    objects: Names  # (S,) names of objects, or of the shapes that were left out as a whole
     sessions: Names  # (S,) the unit that shares the lasting part of the error: an object, or a block of its recording
     channels: Channels  # of the labels
 
@@ -58,10 +61,17 @@ class HeldOutPredictions:
         return replace(self, **arrays)
 
 
-def calibration_folds(samples: Sequence[Sample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
+def calibration_folds(
+    samples: Sequence[Sample], seed: int, shapes: Sequence[str] | None = None
+) -> dict[str, tuple[list[Fold], Names]]:
     """Return folds by which training samples are held out for a calibration.
 
     Where an object has fewer samples than there are blocks of time, random folds of the seed replace these.
+
+    Args:
+        samples: Training samples, of several objects.
+        seed: Of the random folds.
+        shapes: (S,) shape of each sample's object, where whole shapes are left out for `new`; by default objects are.
 
     Returns:
         `known` and `new`: folds, and (S,) sessions: blocks of the objects' recordings, or objects.
@@ -77,7 +87,10 @@ def calibration_folds(samples: Sequence[Sample], seed: int) -> dict[str, tuple[l
     blocks = objects.astype(object)
     for fold in time_folds:
         blocks[fold.test] = [f"{name}/{fold.name}" for name in objects[fold.test]]
-    return {"known": (time_folds, blocks.astype(np.str_)), "new": (object_folds(list(objects)), objects)}
+    return {
+        "known": (time_folds, blocks.astype(np.str_)),
+        "new": (object_folds(list(objects if shapes is None else shapes)), objects),
+    }
 
 
 def rest_level(samples: Sequence[Sample]) -> tuple[Float64, bool]:
@@ -118,6 +131,7 @@ def calibrate_on_folds(
     seed: int,
     *,
     where: Float64 | None = None,
+    shapes: Sequence[str] | None = None,
     workers: int = 1,
 ) -> tuple[Calibration, dict[str, Any]]:
     """Return a calibration from held-out predictions.
@@ -130,24 +144,28 @@ def calibrate_on_folds(
         predict: Fits to the training side of a fold and predicts its test side, at rest level.
         seed: Of the folds.
         where: (S, P) features of the grasps as of `Estimate`, for models that describe them.
+        shapes: (S,) shape of each sample's object, as of `calibration_folds`.
         workers: Number of processes.
 
     Returns:
-        As `make_calibration`; the facts also hold `rest`, the origin of the rest level.
+        As `make_calibration`; the facts also hold `rest`, the origin of the rest level, and `left_out`, the unit of
+        `new`: `objects` or `shapes`.
 
     Raises:
         DatasetError: If all samples are of one object.
     """
-    conditions = calibration_folds(samples, seed)
+    conditions = calibration_folds(samples, seed, shapes)
     predicted = predict_folds({name: (predict, folds) for name, (folds, _) in conditions.items()}, workers)
     channels = channels_of(samples)
     rest, recorded = rest_level(samples)
     objects = np.array([sample.object for sample in samples])
+    left_out = {"known": objects, "new": objects if shapes is None else np.asarray(shapes, np.str_)}
     held_out = {
-        name: HeldOutPredictions(predicted[name], labels, objects, sessions, channels)
+        name: HeldOutPredictions(predicted[name], labels, left_out[name], sessions, channels)
         for name, (_, sessions) in conditions.items()
     }
     calibration, facts = make_calibration(rest, held_out)
+    facts["left_out"] = "objects" if shapes is None else "shapes"
     if all(sample.stamp_ns > 0 for sample in samples):
         recording = replace(TimedReadings.of_samples(samples, labels, predicted["new"], rest), where=where).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
@@ -255,7 +273,9 @@ def _spread(held_out: HeldOutPredictions) -> Float64:
 
 def _half_widths(held_out: HeldOutPredictions) -> Float64:
     """Return (D,) half widths [counts]: one factor per modality times the deviation of each value."""
-    channels, names, deviation = held_out.channels, held_out.objects, np.sqrt(_spread(held_out))
+    channels = held_out.channels
+    names = held_out.objects
+    deviation = np.sqrt(_spread(held_out))
     scores = np.abs(held_out.labels - held_out.predicted) / deviation
     level = conformal_level(len(np.unique(names)))
     half = np.empty(channels.size)
@@ -292,7 +312,7 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
             "objects": len(np.unique(predictions.objects)),
             "samples": len(predictions.labels),
             "cut": round(conformal_level(len(np.unique(predictions.objects))), 4),
-            "coverage": coverage_by_object(predictions),
+            "coverage": _coverage_by_object(predictions),
         }
         for name, predictions in held_out.items()
     }
@@ -300,18 +320,18 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
 
 
 def guarantee(calibration: Mapping[str, Any]) -> str:
-    """Return one line for a card, from the facts of `make_calibration`: the coverage that this many objects can guarantee."""
-    new = calibration["regimes"]["new"]
-    objects = new["objects"]
+    """Return one line for a card, from the facts of `calibrate_on_folds`: the coverage that this many objects or shapes can guarantee."""
+    new, unit = calibration["regimes"]["new"], calibration["left_out"]
+    count = new["objects"]
     coverage = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
     least = min(min(table.values()) for table in new["coverage"].values())
     return (
-        f"Intervals of {calibration['level']:.0%}: from {objects} objects, a distribution-free guarantee for one more cannot exceed "
-        f"{objects / (objects + 1):.0%}. Mean coverage of objects left out: {coverage}; of the worst of them {least:.2f}."
+        f"Intervals of {calibration['level']:.0%}: from {count} {unit}, a distribution-free guarantee for one more cannot exceed "
+        f"{count / (count + 1):.0%}. Mean coverage of {unit} left out: {coverage}; of the worst of them {least:.2f}."
     )
 
 
-def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, float]]:
+def _coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, float]]:
     """Return by modality the `mean` over objects, and each object's coverage by intervals calibrated on the others.
 
     Empty for a single object, which leaves none to calibrate on.

@@ -42,7 +42,7 @@ _OBJECT_EFFECT: Final = 1.0  # variance of what is an object's own, beside its s
 _RIDGES: Final = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # candidates for the ratio of noise to signal
 
 
-def training_kernel(known: Float64, objects: Sequence[str] | npt.NDArray[np.str_]) -> Float64:
+def _training_kernel(known: Float64, objects: Sequence[str] | npt.NDArray[np.str_]) -> Float64:
     """Return (S, S) kernel of (S, F) standardised rows with the effects of their objects, before the ridge."""
     _, index = np.unique(np.asarray(objects), return_inverse=True)
     return np.asarray(laplacian(known, known, DECAY) + _OBJECT_EFFECT * (index[:, None] == index), np.float64)
@@ -80,7 +80,7 @@ def _held_out(
         centre, scale = standardisation(rows[fold.train])
         known, test = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
         mean = scaled[fold.train].mean(axis=0)
-        values, vectors = np.linalg.eigh(training_kernel(known, objects[fold.train]))
+        values, vectors = np.linalg.eigh(_training_kernel(known, objects[fold.train]))
         cross, turned = laplacian(test, known, DECAY) @ vectors, vectors.T @ (scaled[fold.train] - mean)
         actual = scaled[fold.test] - mean
         for r, ridge in enumerate(_RIDGES):
@@ -147,7 +147,7 @@ def _of(sample: Sample, describe: Callable[[Sample], Float64]) -> Float64:
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def describe_thinned(samples: Sequence[Sample], config: ContactTrainingConfig) -> Float64 | None:
+def _describe_thinned(samples: Sequence[Sample], config: ContactTrainingConfig) -> Float64 | None:
     """Return (S, F) features on clouds with a random share of their points, by the seed; None if the share is 1."""
     if config.thinned == 1.0:
         return None
@@ -208,7 +208,9 @@ def fit_contact(
     inputs = rows[:, len(CONDITIONS) :]
     ridge, gain = choose_ridge(inputs, scaled, objects, channels)
     kernel = _kernel(inputs, scaled, objects, ridge)
-    grown, targets, leaf = inputs, scaled, config.leaf
+    grown = inputs
+    targets = scaled
+    leaf = config.leaf
     if thinned is not None:
         grown, targets = np.concatenate([inputs, thinned[:, len(CONDITIONS) :]]), np.concatenate([scaled, scaled])
         leaf = 2 * leaf
@@ -238,7 +240,7 @@ def _kernel(rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float
 
     centre, scale = standardisation(rows)
     known = (rows - centre) / scale
-    weight = cho_solve(cho_factor(training_kernel(known, objects) + ridge * np.eye(len(known))), scaled)
+    weight = cho_solve(cho_factor(_training_kernel(known, objects) + ridge * np.eye(len(known))), scaled)
     return KernelRegression(centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(DECAY))
 
 
@@ -254,7 +256,7 @@ class ContactPredictor:
         self._channels = channels_of(train)
         self.rest, _ = rest_level(train)
         self.rows = describe_samples(train)
-        self._thinned = describe_thinned(train, config)
+        self._thinned = _describe_thinned(train, config)
         self._train = list(train)
         self._labels = labels
         self._config = config

@@ -44,11 +44,13 @@ class Learner(ABC):
         split: Partition of the dataset into training and test samples.
         samples: The labelled training samples.
         labels: (S, D) their labels [counts].
+        shapes: (S,) shapes of their objects, where whole shapes are left out for the calibration; else None.
         where: (S, P) features of their grasps that the models' estimates hold, too; None of models without.
         epochs: Number of epochs of the last `fit`; 0 for a method without epochs.
 
     Raises:
         DatasetError: If a sample cannot be used, and names it; or if no label varies.
+        ConfigError: If shapes are to be left out, and the dataset does not state them.
     """
 
     def __init__(self, config: RunConfig, data: Dataset, split: Fold) -> None:
@@ -61,6 +63,12 @@ class Learner(ABC):
         if len(read) > 1 and not np.ptp(read, axis=0).any():
             rule = f"{', '.join(self.outputs)} are the same in all {len(read)} samples, so nothing can be learnt"
             raise DatasetError(f"{data.name}: labels: {rule}; was one reading written to all of them?")
+        self.shapes: list[str] | None = None
+        if config.left_out == "shapes":
+            if unknown := [sample.object for sample in self.samples if sample.object not in data.shapes]:
+                rule = f"{data.name} does not state the shape of {unknown[0]}, as simulated data do; use objects"
+                raise ConfigError(f"left_out: {rule}")
+            self.shapes = [data.shapes[sample.object] for sample in self.samples]
         self.where: Float64 | None = None
         self.epochs = 0
 
@@ -97,7 +105,7 @@ class Learner(ABC):
 
     def calibrate(self, workers: int = 1) -> CardCalibration:
         """Calibrate by `calibrate_on_folds`; the fitted model stays as it is."""
-        how: Any = {"where": self.where, "workers": workers}
+        how: Any = {"where": self.where, "shapes": self.shapes, "workers": workers}
         return calibrate_on_folds(self.samples, self.labels, self.predict_fold, self.config.seed, **how)
 
 

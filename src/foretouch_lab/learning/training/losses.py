@@ -41,14 +41,13 @@ _OF_MEANS: Final = ("batch_means", "srgan")  # variants that compare the mean fe
 
 @dataclass(frozen=True, kw_only=True)
 class SrganLossConfig(Settings):
-    """Variant of the losses, and P2's weights."""
+    """Variant of the losses, and P2's weights beside w_L, which is 1."""
 
     loss_variant: str = setting(
         "contrast",
         "Variant of P2's equations 3 to 5; see the module",
         choices=("as_printed", "contrast", "batch_means", "srgan"),
     )
-    weight_labeled: float = setting(1.0, "w_L", bounds=(0.0, 1e6))
     weight_unlabeled: float = setting(10.0, "w_U", bounds=(0.0, 1e6))
     weight_fake: float = setting(0.1, "w_F", bounds=(0.0, 1e6))
 
@@ -97,7 +96,7 @@ def discriminator_loss(labeled: Tensor, features: Sequence[Tensor], config: Srga
     if config.loss_variant != "as_printed":  # a contrast, whose slope in each feature is at most one
         fake = -(_difference(features[1], features[2], config).abs() + 1.0).sqrt().mean()
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
-    total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
+    total = labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
     return {**parts, "total": total}
 
 

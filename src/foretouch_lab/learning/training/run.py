@@ -119,7 +119,9 @@ def compare_splits(
     Returns:
         By split, the scores of the model and the baselines by modality.
     """
-    samples, labels, seed = learner.samples, learner.labels, learner.config.seed
+    samples = learner.samples
+    labels = learner.labels
+    seed = learner.config.seed
     ranges, results = learner.config.ranges(learner.sensor.channels), {}
     predictors = {MODEL: learner.predict_fold}
     predictors |= {name: partial(predict_part, baseline, samples, seed) for name, baseline in BASELINES.items()}

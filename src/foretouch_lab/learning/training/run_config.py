@@ -58,6 +58,12 @@ class RunConfig(Settings):
         "Calibrate intervals on held-out predictions, for which the model is fitted again on each of up to 15 folds; "
         "the weights do not depend on it. By default for method contact only, which takes seconds",
     )
+    left_out: str = setting(
+        "objects",
+        "What is left out at once to calibrate the intervals of unfamiliar objects: objects, or all objects of a shape, "
+        "which simulated data state",
+        choices=("objects", "shapes"),
+    )
     release: bool = setting(
         False,
         "Score model and baselines on three splits by cross-validation, calibrate, and list the limits in the card",

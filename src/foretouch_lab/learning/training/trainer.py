@@ -127,7 +127,7 @@ class Trainer(ABC):
         _set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
         for module in self.modules.values():
             module.to(self.device)
-            set_precision(module, config.precision)
+            _set_precision(module, config.precision)
         # One kernel for all weights: the time of a small network's step is its number of calls.
         options: dict[str, Any] = {"lr": config.learning_rate, "weight_decay": config.weight_decay, "fused": True}
         self.optimisers, self._schedules = {}, {}
@@ -252,7 +252,7 @@ class Trainer(ABC):
         return self.net.to_scaled(self._labels[batch].to(self.device))
 
 
-def set_precision(module: nn.Module, precision: str) -> None:
+def _set_precision(module: nn.Module, precision: str) -> None:
     """Set the precision of a network's searches for winning points; its weights do not change."""
     for part in module.modules():
         if isinstance(part, PointNetFeatures | InputTransform):

@@ -114,7 +114,10 @@ def _at_closing(problems: Sequence[ContactProblem], closing: float, load: float,
         return no_contact(problems[0]), no_contact(problems[1])
     floor = abs(load) / 2.0
     force = max(solve_contact(problems[0], half, level).force_n, floor * 1.01)
-    low, high, power, last = floor, math.inf, 0.6, None
+    low = floor
+    high = math.inf
+    power = 0.6
+    last = None
     for _ in range(_MAX_STEPS):
         grip = _at_force(problems, force, load, level)
         reached = grip[0].depth_m + grip[1].depth_m

@@ -35,7 +35,9 @@ def _drift(job: Job, state: SampleState) -> None:
 def _warm_up(job: Job, state: SampleState) -> None:
     """Let the liquid warm on; with TDC, fingers also approach the temperature of an object as long as they touch it."""
     config: WarmUpConfig = job.settings
-    campaign, now, timeline = _campaign(job), state.campaign_time, job.scene.fingers.timeline
+    campaign = _campaign(job)
+    now = state.campaign_time
+    timeline = job.scene.fingers.timeline
     rise_k = fingertip.warming(now.powered_s + now.speed * state.times, config.body_kelvin, config.warming_s)
     if config.tdc is None:
         state.level += fingertip.temperature_drift(rise_k)[:, None]

@@ -57,7 +57,9 @@ def _plan(job: Job, state: SampleState) -> None:
 
 
 def _fingers(job: Job, state: SampleState) -> None:
-    grasp, world, widest = state.grasp, job.world, job.scene.grasps.max_width_m
+    grasp = state.grasp
+    world = job.world
+    widest = job.scene.grasps.max_width_m
     if grasp.width_m > widest:
         raise SimulationError(
             f"{job.item.name}: a grasp of {grasp.width_m:.3f} m, the hand opens {widest:g} m", "too_wide"
@@ -152,7 +154,9 @@ def _targets(job: Job, state: SampleState) -> None:
 
 def _posture(job: Job, state: SampleState) -> None:
     """Turn each fingertip so that the chosen place of its pad looks along the approach; the hand's posture adds to it."""
-    fingers, rng, array = job.scene.fingers, job.rng(), job.world.array
+    fingers = job.scene.fingers
+    rng = job.rng()
+    array = job.world.array
     postures = []
     chosen = (fingers.thumb_posture, fingers.middle_posture)
     for finger, frame, posture in zip(chosen, state.fingers, state.pad_angles, strict=True):
@@ -170,7 +174,9 @@ def _first_touch(job: Job, state: SampleState) -> None:
     The contact is solved in the tangent plane there; the contact of an array of taxels in the plane of its middle, over the whole
     pad, which turns towards the surface. A slope outside of the friction cone lets the finger slip.
     """
-    pad_config, item, array = pad_of(job), job.item, job.world.array
+    pad_config = pad_of(job)
+    item = job.item
+    array = job.world.array
     offset = np.linspace(-_SEARCH_M / 2.0, _SEARCH_M / 2.0, _SEARCH_CELLS)
     x, y = np.meshgrid(offset, offset)
     met = []

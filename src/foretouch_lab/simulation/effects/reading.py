@@ -111,7 +111,9 @@ def _slip(job: Job, state: SampleState) -> None:
 
 def _reading_after_slip(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:
     """Return (V,) of finger k, the object having slid down by so much across its normal."""
-    frame, window, scene = state.touches[k], state.pads[k], job.scene
+    frame = state.touches[k]
+    window = state.pads[k]
+    scene = job.scene
     across = _DOWN - (_DOWN @ frame.normal) * frame.normal
     length = float(np.linalg.norm(across))
     if length > 0.0:

@@ -123,7 +123,9 @@ def _render(job: Job, state: SampleState) -> None:
     rays = world.rays[window]
     depth = depth_scene.table_depth(world.view, rays)
     labels = np.where(np.isfinite(depth), depth_scene.TABLE, 0).astype(np.int32)
-    flat_rays, flat_depth, flat_labels = rays.reshape(-1, 3), depth.reshape(-1), labels.reshape(-1)
+    flat_rays = rays.reshape(-1, 3)
+    flat_depth = depth.reshape(-1)
+    flat_labels = labels.reshape(-1)
     hits: list[Hits | None] = []
     for label, body in enumerate(state.bodies, depth_scene.FIRST_OBJECT):
         if not _overlap(world.view, body.corners(), window):

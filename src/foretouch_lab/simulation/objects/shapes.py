@@ -203,7 +203,9 @@ def _rounded_box(edge_radius: float, cells: int = 6) -> TriangleMesh:
     for axis in range(3):
         for sign in (1.0, -1.0):
             side = np.empty((len(u), 3))
-            side[:, axis], side[:, (axis + 1) % 3], side[:, (axis + 2) % 3] = sign * 0.5, u, v
+            side[:, axis] = sign * 0.5
+            side[:, (axis + 1) % 3] = u
+            side[:, (axis + 2) % 3] = v
             faces.append(len(sides) * len(u) + (quads if sign > 0.0 else quads[:, ::-1]))
             sides.append(side)
     # Points of two sides that coincide within rounding become one.

@@ -21,7 +21,6 @@ from foretouch.errors import ConfigError
 from foretouch.grasp.hand import load_hand
 from foretouch.tactile import FULL_SCALE
 from foretouch.tactile.channels import CORE_HALF_LENGTH_M, CORE_RADIUS_M
-from foretouch.tactile.description import Sensor
 from foretouch.types import Float64
 from foretouch_lab.simulation import fingertip, taxels
 from foretouch_lab.simulation.contact import layer, pad, problem
@@ -168,7 +167,12 @@ class SceneConfig(Settings):
         """
         settings = self.to_mapping()
         settings["hand"] = load_hand(self.hand).config.to_mapping() if self.hand else 0
-        return scene_hash(settings, self.fingers.taxel_sensor())
+        counted = _counted(settings, _CONSTANTS)
+        if (sensor := self.fingers.taxel_sensor()) is not None:
+            noise = [channel.noise for channel in (*sensor.config.values, *sensor.config.scalars)]
+            counted["taxels"] = {**_TAXELS, "sensor": sensor.sha256, "noise": noise, "valid": sensor.valid.tolist()}
+        text = json.dumps(counted, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 def load_scene(path: str | Path) -> SceneConfig:
@@ -300,16 +304,6 @@ _OFF: Final = {
     "hand": 0,
     "file_sha256": "",
 }
-
-
-def scene_hash(settings: dict[str, Any], sensor: Sensor | None = None) -> str:
-    """Return the SHA-256 of a scene's plain settings, and of the array of taxels if it has one; paths of meshes and sensors do not count."""
-    counted = _counted(settings, _CONSTANTS)
-    if sensor is not None:
-        noise = [channel.noise for channel in (*sensor.config.values, *sensor.config.scalars)]
-        counted["taxels"] = {**_TAXELS, "sensor": sensor.sha256, "noise": noise, "valid": sensor.valid.tolist()}
-    text = json.dumps(counted, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _counted(settings: dict[str, Any], constants: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model calibrated: equal to the released model's predictions, with intervals from held-out samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from contact_model_builders import FEW_TREES, with_tares
@@ -9,14 +11,20 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose
 from recording_builders import read_folder
 
+from foretouch.errors import ConfigError
 from foretouch.models.contact.estimator import save_contact
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.tactile import BIOTAC
 from foretouch.types import Sample
-from foretouch_lab.learning.data import labels_of
-from foretouch_lab.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
+from foretouch_lab.dataset.store_writer import StoreWriter
+from foretouch_lab.learning.data import labels_of, load_dataset
+from foretouch_lab.learning.data.dataset import dataset_of
+from foretouch_lab.learning.data.folds import predict_folds
+from foretouch_lab.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group, guarantee
 from foretouch_lab.learning.training.contact import ContactPredictor, describe_samples, fit_contact
+from foretouch_lab.learning.training.run import make_learner
+from foretouch_lab.learning.training.run_config import load_run_config
 
 BARE = make_samples(5, 10)
 TARED = with_tares(BARE, drift=60.0)
@@ -83,3 +91,36 @@ def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_dat
     before = fitted.predict_after([], remaining[3:])[1]
     assert half.mean() < before.mean()
     assert (np.abs(counts - labels_of(remaining[3:])) <= half).mean() > 0.6
+
+
+def test_whole_shapes_are_left_out_where_the_training_asks_for_it(tmp_path) -> None:
+    scene = {"objects": [{"name": f"{shape}_{k}", "shape": shape} for shape in ("can", "box") for k in range(2)]}
+    named = [replace(sample, object=scene["objects"][k // 10]["name"]) for k, sample in enumerate(BARE[:40])]
+    with StoreWriter(tmp_path / "store", {"scene": scene, "scene_sha256": "0" * 64}) as writer:
+        for sample in named:
+            writer.write(sample)
+    data = load_dataset(tmp_path / "store")
+    config = load_run_config("contact", ["contact.trees=3", "left_out=shapes"])
+    learner = make_learner(config, data)
+    folds, sessions = calibration_folds(learner.samples, 0, learner.shapes)["new"]
+    assert [fold.name for fold in folds] == ["box", "can"]
+    assert len(set(sessions)) == 4  # what lasts is still an object's
+    calibration, facts = learner.calibrate()
+    assert (facts["left_out"], facts["regimes"]["new"]["objects"], facts["regimes"]["known"]["objects"]) == (
+        "shapes",
+        2,
+        4,
+    )
+    by_shape = HeldOutPredictions(
+        predict_folds({"new": (learner.predict_fold, folds)})["new"],
+        learner.labels,
+        np.array(learner.shapes),
+        sessions,
+        BIOTAC,
+    )
+    assert_allclose(calibration.groups["new"].half_width, fit_group(by_shape, new=True).half_width)
+    assert "from 2 shapes, a distribution-free guarantee for one more cannot exceed 67%" in guarantee(facts)
+    with pytest.raises(
+        ConfigError, match="left_out: samples does not state the shape of campbells, as simulated data do"
+    ):
+        make_learner(config, dataset_of(BARE[:40]))
