@@ -183,7 +183,7 @@ def test_what_cannot_be_adapted_to_is_refused_in_one_line(call, model, session, 
 def test_the_contact_model_needs_no_torch(files, session, tmp_path) -> None:
     card = save_calibrated_contact(tmp_path)
     words = ["predict", str(files / "object.pcd"), "--model", card, "--touched", str(session), "--json"]
-    code = f"import sys\nfrom foretouch.cli.main import main\nstatus = main({words!r})\nsys.exit(status + 2 * ('torch' in sys.modules))"
+    code = f"import sys\nfrom foretouch.cli.main import main\nstatus = main({words!r})\nsys.exit(status + 2 * bool({{'torch', 'sklearn'}} & set(sys.modules)))"
     done = run_python(code)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["predictions"][0]["reference"] == "touches"

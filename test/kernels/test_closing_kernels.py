@@ -75,11 +75,17 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
         nonlocal blocked, n_hidden
         closing = Recorder(completed._closing_lines, reference.closing_lines)
         whole = Recorder(completed._complete_object, reference.complete_object, 3)
+        outlines = Recorder(completed._outline, reference.outline, 2)
         with monkeypatch.context() as patch:
+            patch.setattr(completed, "_outline", outlines)
             patch.setattr(completed, "_closing_lines", closing)
             patch.setattr(completed, "_complete_object", whole)
             patch.setattr(completed, "struct", fields)
             planned(solid, camera, rng, obstacles=around(camera), **next(hands))
+        for (nearest, inside), (depths, filled) in outlines.answers:
+            np.testing.assert_array_equal(nearest, depths)
+            own = np.s_[4:-4, 4:-4]  # gaps are not closed in the empty cells around
+            np.testing.assert_allclose(inside[own], filled[own], atol=1e-6)
         for (points, shares, found), (others, parts, expected) in whole.answers:
             n, size = len(points) // 2, round(found[0])
             np.testing.assert_allclose(found[1:], expected[1:], atol=1e-5)

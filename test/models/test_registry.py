@@ -60,20 +60,6 @@ def test_a_folder_with_several_models_or_a_damaged_card_is_refused_by_name(conta
         load_model(contact.parent)
 
 
-def test_a_contact_model_loads_and_predicts_without_torch(contact: Path) -> None:
-    code = f"""
-import sys, numpy as np
-from foretouch.models.registry import load_model
-from foretouch.types import Cloud, Grasp
-points = 0.03 * np.random.default_rng(0).normal(size=(99, 3)) + [0, 0, 1]
-cloud = Cloud(points.astype(np.float32))
-load_model({str(contact)!r}).predict(cloud, [Grasp(np.array([0, 0.03, 1]), np.array([0, -0.03, 1]), np.eye(3))])
-sys.exit(any(name in sys.modules for name in ("torch", "sklearn")))
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
 def test_a_network_predicts_where_torch_is_not_installed(tmp_path: Path) -> None:
     model_card = save_small_network(tmp_path, "small", np.linspace(1700.0, 3300.0, 50))
     cloud, (grasp,) = can_with_grasps(1)

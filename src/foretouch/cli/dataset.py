@@ -18,7 +18,7 @@ from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import repair_dataset
 from foretouch.dataset.recording.verify import verify_dataset
-from foretouch.dataset.samples import has_points, only_finite, sensor_of_samples
+from foretouch.dataset.samples import only_finite, sensor_of_samples
 from foretouch.dataset.store import Store, is_store
 from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.files import PICTURE_SUFFIXES, require_existing, require_writable
@@ -218,7 +218,7 @@ def _show(arguments: argparse.Namespace) -> int:
     if not selected:
         raise FileError(arguments.source, "holds no sample to show")
     sensor = sensor_of_samples(samples)
-    if any(has_points(sample) for sample in selected):
+    if any(len(sample.cloud.finite) for sample in selected):
         save_contact_sheet(arguments.out, [only_finite(sample) for sample in selected], sensor)
     else:
         title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
@@ -230,9 +230,6 @@ def _show(arguments: argparse.Namespace) -> int:
 def _repair(arguments: argparse.Namespace) -> int:
     failed, rows = False, []
     for path in arguments.paths:
-        if any(Path(path).glob("shard-*.arrow")) and not is_dataset(path):
-            rule = "is a training store, which is not repaired: `foretouch dataset verify` names its damage, `foretouch dataset build` writes it anew from its recordings"
-            raise FileError(path, rule)
         for report in repair_dataset(path):
             lost = [str(damage.error(report.path)) for damage in report.lost]
             if arguments.json:

@@ -22,7 +22,7 @@ from foretouch.interrupts import uninterrupted
 _SEQUENCE: Final = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.)")  # such as of an arrow key
 _CONTROL_CHARACTERS: Final = 6  # place in the attributes of a terminal
 
-KEYS: Final[dict[str, tuple[Action, str]]] = {
+_KEYS: Final[dict[str, tuple[Action, str]]] = {
     "o": ("object", "name of the next object (Enter: the next of the list)"),
     "s": ("success", ""),
     "f": ("failure", ""),
@@ -100,9 +100,9 @@ class RecordingKeys:
         """Return the answer to the last key, or to an action that has waited if that is later, and the keys."""
         if self._typing is not None:
             action, text = self._typing
-            return [Text(f"{KEYS[action[0]][1]}: {text}▏", "bold"), Text("Enter: done  Esc: cancel", "dim")]
+            return [Text(f"{_KEYS[action[0]][1]}: {text}▏", "bold"), Text("Enter: done  Esc: cancel", "dim")]
         reply = self._reply if latest is None or latest.at_s < self._reply.at_s else latest
-        names = [*(action for action, _ in KEYS.values()), "quit"]
+        names = [*(action for action, _ in _KEYS.values()), "quit"]
         keys = Text(" ").join(Text.assemble((f"[{name[0]}]", "bold"), name[1:]) for name in names)
         return [Text(reply.text or "no key was pressed yet", "bold green" if reply.done else "bold red"), keys]
 
@@ -114,8 +114,8 @@ class RecordingKeys:
         if character == "q":
             self.quitted = asked
             self._reply = Reply("press q again to end the recording, or any other key", True, time.monotonic())
-        elif character in KEYS:
-            action, question = KEYS[character]
+        elif character in _KEYS:
+            action, question = _KEYS[character]
             if question:
                 self._typing = action, ""
             else:

@@ -40,7 +40,7 @@ COMMANDS = {
     "hand": "List, check and draw descriptions of hands and grippers",
     "doctor": "Check dependencies and print the fixes",
 }
-LABORATORY = ("simulate", "train", "evaluate", "experiment", "tradeoff")
+_LABORATORY = ("simulate", "train", "evaluate", "experiment", "tradeoff")
 """Commands that need `pip install 'foretouch[lab]'`."""
 
 
@@ -107,7 +107,7 @@ def _run(arguments: list[str]) -> int:
 def command_module(command: str) -> ModuleType:
     """Import the module of a command; a `MissingDependencyError` if it is of the laboratory, which is not installed."""
     with needs_laboratory(command):
-        return importlib.import_module(f"{'foretouch_lab' if command in LABORATORY else 'foretouch'}.cli.{command}")
+        return importlib.import_module(f"{'foretouch_lab' if command in _LABORATORY else 'foretouch'}.cli.{command}")
 
 
 def _parse(parser: CommandParser, arguments: list[str]) -> argparse.Namespace:

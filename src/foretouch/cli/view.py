@@ -16,7 +16,7 @@ from foretouch.cli.adaptation import Adaptation, read_adaptation
 from foretouch.cli.output import progress_bar, warn
 from foretouch.cli.parser import CommandParser
 from foretouch.dataset.formats import is_sample_set, open_samples
-from foretouch.dataset.samples import SampleSet, has_points, sensor_of_samples
+from foretouch.dataset.samples import SampleSet, sensor_of_samples
 from foretouch.dataset.source import SourceItem, open_source
 from foretouch.errors import ForetouchError
 from foretouch.files import require_existing, require_writable
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     is_set = arguments.topic is None and is_sample_set(path)
     samples, refused = open_samples(path, unfinished=True) if is_set else None, list[str]()
     sensor = pipeline.model.sensor if samples is None else samples.sensor
-    if samples is not None and len(samples) and not has_points(samples.read(0)):
+    if samples is not None and len(samples) and not len(samples.read(0).cloud.finite):
         sensor, steps = sensor_of_samples(samples), _readings(samples)
     else:
         require_same(pipeline.model.sensor.channels, sensor.channels, f"model {pipeline.model.name}")
@@ -74,7 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _readings(samples: SampleSet) -> Iterator[ViewStep]:
     """Iterate over the readings of all samples of a recording without a camera, with what became of their grasp."""
     for sample in samples:
-        series, tare, name = sample.readings, sample.tare, f"{sample.id}: {sample.outcome}"
+        series = sample.readings
+        tare = sample.tare
+        name = f"{sample.id}: {sample.outcome}"
         for stamp, counts in () if series is None else zip(series.stamps_ns.tolist(), series.counts, strict=True):
             read = Touch(counts.astype(np.float64), samples.sensor.channels)
             yield ViewStep(name=name, stamp_ns=stamp, read=read, tare=tare, reason="recorded without a camera")

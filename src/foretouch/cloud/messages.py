@@ -11,6 +11,7 @@ int32 seconds, uint32 nanoseconds, uint32 length of the frame with its final zer
 """
 
 import struct
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -66,6 +67,30 @@ def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
     """Return the fields of a `sensor_msgs/PointCloud2`; a `DatasetError` for a stamp that a message cannot hold."""
     header = header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name)
     return SimpleNamespace(header=header, **vars(encode(cloud)))
+
+
+def join_objects(objects: Sequence[Object], frame_id: str, stamp_ns: int) -> tuple[Cloud, dict[str, AnyArray]]:
+    """Join objects to the points of an `object_cloud`.
+
+    Args:
+        objects: Their ids are integers.
+        frame_id: Frame of the scene's cloud.
+        stamp_ns: Stamp of the scene's cloud [ns].
+
+    Returns:
+        The cloud, without points if there is no object, and the further numbers of each point by name, for `encode`.
+    """
+    colours = [object_.cloud.rgb for object_ in objects if object_.cloud.rgb is not None]
+    pixels = [np.divmod(object_.pixels, object_.image_shape[1]) for object_ in objects if object_.image_shape]
+    xyz = np.concatenate([object_.cloud.xyz for object_ in objects] or [np.empty((0, 3), np.float32)])
+    rgb = np.concatenate(colours) if objects and len(colours) == len(objects) else None
+    ids = np.array([int(object_.id) for object_ in objects], np.uint32)
+    sizes = [object_.cloud.size for object_ in objects]
+    columns: dict[str, AnyArray] = {"label": np.repeat(ids, sizes or 1)}  # NumPy refuses an empty list of counts
+    if pixels:
+        rows, places = map(np.concatenate, zip(*pixels, strict=True))
+        columns |= {"row": rows.astype(np.uint16), "column": places.astype(np.uint16)}
+    return Cloud(xyz, rgb, frame_id, stamp_ns), columns
 
 
 def decode_cloud(message: Any) -> Cloud:

@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
 
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
-IMAGE_TYPE = "sensor_msgs/msg/Image"
-COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-HEADER_TYPE = "std_msgs/msg/Header"
+_IMAGE_TYPE = "sensor_msgs/msg/Image"
+_COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
+_CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+_HEADER_TYPE = "std_msgs/msg/Header"
 RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
 _PACKED: Final = ".zstd"  # at the end of the names of files that were compressed as a whole
 _PACKED_SUFFIXES: Final = (".mcap.zstd", ".db3.zstd")
@@ -126,8 +126,8 @@ class Recording:
         qualified = [t for t in named if t.type == POINT_CLOUD_TYPE]
         if not qualified:
             qualified = [t for t in named if self._is_depth(t)]
-            raw = {t.name for t in qualified if t.type == IMAGE_TYPE}
-            qualified = [t for t in qualified if t.type == IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
+            raw = {t.name for t in qualified if t.type == _IMAGE_TYPE}
+            qualified = [t for t in qualified if t.type == _IMAGE_TYPE or t.name.rpartition("/")[0] not in raw]
         if len(qualified) != 1:
             rule = "several topics of clouds or depth images, name one with --topic"
             if not qualified:
@@ -140,9 +140,9 @@ class Recording:
         return name
 
     def _is_depth(self, topic: Topic) -> bool:
-        if topic.type == COMPRESSED_TYPE:
+        if topic.type == _COMPRESSED_TYPE:
             return topic.name.endswith("/compressedDepth")
-        if topic.type != IMAGE_TYPE:
+        if topic.type != _IMAGE_TYPE:
             return False
         try:
             return self.content(next(self.messages([topic.name]))).encoding in ENCODINGS
@@ -155,7 +155,7 @@ class Recording:
         beside = info_topic(topic)
         return (
             beside
-            if types.get(topic) in {IMAGE_TYPE, COMPRESSED_TYPE} and types.get(beside) == CAMERA_INFO_TYPE
+            if types.get(topic) in {_IMAGE_TYPE, _COMPRESSED_TYPE} and types.get(beside) == _CAMERA_INFO_TYPE
             else ""
         )
 
@@ -234,7 +234,7 @@ class Recording:
             types = {_type_of(connection) for connection in connections}
             kind = types.pop() if len(types) == 1 else ""
             fields = _typestore(*_definition(connections[0])).fielddefs.get(kind, ([], []))[1]
-            stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
+            stamped = bool(fields) and fields[0][1][1] == _HEADER_TYPE
             count, latched = sum(connection.msgcount for connection in connections), any(map(_is_latched, connections))
             yield Topic(name, kind, count, tuple(f[0] for f in fields), stamped, latched)
 
@@ -341,7 +341,7 @@ def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestor
         elif definition.format == MessageDefinitionFormat.MSG and (definition.data.strip() or name not in _standard()):
             types.update(get_types_from_msg(definition.data, name))
     if ros1:
-        types[HEADER_TYPE] = _standard()[HEADER_TYPE]  # of ROS 2, without `seq`
+        types[_HEADER_TYPE] = _standard()[_HEADER_TYPE]  # of ROS 2, without `seq`
     needed = [name]
     for kind in needed:  # which grows meanwhile
         if kind in types or kind in _standard():
@@ -353,7 +353,8 @@ def _typestore(definition: MessageDefinition, name: str, ros1: bool) -> Typestor
 
 def _definition(connection: Connection) -> tuple[MessageDefinition, str, bool]:
     """Return what the messages of a connection are decoded by; two of a recording may define a type otherwise."""
-    return connection.msgdef, _type_of(connection), _is_ros1(connection)
+    serialization = getattr(connection.ext, "serialization_format", "ros1")  # bags of ROS 1 have no other
+    return connection.msgdef, _type_of(connection), serialization == "ros1"
 
 
 def types_in(fields: Any) -> Iterator[str]:
@@ -428,10 +429,6 @@ def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
         if not type(err).__module__.startswith("rosbags"):
             cause = f"{type(err).__name__}: {cause}" if cause else type(err).__name__
         raise FileError(path, f"truncated or damaged: {cause}", field=position) from err
-
-
-def _is_ros1(connection: Connection) -> bool:
-    return getattr(connection.ext, "serialization_format", "ros1") == "ros1"  # bags of ROS 1 have no other
 
 
 def _type_of(connection: Connection) -> str:

@@ -15,11 +15,9 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
-import numpy as np
-
 from foretouch.cloud.io.depth_messages import CameraInfos
 from foretouch.cloud.io.pointcloud2 import encode
-from foretouch.cloud.messages import header_fields
+from foretouch.cloud.messages import header_fields, join_objects
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.dataset.bag import Message, Recording, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples
@@ -36,7 +34,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TACTILE_TYPES, TactileConfig, TactileReader
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
-from foretouch.types import Cloud, Sample, stamp_ns
+from foretouch.types import Sample, stamp_ns
 
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a robot
 _UNKNOWN: Final = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
@@ -82,7 +80,9 @@ def import_samples(
     with ExitStack() as stack:
         if is_sample_set(source):
             samples = open_samples(source)
-            stated, records, sensor = samples.identity, samples.with_discarded(), samples.sensor
+            stated = samples.identity
+            records = samples.with_discarded()
+            sensor = samples.sensor
         elif is_recording(source):
             bag = stack.enter_context(Recording(source))
             result.notes = tuple(bag.notes)
@@ -92,7 +92,9 @@ def import_samples(
             else:
                 topics = _with_clouds(bag, topics or BagTopics())
                 reader = _tactile_reader(bag, topics)
-                stated, records, sensor = _UNKNOWN, _assemble(bag, topics, reader, result), reader.sensor
+                stated = _UNKNOWN
+                records = _assemble(bag, topics, reader, result)
+                sensor = reader.sensor
         else:
             raise FileError(source, _not_imported(source))
         write_records(out, records, identity or stated, sensor, result, progress)
@@ -171,14 +173,9 @@ def _with_clouds(bag: Recording, topics: BagTopics) -> BagTopics:
 def _segmented(bag: Recording, message: Message, infos: CameraInfos) -> SimpleNamespace:
     """Return the objects in a depth image as an `object_cloud`, numbered by their distance from the camera."""
     cloud = bag.decode_cloud(message, infos)
-    objects = segment(cloud).objects
-    points = np.concatenate([seen.cloud.xyz for seen in objects] or [np.empty((0, 3), np.float32)])
-    pixels = np.concatenate([seen.pixels for seen in objects] or [np.empty(0, np.int64)])
-    rows, columns = np.divmod(pixels, cloud.xyz.shape[1])
-    labels = np.repeat([int(seen.id) for seen in objects] or [0], [seen.n_points for seen in objects] or [0])
-    places = {name: numbers.astype(np.uint16) for name, numbers in (("row", rows), ("column", columns))}
+    joined, columns = join_objects(segment(cloud).objects, cloud.frame_id, cloud.stamp_ns)
     header = header_fields(cloud.stamp_ns, cloud.frame_id, message.topic)
-    return SimpleNamespace(header=header, **vars(encode(Cloud(points), label=labels.astype(np.uint32), **places)))
+    return SimpleNamespace(header=header, **vars(encode(joined, **columns)))
 
 
 def _samples(assembled: list[Sample | RejectedGrasp], result: WriteResult) -> Iterator[Sample]:

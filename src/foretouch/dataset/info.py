@@ -22,8 +22,14 @@ def describe(path: str | Path) -> dict[str, Any]:
     """
     samples = open_samples(path, unfinished=True)
     sensor, channels = samples.sensor, samples.sensor.channels
-    objects, outcomes, flags = Counter[str](), Counter[str](), Counter[str]()
-    touches, sizes, stamps, errors, tared = [], [], [], [], 0
+    objects = Counter[str]()
+    outcomes = Counter[str]()
+    flags = Counter[str]()
+    touches = []
+    sizes = []
+    stamps = []
+    errors = []
+    tared = 0
     for sample in samples.with_discarded():
         objects[sample.object] += 1
         outcomes[sample.outcome] += 1

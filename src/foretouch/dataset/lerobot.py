@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 
 from foretouch.dataset.recording import reader
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
-from foretouch.dataset.samples import ExportResult, SampleSet, has_points
+from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import ConfigError, FileError
 from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
@@ -79,7 +79,7 @@ def _no_episode(sample: Sample, seen: bool) -> str:
     """Return why a sample is not an episode, or "" if it is one."""
     if DISCARDED in sample.flags or sample.touch is None:
         return "discarded" if DISCARDED in sample.flags else "unlabelled"
-    return "" if has_points(sample) or not seen else "no points"
+    return "" if len(sample.cloud.finite) or not seen else "no points"
 
 
 def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
@@ -94,7 +94,7 @@ def _survey(samples: SampleSet) -> tuple[list[str], int, set[tuple[int, ...]]]:
         both = [{name.removesuffix(suffix) for name in series.others if name.endswith(suffix)} for suffix in suffixes]
         others = [set.intersection(*both, *others)]
         periods += np.diff(series.stamps_ns)[:100].tolist()
-        if has_points(sample):
+        if len(sample.cloud.finite):
             shapes.add(sample.cloud.xyz.shape[:-1])
     period_ns = float(np.median(periods or [0]))
     rate = max(1, round(SECOND_NS / period_ns)) if period_ns else 1
@@ -353,7 +353,7 @@ def _arrow(values: AnyArray, feature: Mapping[str, Any]) -> Any:
 
 def _points(cloud: Cloud) -> Float32:
     """Return the coordinates of `_POINTS` points with depth, evenly spaced in their order; some are repeated if there are fewer."""
-    finite = cloud.xyz.reshape(-1, 3)[np.isfinite(cloud.xyz).all(axis=-1).ravel()]
+    finite = cloud.finite
     return np.asarray(finite[np.arange(_POINTS) * len(finite) // _POINTS].ravel(), np.float32)
 
 

@@ -201,7 +201,9 @@ class McapReader:
 
     def _top(self, *, verified: bool) -> Iterator[Record | Damage]:
         """Iterate over the records in front of the index, and all damage of them."""
-        data, start, index = self.data, len(MAGIC), self._read_index()
+        data = self.data
+        start = len(MAGIC)
+        index = self._read_index()
         self.extras.clear()
         if data[:start] != MAGIC:
             yield Damage(0, "is not an MCAP file: it does not begin as one" if len(data) else "is empty")
@@ -293,7 +295,9 @@ class McapReader:
     def _unpack(self, record: Record) -> bytes:
         """Return the content of a chunk, as far as it unpacks."""
         if self._unpacked[0] != record.offset:
-            head, parts, size = self._head(record), list[bytes](), 0
+            head = self._head(record)
+            parts = list[bytes]()
+            size = 0
             packed = BytesIO(self.data[head.start : record.end])
             with suppress(zstandard.ZstdError, EOFError, RuntimeError):  # of a cut or damaged one
                 stream = _UNPACKERS[head.compression](packed)

@@ -99,7 +99,9 @@ class SampleSet:
 
     def subset(self, numbers: Sequence[int]) -> "SampleSet":
         """Return some samples by their numbers, in this order."""
-        kept, read, name = list(numbers), self.read, self.name
+        kept = list(numbers)
+        read = self.read
+        name = self.name
         return replace(self, size=len(kept), read=lambda k: read(kept[k]), name=lambda k: name(kept[k]))
 
     def with_discarded(self) -> Iterator[Sample]:
@@ -124,11 +126,6 @@ def sensor_of_samples(samples: SampleSet) -> Sensor:
     """Return the sensor of a dataset, with the taxels declared dead that all readings show to be dead."""
     rows = [series.counts[:: max(1, len(series.counts) // _SHOWN)] for sample in samples if (series := sample.readings)]
     return with_dead_taxels(samples.sensor, np.concatenate(rows).astype(np.float64)) if rows else samples.sensor
-
-
-def has_points(sample: Sample) -> bool:
-    """Return whether a point of the cloud is finite; a recording without a camera has none."""
-    return bool(np.isfinite(sample.cloud.xyz).all(axis=-1).any())
 
 
 def only_finite(sample: Sample) -> Sample:

@@ -24,11 +24,11 @@ from foretouch.tactile.readings import is_tdc, to_celsius
 from foretouch.types import Float32, Float64, Index, Plane
 
 CHECKS: Final = "checks.jsonl"
-HAND_SHARE: Final = 0.5  # least rate of the tactile messages, as a share of the sensor's own
-CAMERA_HZ: Final = 10.0  # least rate of the clouds [Hz]
-HAND_OFFSET_S: Final = 0.1  # largest offset of the hand's clock [s]: `guard_s` of the pairing
-CAMERA_OFFSET_S: Final = 0.5  # largest delay of the clouds [s], which includes their computation
-CELSIUS: Final = (10.0, 60.0)  # of a working finger
+_HAND_SHARE: Final = 0.5  # least rate of the tactile messages, as a share of the sensor's own
+_CAMERA_HZ: Final = 10.0  # least rate of the clouds [Hz]
+_HAND_OFFSET_S: Final = 0.1  # largest offset of the hand's clock [s]: `guard_s` of the pairing
+_CAMERA_OFFSET_S: Final = 0.5  # largest delay of the clouds [s], which includes their computation
+_CELSIUS: Final = (10.0, 60.0)  # of a working finger
 _NEAR_M: Final = 0.3  # how far from the object the hand is looked for
 _ABOVE_M: Final = 0.03  # above the table
 _POINTS: Final = 200  # of what is taken for a hand
@@ -106,12 +106,12 @@ class SessionCheck:
         findings = [
             self._rate(
                 "hand",
-                HAND_SHARE * self._reader.sensor.config.update_rate,
+                _HAND_SHARE * self._reader.sensor.config.update_rate,
                 "is the driver running, and tactile_topic its topic?",
             ),
-            self._clock("hand", HAND_OFFSET_S),
-            self._rate("camera", CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),
-            self._clock("camera", CAMERA_OFFSET_S),
+            self._clock("hand", _HAND_OFFSET_S),
+            self._rate("camera", _CAMERA_HZ, "raise its frame rate, or lower its resolution or the computer's load"),
+            self._clock("camera", _CAMERA_OFFSET_S),
             *self._fingers_at_rest(),
         ]
         if self._unreadable:
@@ -189,7 +189,7 @@ class SessionCheck:
             tdc = float(np.median([reading.others[others.index(channel)] for reading in self._readings]))
             celsius = to_celsius(tdc) if is_tdc(np.array([tdc]))[0] else None
             text = f"TDC is {tdc:g}: the driver sends none" if celsius is None else f"{celsius:.1f} °C"
-            low, high = CELSIUS
+            low, high = _CELSIUS
             odd = celsius is not None and not low <= celsius <= high
             fix = f"{low:g} to {high:g} are plausible: let it warm up or cool down, or check the finger" if odd else ""
             yield CheckFinding(f"{finger_label(finger)} temperature", text, fix)

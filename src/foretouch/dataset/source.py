@@ -16,7 +16,6 @@ from foretouch.cloud.io.depth_files import IMAGE_SUFFIXES, PAIRING, DepthCamera,
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Recording, Topic, is_recording
 from foretouch.dataset.formats import is_sample_set, open_samples, readable_formats
-from foretouch.dataset.samples import SampleSet
 from foretouch.errors import FileError
 from foretouch.files import require_existing
 from foretouch.types import Cloud, Sample
@@ -106,13 +105,15 @@ def open_source(
     if topic is None and is_sample_set(path):
         samples = open_samples(path)
         numbers = sorted(range(len(samples)), key=lambda k: _natural(samples.name(k)))
-        named = [(samples.name(k), partial(_sample, samples, k)) for k in numbers]
+        named = [(samples.name(k), partial(samples.read, k)) for k in numbers]
         return Source(path, "samples", len(named), lambda: named, frame_id)
     if is_recording(path):
         with Recording(path) as recording:
             name = recording.cloud_topic(topic)
             topics = {recorded.name: recorded for recorded in recording.topics}
-            count, info, notes = topics.pop(name).count, recording.info_topic(name), recording.notes
+            count = topics.pop(name).count
+            info = recording.info_topic(name)
+            notes = recording.notes
         others = tuple(topics.values())
         entries = partial(_recorded, path, name)
         return Source(path, "recording", count, entries, frame_id, name, info, others, notes=notes)
@@ -144,10 +145,6 @@ def open_source(
     notes = (f"{path}: left out: {left_out[0]}{more}; {rule}",) if left_out else ()
     masks = {str(file): mask for file, mask in pairs.masks.items()}
     return Source(path, "clouds", len(clouds), lambda: clouds, frame_id, masks=masks, notes=notes)
-
-
-def _sample(samples: SampleSet, number: int) -> Sample:
-    return samples.read(number)
 
 
 def _recorded(path: Path, topic: str) -> Iterator[tuple[str, Callable[[], Cloud]]]:

@@ -66,9 +66,13 @@ def write(
     """
     records: Iterable[Sample | Mapping[str, Any]]
     if isinstance(samples, SampleSet):
-        own, facts, records = samples.sensor, samples.identity, samples
+        own = samples.sensor
+        facts = samples.identity
+        records = samples
     else:
-        own, facts, records = sensor if isinstance(sensor, Sensor) else load_sensor(sensor), Identity(), samples
+        own = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
+        facts = Identity()
+        records = samples
     identity = Identity(
         hand=hand or facts.hand or {"name": own.config.name}, camera=camera or facts.camera or {"name": "none"}
     )

@@ -121,7 +121,9 @@ class CompletedObject:
         obstacles: Obstacles | None,
         shift: Float64,
     ) -> None:
-        self._hand, self._obstacles, self.has_palm = hand, obstacles, hand.hand.limits_depth
+        self._hand = hand
+        self._obstacles = obstacles
+        self.has_palm = hand.hand.limits_depth
         self._points, self._spacing = points, spacing
         total = float(points.inlier.sum())
         if not total > 0.0:
@@ -137,7 +139,9 @@ class CompletedObject:
         seen = (points.xyz - self._foot) @ self._basis.T
         eye = -self._foot @ self._basis.T
         self._horizontal = float(np.hypot(eye[0], eye[1]) / max(np.linalg.norm(eye), 1e-9)) if self._in_view else 1.0
-        n, shift, result = len(seen), self._basis @ shift, np.empty(3)
+        n = len(seen)
+        shift = self._basis @ shift
+        result = np.empty(3)
         xyz, weights = np.empty((2 * n, 3)), np.empty(2 * n)
         heights = seen[points.inlier > 0.5, 2]
         top = _quantile(heights, 1.0 - _END_SHARE) if len(heights) else np.nan
@@ -145,7 +149,9 @@ class CompletedObject:
         size = int(result[0])
         if size < 0:
             raise CloudError("xyz: the points of the object are too far apart")
-        self.n_completed, self._xyz, self._weights = size - n, xyz[:size], weights[:size]
+        self.n_completed = size - n
+        self._xyz = xyz[:size]
+        self._weights = weights[:size]
         self._foot, self._shift_m = self._foot + np.append(result[1:], 0.0) @ self._basis, float(shift[2])
 
     @cached_property

@@ -188,7 +188,9 @@ def _plan_completed(
     plan: GraspPlan, points: FinitePoints, plane: Plane, config: GeoGraspConfig, options: PlanOptions
 ) -> None:
     """Plan by the method of `foretouch.grasp.completed`."""
-    counts, rng, held = plan.counts, options.get("rng"), options.get("held")
+    counts = plan.counts
+    rng = options.get("rng")
+    held = options.get("held")
     hand, obstacles = options.get("hand", DEFAULT_HAND), options.get("obstacles")
     with timed(plan.ms, "outliers"):
         downsampled = points.every_kth_pixel(min(config.max_points or COMPLETED_POINTS, COMPLETED_POINTS))

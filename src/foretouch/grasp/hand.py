@@ -26,7 +26,7 @@ UNLIMITED_M: Final = 10.0
 TILTS = np.radians([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0, 60.0, -60.0, 75.0, -75.0])
 """Angles of the palm about the line [rad]: 0 is straight above, positive ones come from the side to which z x line points."""
 
-SPARE_M: Final = 0.003
+_SPARE_M: Final = 0.003
 """Distance that the palm keeps from the object where it can, since sizes and places are estimated."""
 
 _hand_clearance = Kernel("hand_clearance")
@@ -64,7 +64,7 @@ class BoxConfig(Settings):
     @property
     def corners(self) -> Float64:
         """(8, 3) float64 [m]."""
-        return np.asarray(self.xyz + (_CORNERS * self.size) @ rotation_of(self.rpy).T, np.float64)
+        return np.asarray(self.xyz + (_CORNERS * self.size) @ _rotation_of(self.rpy).T, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +189,7 @@ class Hand:
         """Half of `across_m`, the step of the widths, the angles `TILTS` and the lowest height of a line at each, and free depths by width, beside the middle half of a line and over it [m]."""
         lifts = np.min([-self.lowest(float(width)) for width in self.widths], axis=(0, 1))
         widths = _FREE_STEP_M * np.arange(round(self.config.opening_m / _FREE_STEP_M) + 3)
-        free = [np.interp(widths, self.widths, depths) - SPARE_M for depths in self.depths]
+        free = [np.interp(widths, self.widths, depths) - _SPARE_M for depths in self.depths]
         return np.concatenate([[self.config.across_m / 2.0, _FREE_STEP_M], TILTS, lifts, *free])
 
     @lru_cache(maxsize=128)  # noqa: B019  of hands that are read once
@@ -342,14 +342,14 @@ def _raise_to(front: Float64, corners: Float64) -> None:
 
 def _flat(config: HandDescription, posture: WidthConfig) -> Float64:
     """Return all numbers of a posture in a row: depth, tool, corners of the boxes, angles."""
-    turned = rotation_of(posture.rpy)
+    turned = _rotation_of(posture.rpy)
     palm = [posture.xyz + box.corners @ turned.T for box in config.boxes]
     corners = [*palm, *(box.corners for box in posture.boxes)]
     parts = [[posture.depth_m], posture.xyz, turned.ravel(), *(corner.ravel() for corner in corners), posture.angles]
     return np.concatenate([np.asarray(part, np.float64) for part in parts])
 
 
-def rotation_of(rpy: Sequence[float]) -> Float64:
+def _rotation_of(rpy: Sequence[float]) -> Float64:
     """Return (3, 3) float64 rotation of angles about fixed axes, as in URDF.
 
     Args:

@@ -151,7 +151,9 @@ def decode_predictions(message: Any, channels: Channels | None = None) -> Predic
     else:
         lead = (count,) if many else ()
         ends = {end: _values(message, names, (*lead, fingers, taxels), channels) for end, names in _ENDS.items()}
-    flags, statuses, reasons = [tuple(message.flags)], [message.status], [message.reason]
+    flags = [tuple(message.flags)]
+    statuses = [message.status]
+    reasons = [message.reason]
     if many:
         marks = np.reshape(message.flagged, (count, len(message.flags))).tolist()
         flags = [tuple(flag for flag, mark in zip(message.flags, row, strict=True) if mark) for row in marks]

@@ -19,7 +19,7 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import SEARCH_VOXELS, GeoGraspConfig
 from foretouch.types import Float32, Float64, Int64
 
-OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
+_OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def contact_sides(xyz: Float32, plane: GraspPlane, config: GeoGraspConfig) -> tu
 def _contact_radius(width_m: float, config: GeoGraspConfig) -> float:
     """Return the radius around each initial point in which contacts are searched [m]; the two spheres do not overlap."""
     full = SEARCH_VOXELS * config.voxel_m
-    return OVERLAP_FRACTION * width_m if 2.0 * full >= width_m else full
+    return _OVERLAP_FRACTION * width_m if 2.0 * full >= width_m else full
 
 
 def _contact_side(xyz: Float32, initial: int, radius_m: float, config: GeoGraspConfig) -> ContactSide:
@@ -116,10 +116,10 @@ def _contact_side(xyz: Float32, initial: int, radius_m: float, config: GeoGraspC
 _EPSILON = 1e-8  # added by the original against division by zero
 _FLOAT32_MIN = 1.17549435e-38  # at which the original's search for the maximum starts
 _TOLERANCE = 0.98  # of the limits that apply to the second contact
-FREE_COSINE = 0.2  # between grasp and object axis, without penalty
-ALIGNMENT_WEIGHT = 10.0
-FIRST_WEIGHT = 1.5
-MIN_RANK = 1.0  # of either ranking
+_FREE_COSINE = 0.2  # between grasp and object axis, without penalty
+_ALIGNMENT_WEIGHT = 10.0
+_FIRST_WEIGHT = 1.5
+_MIN_RANK = 1.0  # of either ranking
 
 
 class _ScaledSide:
@@ -188,14 +188,14 @@ def rank_pairs(
         (a.pd[i], b.pd[j]),
         (a.k[i], b.k[j]),
     )
-    passed = (r1 >= MIN_RANK) & (r2 >= MIN_RANK)  # a NaN passes nothing
-    score = FIRST_WEIGHT * r1[passed] + r2[passed]
+    passed = (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK)  # a NaN passes nothing
+    score = _FIRST_WEIGHT * r1[passed] + r2[passed]
     order = np.argsort(-score, kind="stable")
     counts = {
         "n_pairs": int(kept.size),
         "n_pairs_inside": int(kept.size - np.count_nonzero(kept)),
         "n_pairs_unknown": int(np.count_nonzero(np.isnan(r1) | np.isnan(r2))),
-        "n_pairs_low": int(np.count_nonzero((r1 < MIN_RANK) | (r2 < MIN_RANK))),
+        "n_pairs_low": int(np.count_nonzero((r1 < _MIN_RANK) | (r2 < _MIN_RANK))),
         "n_pairs_ranked": len(order),
     }
     return i[passed][order], j[passed][order], score[order], counts
@@ -223,7 +223,7 @@ def initial_score(
     _, pd2, k2 = second(p2)
     unit = (p2.xyz - p1.xyz) / grasp_plane.width_m
     r1, r2 = _two_rankings(unit, grasp_plane.normal, (p1.normal, p2.normal), (pd1, pd2), (k1, k2))
-    return float(FIRST_WEIGHT * r1[0] + r2[0]), ""
+    return float(_FIRST_WEIGHT * r1[0] + r2[0]), ""
 
 
 def _two_rankings(
@@ -234,9 +234,9 @@ def _two_rankings(
     k: tuple[Float64, Float64],
 ) -> tuple[Float64, Float64]:
     """R1 (close to the plane, across the axis) and R2 (flat, facing each other) of P pairs; `unit` is unit(b - a)."""
-    aligned = np.abs(unit @ axis) + _EPSILON - FREE_COSINE
+    aligned = np.abs(unit @ axis) + _EPSILON - _FREE_COSINE
     c_a, c_b = (np.abs(np.einsum("ij,ij->i", unit, normal)) + _EPSILON for normal in normals)
-    r1 = 2.0 - pd[0] - pd[1] - ALIGNMENT_WEIGHT * aligned
+    r1 = 2.0 - pd[0] - pd[1] - _ALIGNMENT_WEIGHT * aligned
     return r1, 2.0 - k[0] - k[1] + c_a + c_b - np.abs(c_a - c_b)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from foretouch.models.novelty import Fallback
 
 CARD_FORMAT: Final = "foretouch-model"
-CARD_VERSION: Final = 2
+_CARD_VERSION: Final = 2
 
 _Fields = Mapping[str, Any]  # of a schema
 _SKILLS: Final = {"*": {"*": {"*": Number(float, optional=True)}}}  # of each split, modality and measure
@@ -83,8 +83,8 @@ def read_card(path: str | Path) -> dict[str, Any]:
         raise ModelError(f"{shown(path)}: {rule}") from err
     if not isinstance(card, dict) or card.get("format") != CARD_FORMAT:
         raise ModelError(f"{path}: format: is not a {CARD_FORMAT} card")
-    if card.get("format_version") != CARD_VERSION:
-        raise ModelError(f"{path}: format_version: {quoted(card.get('format_version'))} is not {CARD_VERSION}")
+    if card.get("format_version") != _CARD_VERSION:
+        raise ModelError(f"{path}: format_version: {quoted(card.get('format_version'))} is not {_CARD_VERSION}")
     kind = card.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise ModelError(f"{path}: kind: {quoted(kind)} is not one of {', '.join(KINDS)}")
@@ -147,7 +147,12 @@ def save_model(
     weights = card_path.with_suffix(".safetensors")
     content, sha256 = packed(tensors)
     files = {weights: content}
-    card: dict[str, Any] = {"format": CARD_FORMAT, "format_version": CARD_VERSION, "kind": kind, "name": card_path.stem}
+    card: dict[str, Any] = {
+        "format": CARD_FORMAT,
+        "format_version": _CARD_VERSION,
+        "kind": kind,
+        "name": card_path.stem,
+    }
     card |= {"weights": weights.name, "sha256": sha256, **_EMPTY, **facts}
     sensor = card_sensor(card, card_path)
     card |= {"sensor_name": sensor.config.name, "sensor_sha256": sensor.sha256}

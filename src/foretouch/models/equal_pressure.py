@@ -26,7 +26,9 @@ def equal_groups(costs: ArrayLike, half: ArrayLike) -> Index:
     A group holds all costs that exceed its lowest by less than the half width of that one; NaN and infinity are alone.
     """
     costs, half = np.asarray(costs, np.float64), np.asarray(half, np.float64)
-    groups, lowest, number = np.empty(len(costs), np.intp), -1, -1
+    groups = np.empty(len(costs), np.intp)
+    lowest = -1
+    number = -1
     with np.errstate(invalid="ignore"):
         for k in np.argsort(costs, kind="stable"):
             if lowest < 0 or not costs[k] - costs[lowest] < half[lowest]:

@@ -118,7 +118,9 @@ class TrackerParameters(TensorRecord):
             factor: (M,) as of the record.
         """
         scale, size = np.sqrt(within[NEW]), channels.size
-        basis, objects, noise = np.zeros((size, size)), np.empty((2, size)), np.ones((2, size))
+        basis = np.zeros((size, size))
+        objects = np.empty((2, size))
+        noise = np.ones((2, size))
         for own in [np.arange(size)] if size <= _MANY else channels.modality_columns.values():
             block = np.ix_(own, own)
             objects[NEW, own], vectors = np.linalg.eigh(between[NEW][block] / np.outer(scale[own], scale[own]))
@@ -218,7 +220,9 @@ class StateFilter:
     def copy(self) -> Self:
         """Return an independent filter in the same state."""
         twin = copy.copy(self)
-        twin.prior, twin.mean, twin.covariance = self.prior.copy(), self.mean.copy(), self.covariance.copy()
+        twin.prior = self.prior.copy()
+        twin.mean = self.mean.copy()
+        twin.covariance = self.covariance.copy()
         return twin
 
     def advance(self, seconds: float) -> None:

@@ -42,7 +42,7 @@ SIMILAR_TOUCHES: Final = "similar_touches"
 _TRACKER: Final = "tracker/"
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
 
-SAME_OBJECT_M: Final = 0.02
+_SAME_OBJECT_M: Final = 0.02
 """How far an object may have moved, or changed in apparent size, since it was touched."""
 
 
@@ -284,8 +284,7 @@ class TouchModel:
 
 def place_and_size(cloud: Cloud) -> Float64:
     """Return (6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
-    points = cloud.xyz.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+    points = cloud.finite.astype(np.float64)
     return np.concatenate([points.mean(axis=0), points.std(axis=0)]) if len(points) else np.full(6, np.inf)
 
 
@@ -381,7 +380,7 @@ class History:
             GraspError: If no hand can execute the grasp.
         """
         cloud, table = (target, None) if isinstance(target, Cloud) else (target.cloud, target.plane)
-        same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
+        same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
         if estimate is None:
             estimate = self.model.estimate_executed(cloud, [grasp], table=table)
@@ -417,7 +416,7 @@ class History:
             CloudError: If the cloud cannot be used.
         """
         cloud = target if isinstance(target, Cloud) else target.cloud
-        same = self.is_current(cloud, SAME_OBJECT_M) if same_object is None else same_object
+        same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
         return self.model.predict(target, grasps, history=self.snapshot(stamp_ns, same_object=same, tare=self.tared))
 
     def snapshot(
@@ -433,7 +432,9 @@ class History:
         """
         history = self.copy()
         history.stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
-        history.same_object, history.tared, history.tdc = same_object, tare, tdc
+        history.same_object = same_object
+        history.tared = tare
+        history.tdc = tdc
         return history
 
     def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:

@@ -459,7 +459,9 @@ class SensorTracker:
         mean, covariance = self._filter.mean.copy(), self._filter.covariance.copy()
         mean[:3], covariance[:3, :3] = tensors["mean"], tensors["covariance"]
         if "tdc" in tensors:
-            mean[3], covariance[3], covariance[:, 3] = tensors["slope"][0], tensors["slope"][1:], tensors["slope"][1:]
+            mean[3] = tensors["slope"][0]
+            covariance[3] = tensors["slope"][1:]
+            covariance[:, 3] = tensors["slope"][1:]
             tdc = tensors["tdc"]
             self._tdc_ns, self.tdc_readings, self.tdc_jumps = (int(value) for value in tensors["tdc_counts"])
             if not (is_tdc(tdc[1]) | (tdc[1] == 0.0)).all() or np.abs(mean[3]).max() > _MOST_SLOPE:
@@ -473,7 +475,9 @@ class SensorTracker:
         self._filter.mean[:], self._filter.covariance[:] = mean, covariance
         self._expected = tensors["expected"].astype(np.float64)
         self._log_factor = tensors["log_factor"].astype(np.float64)
-        self.touches, self._readings, self._suspect = touches, readings, np.array(suspect, np.bool_)
+        self.touches = touches
+        self._readings = readings
+        self._suspect = np.array(suspect, np.bool_)
         self._newest_ns, self._object_ns = newest, last_of_object
 
 

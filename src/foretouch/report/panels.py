@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What figures share: creation without a display, saving; matplotlib is imported when a figure is drawn."""
+"""What figures share: creation without a display, saving, points of clouds; matplotlib is imported when a figure is drawn."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
 
 from foretouch.errors import FileError
 from foretouch.files import replace_files
+from foretouch.types import Cloud, Float64
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
 
 Axes: TypeAlias = "matplotlib.axes.Axes"
 
+
+_MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 
 Rows = Sequence[Mapping[str, Any]]
 """Rows of a `results.csv`."""
@@ -56,3 +61,9 @@ def save_small(figure: Figure, path: Path) -> Path:
         image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(content, "PNG", optimize=True)
     replace_files({path: content.getvalue()})
     return path
+
+
+def some_points(cloud: Cloud) -> Float64:
+    """Return at most some thousand finite points of a cloud: (N, 3) float64 [m]."""
+    points = cloud.finite
+    return points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)

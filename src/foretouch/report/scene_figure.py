@@ -11,7 +11,7 @@ import numpy as np
 
 from foretouch.errors import ConfigError
 from foretouch.report.hand_figure import COLOURS, hand_lines
-from foretouch.report.panels import Axes, new_figure, save
+from foretouch.report.panels import Axes, new_figure, save, some_points
 from foretouch.tactile.channels import FINGER_NAMES
 from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Prediction, Predictions
 from foretouch.types.scene import Object, Scene
@@ -24,7 +24,6 @@ _COLOURS: Final = ("#ff8000", "#00a6d6", "#e6007e", "#7ab800", "#8f4fd1", "#d9b3
 _FINGERS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others
 _DARK: Final = "#202020"
 _TABLE: Final = "#8a6d3b"
-_MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 _AROUND_M: Final = 0.06  # shown around object and grasp
 _HAND_M: Final = 0.15  # as far a hand is shown beyond the object
 _LABELS: Final = 40  # objects with an id; more cover the picture
@@ -159,7 +158,7 @@ def _pixels(cloud: Cloud, points: Float64) -> Float64:
 
 def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object], grasp: Grasp | None) -> None:
     """Draw an object with its contacts and closing line, from above the table and from the side [mm]; the line is horizontal."""
-    points, table = _finite(target.cloud), target.plane.towards_camera  # a table that was stated may face away
+    points, table = some_points(target.cloud), target.plane.towards_camera  # a table that was stated may face away
     up = table.normal
     along = grasp.g1 - grasp.g2 if grasp is not None else np.array([1.0, 0.0, 0.0])
     along = along - up * (along @ up)
@@ -183,7 +182,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
     span = 1.15 * max(*(high - low)[:2] + 2e3 * _AROUND_M, high[2] + 1e3 * _AROUND_M)  # of both panels
     for axes, row, name in ((above, 1, "from above"), (side, 2, "from the side")):
         for other in others:
-            rest = flat(_finite(other.cloud))
+            rest = flat(some_points(other.cloud))
             axes.scatter(rest[:, 0], rest[:, row], s=2, color="#c8c8c8", linewidths=0)
         axes.scatter(own[:, 0], own[:, row], s=4, c=own[:, 3 - row], cmap="cividis", linewidths=0)
         for part, edges in lines.items():
@@ -251,13 +250,6 @@ def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
             texts.append(f"{channel.name} {channel.text(value)}{half}")
     at = f" (g{finger + 1})" if finger < 2 else ""
     return f"{name}{at}: {', '.join(texts)}" if texts else f"{name}{at}"
-
-
-def _finite(cloud: Cloud) -> Float64:
-    """Return at most some thousand finite points (N, 3) of a cloud, float64 [m]."""
-    points = cloud.xyz.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    return points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)
 
 
 def _folded(text: str, width: int) -> str:

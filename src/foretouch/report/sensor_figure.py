@@ -35,7 +35,9 @@ def save_sensor_figure(sensor: Sensor, path: Path) -> Path:
 
     Dead taxels are hollow; each finger that has some is drawn on its own.
     """
-    config, places, normals = sensor.config, 1e3 * sensor.layout.positions, sensor.layout.normals
+    config = sensor.config
+    places = 1e3 * sensor.layout.positions
+    normals = sensor.layout.normals
     dead = {finger.name: list(finger.dead) for finger in config.fingers if finger.dead} or {"": []}
     panels = len(dead) + 1
     figure = new_figure(5.5 * panels, 5.5)

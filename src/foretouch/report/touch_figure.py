@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.report.panels import new_figure, save
+from foretouch.report.panels import new_figure, save, some_points
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
@@ -25,7 +25,6 @@ from foretouch.types.scene import Object
 _FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _ROW_INCH = 2.2  # height of a grasp
 _SCALE_INCH = 0.85  # height of the scale of colours
-_MAX_POINTS = 6000  # more make a scatter plot slower, not denser
 _LINE = 140  # characters of a title
 _DOT = 100  # of few taxels [points squared]
 _FEW = 32  # taxels that are drawn at full size
@@ -65,7 +64,9 @@ def save_touch_picture(
     left = [2.6, 1.9][not scenes :] if any(grasp.target for grasp in grasps) else []  # scene and contacts
     figure = new_figure(sum(left) + 1.9 * most, _ROW_INCH * len(grasps) + _SCALE_INCH)
     shown = [levels[sensor.valid[finger]] for row in panels for finger, _, _, levels in row]
-    colours, drawn, ringed = taxel_colours(view, shown, tared=tared), None, False
+    colours = taxel_colours(view, shown, tared=tared)
+    drawn = None
+    ringed = False
     heights = [_ROW_INCH] * len(grasps) + [_SCALE_INCH]
     *parts, below = np.asarray(figure.subfigures(len(grasps) + 1, 1, hspace=0.01, height_ratios=heights))
     seen = ""  # title of the last scene, which is not repeated
@@ -151,7 +152,9 @@ def taxel_colours(view: TaxelView, levels: Sequence[Float64], *, tared: bool) ->
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     colours = "magma_r" if tared else "viridis_r"  # both dark at the high end
     if tared and not view.channel.contact:  # in both directions from rest
-        low, high, colours = -max(-low, high), max(-low, high), "PuOr"
+        most = max(-low, high)
+        low, high = -most, most
+        colours = "PuOr"
     return {"vmin": low, "vmax": high, "cmap": colours}
 
 
@@ -217,9 +220,7 @@ def _draw_scene(axes: Axes, scene: Cloud, target: Object, title: str) -> None:
 
 def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str]) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
-    points = target.xyz.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    points = points[:: max(1, len(points) // _MAX_POINTS)].astype(np.float64)
+    points = some_points(target)
     if not len(points):
         axes.set_axis_off()
         return

@@ -208,7 +208,9 @@ def input_of(topic: str, wait_s: float) -> str:
     start_rclpy([])
     import rclpy
 
-    node, end, kinds = rclpy.create_node("foretouch_look"), time.monotonic() + wait_s, dict[str, list[str]]()
+    node = rclpy.create_node("foretouch_look")
+    end = time.monotonic() + wait_s
+    kinds = dict[str, list[str]]()
     try:
         while topic not in kinds and time.monotonic() < end:
             time.sleep(0.1)

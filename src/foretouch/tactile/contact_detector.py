@@ -6,14 +6,14 @@ divided by the noise of its channel, and
 
     score = max over the channels of the rms over the channel's values of |change| / noise / limit
 
-so that a score above 1 is contact. The limit is `TAXEL_LIMIT` for a channel of taxels, `SINGLE_LIMIT` for one of a single
+so that a score above 1 is contact. The limit is `_TAXEL_LIMIT` for a channel of taxels, `_SINGLE_LIMIT` for one of a single
 value. The noise is the spread at rest (1.4826 times the median absolute deviation), but at least what the description
 states, or the resolution of the channel where it states none. That of the BioTac SP states what sensors showed without
 contact: 4.4 counts (electrodes), 0.4 counts (PDC). With noise alone the rms over its 24 electrodes is 1 +- 0.14, far below
 the limit of 3; one electrode that moves by fifteen deviations reaches it, and so do all together that move by 2.8. A steady
 touch relaxes by up to 8 counts/s: over 45 s of such recordings the limit of 3 causes no false alarm, 2.5 causes two.
 
-Contact begins with the first of `CONFIRM` consecutive readings above 1 and ends with the first of `CONFIRM` consecutive
+Contact begins with the first of `_CONFIRM` consecutive readings above 1 and ends with the first of `_CONFIRM` consecutive
 readings below `RELEASE_LEVEL`. The reference follows drift: it is the median over `WINDOW_S` that end `LAG_S` ago, and
 is frozen during contact. A contact that lasts longer than `LONGEST_S` is considered drift and is ended.
 """
@@ -29,10 +29,10 @@ from foretouch.tactile.channels import BIOTAC
 from foretouch.types import SECOND_NS, Float64, Int64
 from foretouch.types.channels import Channels
 
-TAXEL_LIMIT: Final = 3.0  # rms of the taxels' changes that counts as contact [deviations]
-SINGLE_LIMIT: Final = 12.0  # change of a finger's single value, such as PDC [deviations]
+_TAXEL_LIMIT: Final = 3.0  # rms of the taxels' changes that counts as contact [deviations]
+_SINGLE_LIMIT: Final = 12.0  # change of a finger's single value, such as PDC [deviations]
 RELEASE_LEVEL: Final = 0.7  # score below which contact ends
-CONFIRM: Final = 3  # consecutive readings that confirm a change
+_CONFIRM: Final = 3  # consecutive readings that confirm a change
 WINDOW_S: Final = 0.5  # over which the reference is computed [s]
 LAG_S: Final = 0.3  # between the reference and now: a slower contact is considered drift [s]
 LONGEST_S: Final = 120.0  # of a contact; longer ones are considered drift [s]
@@ -83,7 +83,7 @@ class FingerContact:
             return None
         self._first_ns = self._first_ns if self._against else stamp_ns
         self._against += 1
-        if self._against < CONFIRM and not drift:
+        if self._against < _CONFIRM and not drift:
             self.touching = touching
             return None
         self.touching = not touching
@@ -187,7 +187,9 @@ def find_contact(
     onsets: list[int | None] = []
     for above in (contact_scores(counts, rest, channels) > 1.0).T:
         run = (
-            np.lib.stride_tricks.sliding_window_view(above, CONFIRM).all(axis=1) if len(above) >= CONFIRM else above[:0]
+            np.lib.stride_tricks.sliding_window_view(above, _CONFIRM).all(axis=1)
+            if len(above) >= _CONFIRM
+            else above[:0]
         )
         onsets.append(int(stamps_ns[int(run.argmax())]) if run.any() else None)
     return tuple(onsets)
@@ -199,7 +201,7 @@ def _scores(change: Float64, channels: Channels) -> Float64:
     for channel in channels.channels:
         part, first = change[..., first : first + channel.size], first + channel.size
         if channel.size == 1:
-            scores.append(np.abs(part[..., 0]) / SINGLE_LIMIT)
+            scores.append(np.abs(part[..., 0]) / _SINGLE_LIMIT)
         else:
-            scores.append(np.sqrt(np.mean(np.square(part), axis=-1)) / TAXEL_LIMIT)
+            scores.append(np.sqrt(np.mean(np.square(part), axis=-1)) / _TAXEL_LIMIT)
     return np.asarray(np.maximum.reduce(scores), np.float64)

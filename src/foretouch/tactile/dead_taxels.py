@@ -13,7 +13,7 @@ from foretouch.tactile.description import Sensor
 from foretouch.types import AnyArray, Bool, Float64
 from foretouch.types.channels import Channels
 
-FEWEST_READINGS: Final = 5
+_FEWEST_READINGS: Final = 5
 """Of which a taxel may be found to be dead."""
 
 
@@ -34,7 +34,7 @@ def dead_taxels(sensor: Sensor, readings: Float64) -> Bool:
     A number that is zero at rest and has no noise, such as a force that no contact reached, may be constant. Of a finger of which half of the taxels or
     more would be dead none is: it was not read.
     """
-    if len(readings) < FEWEST_READINGS:
+    if len(readings) < _FEWEST_READINGS:
         return np.zeros(sensor.valid.shape, np.bool_)
     channels, values = sensor.channels, usable(readings, sensor.channels)
     spread = np.fmax.reduce(values) - np.fmin.reduce(values)  # NaN where none is usable

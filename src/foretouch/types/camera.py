@@ -67,7 +67,7 @@ class CameraModel:
             if not isinstance(side, int | np.integer) or not 1 <= side <= _LARGEST_SIDE:
                 raise CloudError(f"{name}: {quoted(side)} px is not a whole number between 1 and {_LARGEST_SIDE}")
             object.__setattr__(self, name, int(side))
-        numbers = [as_number("K", number) for number in (self.fx, self.fy, self.cx, self.cy)]
+        numbers = [_as_number("K", number) for number in (self.fx, self.fy, self.cx, self.cy)]
         names = ("fx", "fy", "cx", "cy")
         if not numbers[0] and not numbers[1]:
             raise CloudError("K: fx and fy are 0: the camera is not calibrated")
@@ -180,7 +180,7 @@ class DepthImage:
         if (height, width) != camera.shape:
             raise CloudError(f"depth: {width}x{height} is not the size of the camera, {camera.width}x{camera.height}")
         kind = depth.dtype.newbyteorder("=")
-        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else as_number("scale", scale)
+        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else _as_number("scale", scale)
         if not 0.0 < scale < np.inf:
             raise CloudError(f"scale: {scale} is not a number of metres above 0")
         _check_unit(depth, kind, scale)
@@ -240,7 +240,7 @@ class DepthImage:
         return struct("Rays", scale=self._scale, x=x, y=y, each=self._each)
 
 
-def as_number(name: str, value: Any) -> float:
+def _as_number(name: str, value: Any) -> float:
     """Return a number as float; a `CloudError` names the argument if it is none."""
     try:
         return float(value)

@@ -95,6 +95,12 @@ class Cloud:
         """Number of points, including those without depth."""
         return self.xyz.size // 3
 
+    @property
+    def finite(self) -> Float32:
+        """(N, 3) float32 [m], the points whose coordinates are finite."""
+        points = self.xyz.reshape(-1, 3)
+        return points[np.isfinite(points).all(axis=1)]
+
     def take(self, index: Index | Bool) -> "Cloud":
         """Return selected points as an unorganised cloud.
 

@@ -186,7 +186,9 @@ class Grasps(Columns, Sequence[Grasp]):
     def pose(self) -> Float64:
         """(K, 4, 4) float64, poses of the hand in the cloud frame: x_cloud = pose @ x_hand, origin at the midpoint [m]."""
         poses = np.zeros((len(self), 4, 4))
-        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = self.rotation, self.midpoint, 1.0
+        poses[:, :3, :3] = self.rotation
+        poses[:, :3, 3] = self.midpoint
+        poses[:, 3, 3] = 1.0
         return poses
 
 

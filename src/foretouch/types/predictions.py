@@ -67,7 +67,7 @@ class Evidence:
     reading_age_s: float | None = None  # since the last of them [s]; None without, or if it is not known
 
 
-NO_EVIDENCE: Final = Evidence()
+_NO_EVIDENCE: Final = Evidence()
 
 
 class Predicted(NamedTuple):
@@ -99,7 +99,7 @@ class Predictions(Columns, Sequence["Prediction"]):
     status: Objects = column(default="ok", dtype=object)  # (K,) `ok`, `bad_grasp`: no hand can execute it, or `refused`
     reason: Objects = column(default="", dtype=object)  # (K,) why it was refused; "" if ok
     reference: Objects = column(default="none", dtype=object)  # (K,) kind of the readings that it was adapted to
-    evidence: Objects = column(default=NO_EVIDENCE, dtype=object)  # (K,) `Evidence`, the readings behind `reference`
+    evidence: Objects = column(default=_NO_EVIDENCE, dtype=object)  # (K,) `Evidence`, the readings behind `reference`
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):

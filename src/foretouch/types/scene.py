@@ -67,8 +67,7 @@ class Object:
             plane: The table, in the cloud's frame.
             others: Further fields by name, such as `pixels`.
         """
-        points = cloud.xyz.reshape(-1, 3).astype(np.float64)
-        points = points[np.isfinite(points).all(axis=1)]
+        points = cloud.finite.astype(np.float64)
         if not len(points):
             return cls(object_id, cloud, plane, np.full(3, np.nan), np.full((2, 3), np.nan), **others)
         bounds = np.stack([points.min(axis=0), points.max(axis=0)])

@@ -198,8 +198,7 @@ def _scene(data: Dataset, count: int) -> tuple[Sample, list[Grasp]]:
     """
     samples = sorted(labelled(data), key=lambda sample: sample.cloud.size)
     sample = samples[len(samples) // 2]
-    xyz = sample.cloud.xyz.reshape(-1, 3)
-    xyz = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
+    xyz = sample.cloud.finite.astype(np.float64)
     pairs = np.random.default_rng(0).integers(0, len(xyz), (50 * count, 2))
     width = np.linalg.norm(xyz[pairs[:, 0]] - xyz[pairs[:, 1]], axis=1)
     near = pairs[(width > 0.02) & (width < 0.1)][: count - 1]

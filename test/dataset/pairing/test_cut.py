@@ -29,11 +29,13 @@ def test_touch_and_tare_are_those_of_hold_and_rest() -> None:
     cut = cut_touch(filled(stream(1)), interval(0), CONFIG)
     np.testing.assert_allclose(cut.touch.values, level(0), atol=4.0)
     np.testing.assert_allclose(cut.tare.values, REST, atol=4.0)
-    assert cut.error_ns == PERIOD
+    assert cut.pairing_error_ns == PERIOD
     assert cut.flags == ()
     # First touch begins 0.2 s before the hold; a ramp needs a few readings to stand out of the noise.
     assert cut.contact_ns == pytest.approx(interval(0).contact - 0.2 * SECOND, abs=8 * PERIOD)
-    spans = [np.ptp(cut.window.stamps_ns[cut.phases == phase]) + PERIOD for phase in (REST_PHASE, APPROACH, HOLD)]
+    spans = [
+        np.ptp(cut.series.stamps_ns[cut.series.phases == phase]) + PERIOD for phase in (REST_PHASE, APPROACH, HOLD)
+    ]
     assert spans == [6 * SECOND // 10, SECOND // 2, 7 * SECOND // 10]
 
 
@@ -69,7 +71,7 @@ def test_what_cannot_be_cut_is_refused_with_its_reason() -> None:
 def test_a_tare_neither_reaches_into_the_grasp_before_nor_is_taken_while_something_is_touched() -> None:
     buffer, second = filled(stream(2)), interval(1)
     late = cut_touch(buffer, second, CONFIG, not_before_ns=second.start - 4 * SECOND // 10)
-    assert int((late.phases == REST_PHASE).sum()) == 30  # 0.4 s less the guard after the release before
+    assert int((late.series.phases == REST_PHASE).sum()) == 30  # 0.4 s less the guard after the release before
     with pytest.raises(PairingError, match=r"readings in 0\.050 s of rest"):
         cut_touch(buffer, second, CONFIG, not_before_ns=second.start - SECOND // 4)
     first = interval(0)
@@ -110,4 +112,4 @@ def test_absent_and_frozen_sensors_are_refused_idle_and_repeating_ones_flagged()
     assert cut_touch(filled([idle(r) for r in stream(1)]), when, CONFIG).flags == ("no_contact_TH",)
     cut = cut_touch(filled([r for r in stream(1) for _ in range(2)]), when, CONFIG)  # each stamp twice
     assert cut.flags == ("duplicate_stamps",)
-    assert len(cut.window) == 2 * len(cut_touch(filled(stream(1)), when, CONFIG).window)
+    assert len(cut.series.counts) == 2 * len(cut_touch(filled(stream(1)), when, CONFIG).series.counts)

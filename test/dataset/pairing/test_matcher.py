@@ -75,7 +75,7 @@ def _check_pairs(seed: int) -> None:
         number = int(one.executed.grasp_id.removeprefix("g-"))
         assert one.cloud.message.data == f"cloud {number}".encode()
         # The nearest wrong touch is 10 counts away in every electrode and 20 in PDC.
-        assert np.abs(one.cut.touch.values - level(number)).max() < 5.0
+        assert np.abs(one.sample.touch.values - level(number)).max() < 5.0
     reasons = [result.reason for result in results if isinstance(result, RejectedGrasp)]
     assert len(results) == len(reported)
     assert reasons.count("grasp_unknown") == len(set(reported) - set(known))

@@ -1,40 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions of a uSkin: topic, service, action, markers, screen and picture."""
+"""Predictions of a uSkin: topic, markers, screen and picture."""
 
 import numpy as np
 import pytest
 from calibrated_models import make_calibration
-from constant_models import constant_model, counted, sensor_with_dead
+from constant_models import constant_model, counted
 from contact_model_builders import can_with_grasps
 from rich.console import Console
 from visualization_msgs.msg import MarkerArray
 
-from foretouch import reading
 from foretouch.cli.answers import answer_record
 from foretouch.cli.live import live_panel
 from foretouch.cli.run import _draw
 from foretouch.errors import ModelError
-from foretouch.pipeline import Pipeline
-from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, plane_to_msg, prediction_from_msg
+from foretouch.ros.messages.conversions import prediction_from_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.description import packaged_sensor
 from foretouch.types import ASSUMED_TABLE
 from foretouch.types.scene import Object
-from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import Status
-from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def uskin(monkeypatch):
-    """A model of the uSkin with a dead taxel, in place of any."""
-    sensor = sensor_with_dead("xela_uskin_4x4", 5)
-    model = constant_model(sensor, counted(sensor))
-    monkeypatch.setattr("foretouch.ros.steps.predictor.load_model", lambda _: model)
-    return model
 
 
 def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt_to_a_biotac(
@@ -76,24 +61,3 @@ def test_another_sensor_is_drawn_and_shown_with_its_intervals_but_does_not_adapt
     assert "/rh/tactile: is of biotac_sp" in warning
     assert "not xela_uskin_4x4" in warning
     assert node.reported().values["regime"] == warning
-
-
-def test_another_sensor_is_predicted_by_the_service_and_the_action(graph, uskin):
-    graph.add("touch_predictor")
-    (target, *_) = Pipeline().segment(_scene()).targets
-    grasps = [grasp_to_msg(grasp) for grasp in Pipeline().plan(target).grasps]
-    cloud, table = objects_to_msg([target], "cam", 5), [plane_to_msg(target.plane)]
-    request = PredictTouch.Request(cloud=cloud, grasps=grasps, table=table)
-    expected = dict(zip(uskin.sensor.channels.modalities, counted(uskin.sensor).reshape(6, 16), strict=True))
-    (one, *_) = graph.call(PredictTouch, "predict_touch", request).touch.predictions
-    np.testing.assert_array_equal(reading(one)["Z"].value, np.float32([expected["Z_TH"], expected["Z_FF"]]))
-    _, result, _ = graph.goal(SampleGrasps, "sample_grasps", SampleGrasps.Goal(cloud=cloud, table=table))
-    assert (result.status, result.grasp_state) == (Status.OK, "success")
-    assert np.isfinite(result.costs).all()
-    np.testing.assert_array_equal(reading(result.predictions[0])["Z"].value, reading(one)["Z"].value)
-
-
-def _scene():
-    from foretouch.ros.runtime.processing_node import warm_up_cloud
-
-    return warm_up_cloud()

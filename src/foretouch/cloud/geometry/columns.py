@@ -20,7 +20,9 @@ def centred_columns(points: Float64) -> tuple[Float64, Float64, Float64]:
 
     Equal to `points.mean(axis=0)` and the difference from it.
     """
-    centre, columns, covariance = np.empty(3), np.empty((3, len(points))), np.empty((3, 3))
+    centre = np.empty(3)
+    columns = np.empty((3, len(points)))
+    covariance = np.empty((3, 3))
     _centre_points(np.ascontiguousarray(points), len(points), centre, columns, covariance)
     return centre, columns, covariance
 
@@ -52,6 +54,8 @@ def quantiles(values: Float64, shares: Sequence[float]) -> list[float]:
     for share in shares:
         at = share * last
         k = int(at)
-        low, high, t = float(ordered[k]), float(ordered[min(k + 1, last)]), at - k
+        low = float(ordered[k])
+        high = float(ordered[min(k + 1, last)])
+        t = at - k
         result.append(high - (high - low) * (1.0 - t) if t >= 0.5 else low + (high - low) * t)
     return result

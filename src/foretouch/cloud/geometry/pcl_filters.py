@@ -49,7 +49,9 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> Voxels:
     if len(xyz) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     per_m = np.float32(1.0) / np.float32(leaf_m)
-    cell, counts, cell_count = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
+    cell = np.empty(len(xyz), np.int64)
+    counts = np.empty(len(xyz), np.int64)
+    cell_count = np.empty(1, np.int64)
     _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, cell_count)
     if cell_count[0] >= 0:
         return cell, counts[: cell_count[0]].copy()

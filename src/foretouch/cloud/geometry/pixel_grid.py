@@ -118,11 +118,9 @@ def listed_image(xyz: Float32, low_m: float, high_m: float, tangent: float) -> L
     if lattice is None or lattice.height * lattice.width > _LATTICE_CELLS * lattice.n_points:
         return None
     shape = lattice.height, lattice.width
-    image, place, result = (
-        np.empty((*shape, 3), np.float32),
-        np.empty(lattice.height * lattice.width, np.int32),
-        np.zeros(2, np.int64),
-    )
+    image = np.empty((*shape, 3), np.float32)
+    place = np.empty(lattice.height * lattice.width, np.int32)
+    result = np.zeros(2, np.int64)
     window = struct("Window", column=lattice.column, row=lattice.row, height=lattice.height, width=lattice.width)
     _fill_image(xyz, len(xyz), lattice.rays, lattice.cells, window, image, place, result)
     return None if result[1] else ListedImage(image, place, lattice.n_points, int(result[0]))

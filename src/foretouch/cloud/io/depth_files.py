@@ -23,7 +23,7 @@ from foretouch.types import AnyArray, CameraModel, Cloud
 from foretouch.types.camera import check_image
 
 IMAGE_SUFFIXES: Final = (".png", ".tif", ".tiff")
-INFO_SUFFIXES: Final = (".yaml", ".yml", ".json", ".mat", ".txt")
+_INFO_SUFFIXES: Final = (".yaml", ".yml", ".json", ".mat", ".txt")
 PAIRING: Final = (
     "a folder pairs NAME-depth.png (or .tif, .npy; _ for -) with NAME-mask, NAME-label or NAME-seg (.png, .npy), and with NAME-info, "
     "or camera_info, intrinsics or meta of all (.yaml, .json, .mat, .txt)"
@@ -126,8 +126,8 @@ def _scale(facts: Mapping[str, Any]) -> float | None:
 def _facts(path: Path) -> dict[str, Any]:
     """Return what a file states of a camera, by name; a `FileError` if it cannot be read or holds no intrinsics."""
     path, suffix = require_existing(path), path.suffix.lower()
-    if suffix not in INFO_SUFFIXES:
-        raise FileError(path, f"suffix: {none_of(suffix, INFO_SUFFIXES)}")
+    if suffix not in _INFO_SUFFIXES:
+        raise FileError(path, f"suffix: {none_of(suffix, _INFO_SUFFIXES)}")
     content = read_bytes(path, _LIMIT)
     try:
         if suffix == ".mat":
@@ -181,7 +181,9 @@ class Pairs:
             )
             return next(fitting, None)
 
-        masks, infos, depths = {}, {}, set()
+        masks = {}
+        infos = {}
+        depths = set()
         for file in files:
             match = _DEPTH.fullmatch(file.stem)
             if match is None or file.suffix.lower() not in (*IMAGE_SUFFIXES, ".npy"):
@@ -201,6 +203,6 @@ class Pairs:
                 for word in _INFOS
                 for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")
             ]
-            if (info := first([*own, *_INFOS], INFO_SUFFIXES)) is not None:
+            if (info := first([*own, *_INFOS], _INFO_SUFFIXES)) is not None:
                 infos[file] = info
         return cls(masks, infos, frozenset(depths), frozenset((*masks.values(), *infos.values())))

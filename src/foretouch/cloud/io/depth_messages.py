@@ -58,7 +58,9 @@ def image_pixels(message: Any, pixel: str) -> AnyArray:
         CloudError: If sizes and bytes do not fit together.
     """
     kind = np.dtype(pixel).newbyteorder(">" if message.is_bigendian else "<")
-    height, width, step = message.height, message.width, message.step
+    height = message.height
+    width = message.width
+    step = message.step
     _check_size(height, width)
     if step < width * kind.itemsize:
         raise CloudError(f"step: {step} bytes is less than a row of {width} x {kind.itemsize}")

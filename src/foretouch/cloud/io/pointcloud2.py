@@ -46,7 +46,10 @@ def decode(message: Any) -> tuple[Float32, UInt8 | None]:
         data = np.frombuffer(message.data, np.uint8)
     except (TypeError, ValueError, BufferError) as err:
         raise CloudError(f"data: {err}") from err
-    height, width, row_step, big = message.height, message.width, message.row_step, bool(message.is_bigendian)
+    height = message.height
+    width = message.width
+    row_step = message.row_step
+    big = bool(message.is_bigendian)
     if data.size != row_step * height:
         expected = f"row_step {row_step} x height {height} = {row_step * height}"
         raise CloudError(f"data: {data.size} bytes are not {expected}")

@@ -14,7 +14,7 @@ import numpy as np
 
 from foretouch.cloud.messages import decode_objects, read_header
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
-from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
+from foretouch.dataset.pairing.cut import PairingConfig, PairingError
 from foretouch.dataset.pairing.matcher import (
     ExecutedGrasp,
     GraspTouchMatcher,
@@ -27,7 +27,7 @@ from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, S
 from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.grasp.messages import decode_grasp
 from foretouch.tactile.messages.table import TactileReader, TactileReading
-from foretouch.types import ASSUMED_TABLE, DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, TouchSeries, stamp_ns
+from foretouch.types import ASSUMED_TABLE, DISCARDED, Cloud, Float32, Grasp, Outcome, Sample, stamp_ns
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 
@@ -59,7 +59,7 @@ class SampleAssembler:
         self.invalid: Counter[str] = Counter()  # `taxels_<reason>` that were replaced, `not_read_<finger>` messages
         self.clouds_without_grasps = 0  # that left the buffer without a plan
         self._reader = reader
-        self.readings = TouchBuffer(config.pairing.kept_s, channels=reader.channels)
+        self.readings = TouchBuffer(config.pairing.kept_s, reader.channels, reader.others)
         self._episodes = ContactEpisodes(reader.channels)
         self._health = SensorHealth(reader.channels)
         self._last_unlabelled_ns: int | None = None
@@ -196,45 +196,27 @@ class SampleAssembler:
     # Records.
 
     def _labelled(self, match: MatchedGrasp) -> Sample:
-        label, cut, window, executed = match.label or Label(), match.cut, match.cut.window, match.executed
+        label, executed = match.label or Label(), match.executed
         grasp, candidates, left_out = _grasps(match.plan, executed.grasp_id)
         cloud = _object_cloud(match.cloud, match.plan.frame_id, grasp)
-        others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
+        stated = {"clock_offset_s", *self._reader.temperatures}
         self._labelled_clouds.add(match.cloud.stamp_ns)
-        return Sample(
-            id="",
+        return replace(
+            match.sample,
             object=label.object or self._object_at(executed.interval.start if executed.interval else 0),
             cloud=cloud,
             grasp=grasp,
-            touch=cut.touch,
-            tare=cut.tare,
             stamp_ns=executed.interval.contact if executed.interval else 0,
-            extra={"clock_offset_s": cut.clock_ns * 1e-9, **self._temperatures(cut)},
+            extra={name: value for name, value in match.sample.extra.items() if name.removeprefix("tare_") in stated},
             candidates=candidates,
             outcome=_outcome(match),
             note="; ".join(filter(None, (self.config.note, label.note, left_out))),
-            series=TouchSeries(window.stamps_ns, window.counts, cut.phases, others),
-            contact_ns=cut.contact_ns,
-            detector="change against the tare (foretouch.tactile.contact_detector)"
-            if cut.contact_ns is not None
-            else "",
-            pairing_error_ns=cut.error_ns,
-            flags=(*self._reader.flags, *executed.flags, *cut.flags, *([DISCARDED] if label.discard else [])),
+            flags=(*self._reader.flags, *executed.flags, *match.sample.flags, *([DISCARDED] if label.discard else [])),
         )
 
     def _object_at(self, stamp_ns: int) -> str:
         """Return the label of the object on the table at a time, such as when the hand began to close; by default the first."""
         return next((label for since, label in reversed(self.objects) if since <= stamp_ns), "") or "unknown"
-
-    def _temperatures(self, cut: TouchCut) -> dict[str, float]:
-        """Return the temperatures in contact and, after `tare_`, before it, such as `tare_TDC_TH` [counts]."""
-        temperatures: dict[str, float] = {}
-        for prefix, row in (("", cut.others), ("tare_", cut.tare_others)):
-            named = zip(self._reader.others, row, strict=True)
-            temperatures |= {
-                f"{prefix}{name}": float(value) for name, value in named if name in self._reader.temperatures
-            }
-        return temperatures
 
     def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> Sample:
         grasp, candidates, left_out = _grasps(plan, plan.grasps[0].id)

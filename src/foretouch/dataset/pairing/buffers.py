@@ -45,12 +45,13 @@ class TouchWindow:
 class TouchBuffer:
     """Readings of a sensor by stamp, kept for `kept_s` [s] by their stamps, and at most 100,000. Not thread-safe.
 
-    Anomalies are counted as `duplicate_stamp`, `out_of_order`, `clock_jump` (back), `stamp_gap` (a leap forward that
+    Besides its channels, `others` name what the readings hold. Anomalies are counted as `duplicate_stamp`, `out_of_order`, `clock_jump` (back), `stamp_gap` (a leap forward that
     stayed) and `wrong_stamp` (a leap that did not; such readings are left out).
     """
 
-    def __init__(self, kept_s: float = 60.0, channels: Channels = BIOTAC) -> None:
+    def __init__(self, kept_s: float = 60.0, channels: Channels = BIOTAC, others: tuple[str, ...] = ()) -> None:
         self.channels = channels
+        self.others = others
         self.anomalies: Counter[str] = Counter()
         self.newest_ns: int | None = None  # latest stamp [ns], None before the first
         self._kept_ns = round(kept_s * SECOND_NS)
@@ -80,7 +81,7 @@ class TouchBuffer:
         return TouchWindow(
             np.array([r.time_ns for r in rows], np.int64),
             np.array([r.counts for r in rows], np.float32).reshape(len(rows), self.channels.size),
-            np.array([r.others for r in rows], np.float32).reshape(len(rows), len(rows[0].others) if rows else 0),
+            np.array([r.others for r in rows], np.float32).reshape(len(rows), len(self.others)),
             np.array([r.received_ns for r in rows], np.int64),
         )
 

@@ -18,7 +18,7 @@ from foretouch.errors import DatasetError
 from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import contact_scores, find_contact
 from foretouch.tactile.readings import rest_of
-from foretouch.types import APPROACH, HOLD, REST, SECOND_NS, Bool, Float32, Int64, Touch, UInt8
+from foretouch.types import APPROACH, HOLD, REST, SECOND_NS, Bool, Float32, Int64, Sample, Touch, TouchSeries
 from foretouch.types.channels import Channels
 
 _FROZEN_S = 0.5  # the noisy values of a finger do not repeat together for so long
@@ -69,25 +69,9 @@ class Interval:
         return self.start < other.release and other.start < self.release
 
 
-@dataclass(frozen=True, eq=False)
-class TouchCut:
-    """The readings of one grasp."""
-
-    touch: Touch  # median over the steady contact
-    tare: Touch  # median over the time before the grasp; 0 for channels whose rest level is zero
-    others: Float32  # (K,) median of the further channels over the steady contact
-    tare_others: Float32  # (K,) the same over the time before the grasp
-    window: TouchWindow  # the readings from the tare to the release
-    phases: UInt8  # (T,) uint8 of REST, APPROACH and HOLD
-    contact_ns: int | None  # stamp of first contact [ns], by the contact detector; None where it found none
-    error_ns: int  # longest time without a reading within tare or contact [ns]
-    clock_ns: int  # smallest difference of reception time and stamp [ns]
-    flags: tuple[str, ...]  # such as `no_contact_TH`, `frozen_MF`, `duplicate_stamps`
-
-
 def cut_touch(
     buffer: TouchBuffer, interval: Interval, config: PairingConfig, not_before_ns: int | None = None
-) -> TouchCut:
+) -> Sample:
     """Cut the touch of one grasp out of the stream.
 
     Args:
@@ -95,6 +79,11 @@ def cut_touch(
         interval: When the grasp was executed.
         config: Settings.
         not_before_ns: End of the previous grasp; the tare begins after it.
+
+    Returns:
+        A sample with touch, tare and the readings from the tare to the release, and no more: neither object, cloud nor grasp. Its
+        `extra` has the difference of the clocks, and the medians of the further channels by name, in contact and, after
+        `tare_`, before it.
 
     Raises:
         PairingError: `bad_interval`, `short_hold`, `no_tactile`, `no_tare`, `restless_tare`, `pairing_error`,
@@ -127,16 +116,22 @@ def cut_touch(
     phases = np.full(len(window), REST, np.uint8)
     phases[window.stamps_ns >= interval.start] = APPROACH
     phases[window.stamps_ns >= interval.contact] = HOLD
-    return TouchCut(
+    contact_ns = min((onset for onset in onsets if onset is not None), default=None)
+    extra = {"clock_offset_s": clock * 1e-9}
+    for prefix, part in (("", hold), ("tare_", rest)):
+        medians = zip(buffer.others, np.median(part.others, axis=0).tolist(), strict=True)
+        extra |= {f"{prefix}{name}": value for name, value in medians}
+    others = {name: window.others[:, k].copy() for k, name in enumerate(buffer.others)}
+    return Sample(
+        id="",
+        object="",
         touch=touch,
         tare=rest_of(tare.values, channels),
-        others=np.median(hold.others, axis=0),
-        tare_others=np.median(rest.others, axis=0),
-        window=window,
-        phases=phases,
-        contact_ns=min((onset for onset in onsets if onset is not None), default=None),
-        error_ns=error,
-        clock_ns=clock,
+        extra=extra,
+        series=TouchSeries(window.stamps_ns, window.counts, phases, others),
+        contact_ns=contact_ns,
+        detector="" if contact_ns is None else "change against the tare (foretouch.tactile.contact_detector)",
+        pairing_error_ns=error,
         flags=_flags(window, onsets, channels),
     )
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
-from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
-from foretouch.types import SECOND_NS, Outcome, stamp_ns
+from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
+from foretouch.types import SECOND_NS, Outcome, Sample, stamp_ns
 
 _MAX_PLANS = 10_000
 SETTLE_NS: Final = 300_000_000
@@ -63,7 +63,7 @@ class MatchedGrasp(NamedTuple):
 
     plan: PlannedGrasps
     cloud: BufferedCloud
-    cut: TouchCut
+    sample: Sample  # with touch, tare and readings alone, as of `cut_touch`
     executed: ExecutedGrasp
     label: Label | None
 
@@ -264,5 +264,5 @@ class GraspTouchMatcher:
                 text = f"grasp {other} was reported for that time already"
                 raise PairingError("told_twice" if other == name else "overlap", text)
         ends = [before.release for _, before in intervals if before.release <= interval.start]
-        cut = cut_touch(self._buffer, interval, self.config, max(ends, default=None))
-        return MatchedGrasp(plan, cloud, cut, executed, label)
+        sample = cut_touch(self._buffer, interval, self.config, max(ends, default=None))
+        return MatchedGrasp(plan, cloud, sample, executed, label)

@@ -21,14 +21,14 @@ from foretouch.errors import DatasetError, ForetouchError
 from foretouch.types import DISCARDED, Sample
 
 Action = Literal["object", "success", "failure", "unknown", "drop", "relabel", "note", "pause", "undo"]
-DROPPED: Final = "dropped"  # instead of an outcome
+_DROPPED: Final = "dropped"  # instead of an outcome
 
 
 class GraspSummary(NamedTuple):
     """What is kept of a sample."""
 
     object: str
-    outcome: str  # or `DROPPED`
+    outcome: str  # or `_DROPPED`
     touched: bool
 
 
@@ -91,7 +91,7 @@ class Operator:
         if known != self._known:
             grasps = edited(self._grasps, self._log)
             self._known = known
-            self._state = OperatorState(self._object, bool(self.paused), count_outcomes(grasps.values(), self._plan))
+            self._state = OperatorState(self._object, bool(self.paused), _count_outcomes(grasps.values(), self._plan))
         return replace(self._state, replies=tuple(self._replies))
 
     def act(self, action: Action, text: str = "", grasp_id: str = "") -> str:
@@ -234,7 +234,7 @@ def _words(action: str, text: str) -> str:
 
 def summarise(sample: Sample) -> GraspSummary:
     """Summarise a sample as it was recorded."""
-    outcome = DROPPED if DISCARDED in sample.flags else sample.outcome
+    outcome = _DROPPED if DISCARDED in sample.flags else sample.outcome
     return GraspSummary(sys.intern(sample.object), outcome, sample.touch is not None)
 
 
@@ -243,12 +243,12 @@ def edited(grasps: Mapping[str, GraspSummary], edits: EditLog) -> dict[str, Gras
     result = {}
     for recorded, grasp in grasps.items():
         label, outcome, _, dropped = edits.changes(recorded)
-        changed = (label or grasp.object, DROPPED if dropped else outcome or grasp.outcome)
+        changed = (label or grasp.object, _DROPPED if dropped else outcome or grasp.outcome)
         result[recorded] = grasp if changed == grasp[:2] else grasp._replace(object=changed[0], outcome=changed[1])
     return result
 
 
-def count_outcomes(grasps: Iterable[GraspSummary], plan: Sequence[str] = ()) -> dict[str, Counter[str]]:
+def _count_outcomes(grasps: Iterable[GraspSummary], plan: Sequence[str] = ()) -> dict[str, Counter[str]]:
     """Return executed grasps by object and outcome; objects of the plan first."""
     counts: dict[str, Counter[str]] = {name: Counter() for name in plan}
     for grasp in grasps:

@@ -64,6 +64,9 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
             nothing that could be kept, or the disk is full.
     """
     path = Path(path)
+    if any(path.glob("shard-*.arrow")) and not is_dataset(path):
+        rule = "is a training store, which is not repaired: `foretouch dataset verify` names its damage, "
+        raise FileError(path, rule + "`foretouch dataset build` writes it anew from its recordings")
     files = recorded_files(path, complete=False)  # refuses other folders, before a lock file is created there
     if path.is_file():
         return [_repair_file(path)]

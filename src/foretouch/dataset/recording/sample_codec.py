@@ -109,7 +109,7 @@ def sample_fields(sample: Sample, identity: Identity, sensor: Sensor) -> SimpleN
         grasp=grasp_fields(sample.grasp),
         score=float(sample.grasp.score),
         candidates=[grasp_fields(grasp) for grasp in sample.candidates],
-        sensor=sensor_text(sensor),
+        sensor=_sensor_text(sensor),
         labelled=sample.touch is not None,
         touch=np.empty(0) if sample.touch is None else sample.touch.values,
         tared=sample.tare is not None,
@@ -126,8 +126,8 @@ def sample_fields(sample: Sample, identity: Identity, sensor: Sensor) -> SimpleN
         extra_names=list(extra),
         extra_values=np.array(list(extra.values()), np.float64),
         foretouch=__version__,
-        hand=properties_text(identity.hand),
-        camera=properties_text(identity.camera),
+        hand=_properties_text(identity.hand),
+        camera=_properties_text(identity.camera),
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
     _require_finite(message, sensor.channels)
@@ -196,7 +196,7 @@ def _version_in(data: bytes | memoryview) -> int:
 
 def stored_sample(message: Any) -> StoredSample:
     """Make the sample of a decoded message, of which `sample_fields` are the fields; raises any error for values that break a rule."""
-    sensor = parse_sensor(message.sensor)
+    sensor = _parse_sensor(message.sensor)
     sample = Sample(
         id=message.id,
         object=message.object,
@@ -215,11 +215,11 @@ def stored_sample(message: Any) -> StoredSample:
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
         flags=tuple(message.flags),
     )
-    identity = Identity(hand=parse_properties(message.hand), camera=parse_properties(message.camera))
+    identity = Identity(hand=_parse_properties(message.hand), camera=_parse_properties(message.camera))
     return StoredSample(sample, identity, sensor)
 
 
-def parse_properties(text: str) -> dict[str, str]:
+def _parse_properties(text: str) -> dict[str, str]:
     """Read the properties of a hand or a camera from JSON; a `DatasetError` if the text is none."""
     facts = parse_json(text)
     if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
@@ -235,7 +235,7 @@ def sample_types() -> Definitions:
     return definitions
 
 
-def properties_text(facts: Mapping[str, str]) -> str:
+def _properties_text(facts: Mapping[str, str]) -> str:
     """Return the properties of a hand or a camera as JSON; equal ones give equal text."""
     return json.dumps(dict(sorted(facts.items())), ensure_ascii=False)
 
@@ -246,13 +246,13 @@ def _grasp_of(message: Any, score: float) -> Grasp:
 
 
 @functools.lru_cache(maxsize=16)
-def sensor_text(sensor: Sensor) -> str:
+def _sensor_text(sensor: Sensor) -> str:
     """Return the description of a sensor as JSON."""
     return json.dumps(sensor.to_mapping(), ensure_ascii=False, sort_keys=True)
 
 
 @functools.lru_cache(maxsize=16)
-def parse_sensor(text: str) -> Sensor:
+def _parse_sensor(text: str) -> Sensor:
     """Read the description of a sensor from JSON; a `DatasetError` or a `ConfigError` if the text is none."""
     return sensor_of(parse_json(text), "sensor")
 

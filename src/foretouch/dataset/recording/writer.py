@@ -329,7 +329,9 @@ class RecordingWriter:
 
     def _count_removed(self) -> str:
         """Count the content of a file that was removed as dropped; says what is lost."""
-        samples, self.samples, self.labelled = self.samples, 0, 0
+        samples = self.samples
+        self.samples = 0
+        self.labelled = 0
         messages = sum(counts.written for counts in self.counts.topics.values()) - samples
         for counts in self.counts.topics.values():
             counts.drop("file removed", counts.written)

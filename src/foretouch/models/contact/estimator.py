@@ -51,7 +51,9 @@ _AROUND: Final = [name.startswith(("g1_", "g2_")) and "_depth" not in name for n
 _USUAL: Final = (0.93, 0.98)  # quantiles of the distances within training between which the score falls from 1 to 0
 _LEAST: Final = 0.05  # variance within objects that a size has at least, over that between all clouds
 _OTHER_VIEW_M: Final = 1e-3 * np.array([3, 5, 4, 15, 23, 20, 6, 7, 7, 16, 15])
-"""Six deviations of each size of the upper side between views of one object, as measured on simulated objects (`benchmarks/views`) [m]."""
+"""How far each size of the upper side of one object differs between views, six standard deviations by `benchmarks/views` [m].
+
+The sizes are in the order of `KnownSizes.of_upper`."""
 _ONE_IN_TEN: Final = 0.1
 _AROUND_LIMIT: Final = (0.8, 1.2)  # shares of a limit between which the score falls from 1 to 0
 _BEYOND: Final = {"spacing": 2.5, "width": 1.5, "distance": 1.25}  # factors beyond them

@@ -160,7 +160,9 @@ class HandFrameFeatures:
         if not grasps:
             return np.empty((0, len(FEATURES)))
         columns, count = Grasps.of(grasps), len(grasps)
-        g1, g2, hand = columns.g1, columns.g2, columns.rotation
+        g1 = columns.g1
+        g2 = columns.g2
+        hand = columns.rotation
         if self._is_turned:
             g1, g2 = (_into(self._turn.T[None], contact) for contact in (g1, g2))
             hand = (self._turn[None, :, :, None] * hand[:, None, :, :]).sum(axis=2)

@@ -62,7 +62,12 @@ class Forest(TensorRecord):
     @classmethod
     def from_trees(cls, trees: Sequence[Any]) -> Self:
         """Make a forest of the `tree_` of fitted scikit-learn regressors with targets of (S, M)."""
-        roots, features, thresholds, children, leaves, values = [], [], [], [], [], []
+        roots = []
+        features = []
+        thresholds = []
+        children = []
+        leaves = []
+        values = []
         nodes = rows = 0
         for tree in trees:
             is_leaf, index = tree.children_left < 0, np.arange(tree.node_count)[:, None]
@@ -140,7 +145,10 @@ class CompiledForests:
     """
 
     def __init__(self, forests: Sequence[Forest]) -> None:
-        nodes, roots, leaf, value = [], [], [], []
+        nodes = []
+        roots = []
+        leaf = []
+        value = []
         first = begin = 0
         for forest in forests:
             forest._check()  # noqa: SLF001  of this module

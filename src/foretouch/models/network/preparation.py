@@ -19,7 +19,7 @@ from foretouch.kernels import Kernel
 from foretouch.models.network.config import ModelConfig
 from foretouch.types import Bool, Cloud, Float32, Float64, Grasp, Grasps, Integer
 
-MINIMUM_POINTS = 32
+_MINIMUM_POINTS = 32
 """Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""
 
 SAMPLER_SEED = 0
@@ -47,15 +47,15 @@ def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
     """Return the points that have a depth, unorganised.
 
     Raises:
-        CloudError: If fewer than `MINIMUM_POINTS` remain, or all are at one position.
+        CloudError: If fewer than `_MINIMUM_POINTS` remain, or all are at one position.
         ModelError: If the network needs a colour that the cloud lacks.
     """
     if config.channels == "xyz+rgb" and cloud.rgb is None:
         raise ModelError("channels: the model needs xyz+rgb and the cloud has no rgb")
     finite = np.isfinite(cloud.xyz)
     usable = cloud.take(np.arange(cloud.size) if finite.all() else np.asarray(finite.all(axis=-1), np.bool_))
-    if usable.size < MINIMUM_POINTS:
-        raise CloudError(f"cloud: {usable.size} finite points of {cloud.size} are fewer than {MINIMUM_POINTS}")
+    if usable.size < _MINIMUM_POINTS:
+        raise CloudError(f"cloud: {usable.size} finite points of {cloud.size} are fewer than {_MINIMUM_POINTS}")
     if (usable.xyz == usable.xyz[0]).all():
         raise CloudError(f"cloud: all {usable.size} finite points are in one place")
     return usable
@@ -105,7 +105,9 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
     if not config.use_grasp or count == 0:
         return np.zeros((count, config.grasp_size), np.float32)
     columns = Grasps.of(grasps)
-    g1, g2, rotations = columns.g1, columns.g2, columns.rotation
+    g1 = columns.g1
+    g2 = columns.g2
+    rotations = columns.rotation
     parts = [frame.apply_points(g1), frame.apply_points(g2), rotations.reshape(count, 9)]
     if config.metric_inputs:
         width = np.linalg.norm(g1 - g2, axis=1)

@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images and clouds to messages and back, and the layout of `object_cloud`.
-
-`object_cloud` holds the points of all targets, one after the other, best first. Besides x, y, z (and rgb)
-each point has `label` (UINT32, the object's id), `row` and `column` (UINT16, its pixel in the image that
-it was cut from), so that later steps can separate the objects and search neighbours by pixel. A cloud
-without these fields is one object without an image.
-"""
+"""Depth images, clouds and objects to messages."""
 
 import array
 from collections.abc import Sequence
@@ -16,6 +10,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 from foretouch.camera.stream import DepthFrame
 from foretouch.cloud.io.pointcloud2 import encode
+from foretouch.cloud.messages import join_objects
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.types import AnyArray, Cloud
 from foretouch.types.camera import MODELS
@@ -82,16 +77,8 @@ def objects_to_msg(targets: Sequence[Object], frame_id: str, nanoseconds: int) -
         frame_id: Frame of the scene's cloud.
         nanoseconds: Stamp of the scene's cloud [ns].
     """
-    colours = [target.cloud.rgb for target in targets if target.cloud.rgb is not None]
-    pixels = [np.divmod(target.pixels, target.image_shape[1]) for target in targets if target.image_shape]
-    xyz = np.concatenate([target.cloud.xyz for target in targets] or [np.empty((0, 3), np.float32)])
-    rgb = np.concatenate(colours) if targets and len(colours) == len(targets) else None
-    ids, sizes = [int(target.id) for target in targets], [target.cloud.size for target in targets]
-    columns = {"label": np.repeat(np.array(ids, np.uint32), sizes or 1)}  # NumPy refuses an empty list of counts
-    if pixels:
-        rows, places = map(np.concatenate, zip(*pixels, strict=True))
-        columns |= {"row": rows.astype(np.uint16), "column": places.astype(np.uint16)}
-    return cloud_to_msg(Cloud(xyz, rgb, frame_id, nanoseconds), **columns)
+    cloud, columns = join_objects(targets, frame_id, nanoseconds)
+    return cloud_to_msg(cloud, **columns)
 
 
 def object_to_msg(object_: Object, *, target: bool) -> ObjectMsg:

@@ -142,7 +142,9 @@ def _label(
     header: Header, namespace: str, number: int, position: Point, size_m: float, text: str, colour: ColorRGBA = _WHITE
 ) -> Marker:
     label = _marker(header, namespace, number, Marker.TEXT_VIEW_FACING, colour)
-    label.pose.position, label.scale.z, label.text = position, size_m, text
+    label.pose.position = position
+    label.scale.z = size_m
+    label.text = text
     return label
 
 

@@ -150,7 +150,9 @@ def thinned(content: bytes, most: int) -> bytes:
         return content  # small, or malformed: shown as it is
     rows = np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, cloud.row_step)[:, :width]
     points = rows.reshape(-1, cloud.point_step)[::every]
-    cloud.height, cloud.width, cloud.row_step = 1, len(points), points.size
+    cloud.height = 1
+    cloud.width = len(points)
+    cloud.row_step = points.size
     cloud.data = points.tobytes()
     return bytes(serialize_message(cloud))
 

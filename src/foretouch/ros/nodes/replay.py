@@ -205,7 +205,9 @@ class ReplayNode(ThreadNode[ReplayConfig]):
 
     def _start(self) -> None:
         self.played.clear()
-        self.unanswered, self._last_answer_ns, self.first_refusal = 0, -1, ""
+        self.unanswered = 0
+        self._last_answer_ns = -1
+        self.first_refusal = ""
 
     def _stop(self) -> None:
         self.stopping.set()

@@ -35,7 +35,9 @@ class CheckFeed:
     """
 
     def __init__(self, check: SessionCheck, inputs: RecorderInputs, reader: TactileReader) -> None:
-        self._check, self._inputs, self._reader = check, inputs, reader
+        self._check = check
+        self._inputs = inputs
+        self._reader = reader
         self._clouds: OrderedDict[int, SerializedMessage] = OrderedDict()  # or depth images
         images = (name for name, topic in inputs.topics.items() if topic.message in _IMAGES)
         self._infos = CameraInfos(next(images, ""))

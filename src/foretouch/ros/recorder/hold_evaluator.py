@@ -73,13 +73,15 @@ class HoldEvaluator:
         if not self._rest or not np.isfinite(self._rest[0]).all():
             raise TactileError("there is no reading without contact that shows which fingers touch")
         scores = contact_scores([reading.counts], [self._rest[0]], self._sensor.channels)[0]
-        if apart := [finger for finger, score in zip(self._fingers, scores, strict=True) if score <= 1.0]:
+        apart = [finger for finger, score in zip(self._fingers, scores, strict=True) if score <= 1.0]
+        if apart:
             raise TactileError(
                 f"{', '.join(apart)} does not touch, and the model is of grasps with {', '.join(self._fingers)}"
             )
         # Pressures of the fingers come first, then the electrodes of each.
         readings = reading.counts[len(self._fingers) :].reshape(1, len(self._fingers), -1).astype(np.float64)
-        if (share := self._model.outside(readings)[0]) > OUTSIDE:
+        share = self._model.outside(readings)[0]
+        if share > OUTSIDE:
             raise TactileError(f"{share:.0%} of the pattern is out of the range of training")
         return float(self._model.chance(readings)[0])
 

@@ -16,7 +16,7 @@ from foretouch.errors import ConfigError, nearest
 from foretouch.topics import NAMESPACE
 
 _SHARED: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
-STEPS: Final = ("segmentation", "grasp", "touch_predictor")
+_STEPS: Final = ("segmentation", "grasp", "touch_predictor")
 """Nodes of single steps, for who replaces one of them; `perception` does the work of all."""
 _CHANGED: Final = {  # in 0.4
     "hand": "is called hand_name since 0.4",
@@ -89,7 +89,7 @@ def _check(path: str, name: str, given: Mapping[str, Any], nodes: Nodes, namespa
 def _refuse_moved(path: str, name: str, given: Mapping[str, Any], own: Sequence[str]) -> None:
     """Refuse parameters of single steps where one node does the work of all of them."""
     place, _, short = name.rpartition("/")
-    if short in STEPS and "perception" in own and short not in own and given:
+    if short in _STEPS and "perception" in own and short not in own and given:
         listed = ", ".join(sorted(given))
         raise ConfigError(
             f"{path}: {name}: {listed}: the node {place}/perception has these parameters since 0.4: move them there"

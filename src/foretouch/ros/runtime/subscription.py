@@ -123,7 +123,9 @@ class FollowingSubscription:
         self.name: str = node.resolve_topic_name(topic.name)
         self.losses = Losses(lose)
         self.excluded: list[str] = []  # a line for each other type of publishers, that nothing is received from
-        self._node, self._receive, self._group = node, receive, group
+        self._node = node
+        self._receive = receive
+        self._group = group
         durability = _FOLLOW if topic.latched is None else "transient_local" if topic.latched else "volatile"
         self._reliability = self._policy("reliability", ReliabilityPolicy, _FOLLOW)
         self._durability = self._policy("durability", DurabilityPolicy, durability)
@@ -143,7 +145,9 @@ class FollowingSubscription:
         news = [text for text in self.excluded if text not in before]
         if wanted == self._wanted:
             return news
-        old, self._wanted, self._known = self._subscription, wanted, frozenset(self._recent)
+        old = self._subscription
+        self._wanted = wanted
+        self._known = frozenset(self._recent)
         self._subscription = self._subscribe()
         self._node.destroy_subscription(old)
         policy = "reliable" if self.reliable else "best effort"

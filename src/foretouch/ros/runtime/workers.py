@@ -26,7 +26,10 @@ class Worker(Generic[_T]):
     def __init__(
         self, name: str, work: Callable[[_T], None], on_drop: Callable[[_T, str], None], depth: int = 1
     ) -> None:
-        self._name, self._work, self._on_drop, self._depth = name, work, on_drop, depth
+        self._name = name
+        self._work = work
+        self._on_drop = on_drop
+        self._depth = depth
         self._queue = BoundedQueue[_T](depth, on_drop=on_drop)
         self._queue.close("stopped")
         self._thread: threading.Thread | None = None  # while it is started

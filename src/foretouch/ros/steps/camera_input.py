@@ -25,9 +25,9 @@ from foretouch.ros.runtime.subscription import InputTopic
 from foretouch.types import Cloud, stamp_ns
 from foretouch_msgs.msg import Status
 
-IMAGE_TOPIC: Final = "depth/image"
-INFO_TOPIC: Final = "depth/camera_info"
-POINTS_TOPIC: Final = "points"
+_IMAGE_TOPIC: Final = "depth/image"
+_INFO_TOPIC: Final = "depth/camera_info"
+_POINTS_TOPIC: Final = "points"
 _POLL_S: Final = 0.05
 
 
@@ -57,11 +57,11 @@ class CameraInput(Step):
         self._changed = threading.Condition()  # guards the infos
         self._last_report = ""  # about an info
         if node.config.input == "points":
-            node.subscribe(InputTopic(POINTS_TOPIC, PointCloud2, latched=None), receive)
+            node.subscribe(InputTopic(_POINTS_TOPIC, PointCloud2, latched=None), receive)
             return
-        images = node.resolve_topic_name(IMAGE_TOPIC)
-        infos = node.resolve_topic_name(INFO_TOPIC)
-        if infos == f"{node.get_namespace().rstrip('/')}/{INFO_TOPIC}":  # not remapped
+        images = node.resolve_topic_name(_IMAGE_TOPIC)
+        infos = node.resolve_topic_name(_INFO_TOPIC)
+        if infos == f"{node.get_namespace().rstrip('/')}/{_INFO_TOPIC}":  # not remapped
             infos = info_topic(images)
         self._infos = CameraInfos(images)
         node.subscribe(InputTopic(infos, CameraInfo, latched=None), self._receive_info)

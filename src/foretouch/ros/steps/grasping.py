@@ -20,7 +20,7 @@ from foretouch.types import stamp_ns
 from foretouch.types.scene import Object
 from foretouch_msgs.msg import GraspArray
 
-HOLD_TOLERANCE_M: Final = 0.005
+_HOLD_TOLERANCE_M: Final = 0.005
 """Change of position or size that makes it another object, whose grasp is not kept."""
 
 
@@ -57,7 +57,7 @@ class GraspStep(Step):
         self._margin = config.grasp_hold
         self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, hand=config.hand, limits=config.limits))
         holds = config.grasp_hold > 0.0 and config.grasp.method == "completed"
-        self._held = GraspHold(HOLD_TOLERANCE_M) if holds else None
+        self._held = GraspHold(_HOLD_TOLERANCE_M) if holds else None
 
     def plan(self, targets: Sequence[Object], header: Header, note: str) -> tuple[GraspArray, Sequence[GraspPlan]]:
         """Plan grasps on all targets, and keep the best of the cloud before.

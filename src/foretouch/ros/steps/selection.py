@@ -24,8 +24,8 @@ from foretouch.types import AnyArray, Cloud, stamp_ns
 from foretouch.types.scene import Scene
 from foretouch_msgs.msg import Status
 
-MASK_TOPIC: Final = "mask"
-CLICK_TOPIC: Final = "clicked_point"
+_MASK_TOPIC: Final = "mask"
+_CLICK_TOPIC: Final = "clicked_point"
 SELECTED: Final = "selected"
 """Flag of predictions on an object that was clicked, and start of the reason."""
 
@@ -64,13 +64,13 @@ class Selection:
         self._missing = 0  # clouds in a row without it
         self._note = ""  # on the last click
         if node.config.mask != "none":
-            node.subscribe(InputTopic(MASK_TOPIC, Image, latched=None), self._receive_mask)
-        node.subscribe(InputTopic(CLICK_TOPIC, PointStamped), self._receive_click)
+            node.subscribe(InputTopic(_MASK_TOPIC, Image, latched=None), self._receive_mask)
+        node.subscribe(InputTopic(_CLICK_TOPIC, PointStamped), self._receive_click)
 
     def diagnose(self, report: Report) -> None:
         """Report what the last click selected, or why it was refused."""
         if self._note:
-            report.values[CLICK_TOPIC] = self._note
+            report.values[_CLICK_TOPIC] = self._note
 
     def forget(self) -> None:
         """Select nothing."""
@@ -99,7 +99,7 @@ class Selection:
                 if config.mask == "latest"
                 else f"mask of this stamp came within {config.mask_wait_s:g} s"
             )
-            raise RefusalError(Status.BAD_REQUEST, f"mask: no {which} on {self._node.resolve_topic_name(MASK_TOPIC)}")
+            raise RefusalError(Status.BAD_REQUEST, f"mask: no {which} on {self._node.resolve_topic_name(_MASK_TOPIC)}")
         try:
             return decode_mask(message)
         except CloudError as err:
@@ -143,10 +143,12 @@ class Selection:
             chosen = scene.near(point, tolerance_m)
         except CloudError as err:
             self._note = f"refused: {err}"
-            self._node.get_logger().warning(f"{CLICK_TOPIC}: {err}")
+            self._node.get_logger().warning(f"{_CLICK_TOPIC}: {err}")
             return
-        self._id, self._missing, self._note = chosen.id, 0, f"object {chosen.id}"
-        self._node.get_logger().info(f"{CLICK_TOPIC}: object {chosen.id} is the target")
+        self._id = chosen.id
+        self._missing = 0
+        self._note = f"object {chosen.id}"
+        self._node.get_logger().info(f"{_CLICK_TOPIC}: object {chosen.id} is the target")
 
     def _receive_mask(self, message: Image) -> None:
         with self._changed:

@@ -155,9 +155,8 @@ def _sample_hash(sample: Sample) -> str:
     They cover the finite points, the contacts and the reading as float32, which every format keeps; not the rotation,
     whose last bits depend on the processor.
     """
-    xyz = sample.cloud.xyz.reshape(-1, 3)
     reading = np.empty(0) if sample.touch is None else sample.touch.values
-    parts = (xyz[np.isfinite(xyz).all(axis=1)].ravel(), sample.grasp.g1, sample.grasp.g2, reading)
+    parts = (sample.cloud.finite.ravel(), sample.grasp.g1, sample.grasp.g2, reading)
     return hashlib.sha256(b"".join(np.asarray(part, np.float32).tobytes() for part in parts)).hexdigest()[:16]
 
 

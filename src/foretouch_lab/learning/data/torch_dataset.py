@@ -34,8 +34,7 @@ class TouchDataset(Dataset[tuple[Tensor, Tensor, Tensor]]):
         for sample in samples:
             if sample.touch is None:
                 continue
-            xyz = sample.cloud.xyz.reshape(-1, 3)
-            xyz = xyz[np.isfinite(xyz).all(axis=1)]
+            xyz = sample.cloud.finite
             if not len(xyz):
                 raise DatasetError(f"{sample.id}: cloud: has no finite point")
             grasp = np.concatenate([sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation.ravel()])

@@ -25,8 +25,7 @@ def _geometry_features(sample: Sample) -> Float64:
     of the midpoint, rotation; of the points near each contact their share, spreads, gap and mean offset. Where no point is
     near a contact, its share, spreads and offset are 0.
     """
-    cloud = sample.cloud.take(np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_))
-    xyz = cloud.xyz.astype(np.float64)
+    xyz = sample.cloud.finite.astype(np.float64)
     centroid = xyz.mean(axis=0)
     centred = xyz - centroid
     grasp = sample.grasp

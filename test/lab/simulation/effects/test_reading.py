@@ -55,16 +55,6 @@ def test_noise_moves_tare_and_touch_apart_and_drift_the_touch_beyond_an_older_ta
     assert (expected[1] > expected[0]).all()
 
 
-def test_creep_comes_late() -> None:
-    state = run(scene(fingers={"timeline": {"hold_s": 6.0}, "creep": {}}, **HELD))
-    rest, touched = state.readings
-    e = int(np.argmax(rest[0, 1:] - touched[0, 1:])) + 1
-    held = state.series[state.load == 1.0][:, 0, e]
-    assert held[0] > held[100] > held[-1]  # goes on falling
-    assert held[-1] == pytest.approx(touched[0, e], abs=0.02 * (rest[0, e] - touched[0, e]))
-    assert state.series[-1, 0, e] < rest[0, e]  # and leaves a trace
-
-
 def test_slip_moves_the_touch_only_while_held() -> None:
     fingers = {"timeline": {"hold_s": 1.0}, "slip": {}}
     rough = CAN | {"surface": {}}
