@@ -3,7 +3,7 @@
 
 The library is compiled when foretouch is installed, and required: importing this package without it, or with one of
 other sources than those beside it, raises a `MissingDependencyError` with the fix. `test/kernels` compares each function
-with a plain NumPy or SciPy reference. The interpreter's lock is released during a call, so that other threads run
+with a plain NumPy or SciPy reference, but for `find_background`, whose tests are rooms. The interpreter's lock is released during a call, so that other threads run
 meanwhile. No build needs more than a C compiler; Numba would take 0.65 s at each start and 200 MB.
 
     count_range = Kernel("count_range")

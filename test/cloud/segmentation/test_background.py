@@ -160,6 +160,25 @@ def test_the_outline_is_the_hull_of_the_table_with_its_holes_and_dents_filled() 
     assert area > 0.5
 
 
+@pytest.mark.parametrize("half_m", [0.02, 0.12])
+def test_what_is_as_high_as_the_table_but_apart_from_it_does_not_widen_the_outline(half_m: float) -> None:
+    apart = ((-half_m, 0.65, -0.7), (half_m, 0.65 + half_m, 0.0))
+    with_it, without = (segment(room(CAN, *more, tilt_deg=45.0, distance_m=1.2)[0]).outline for more in ((apart,), ()))
+    assert with_it.max(axis=0) == pytest.approx(without.max(axis=0), abs=0.02)
+    assert with_it.min(axis=0) == pytest.approx(without.min(axis=0), abs=0.02)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_arm_enters_the_view_across_a_margin_without_depth(side: int) -> None:
+    reach = sorted((side * 0.12, side * 0.9))
+    cloud, labels = room(CAN, ((reach[0], -0.1, 0.12), (reach[1], -0.02, 0.20)))
+    xyz = cloud.xyz[:, ::side].copy()
+    xyz[:, -20:] = np.nan
+    found = segment(Cloud(xyz[:, ::side]))
+    assert labelled(found, labels) == [3]
+    assert reasons(found, labels) == {4: "enters_view"}
+
+
 def test_a_list_of_points_without_an_image_has_no_outline_and_no_background() -> None:
     cloud, _ = room(CAN, PACKET)
     rng = np.random.default_rng(3)

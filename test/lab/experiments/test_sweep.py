@@ -93,10 +93,7 @@ def test_failures_are_named_and_the_others_go_on(sweep, out, trace) -> None:
     result = sweep(settings=hurt, workers=2)
     assert result.failures == {"cell2": "cell 2: is broken", "cell0": "its process died (killed, or out of memory)"}
     assert sorted({row["number"] for row in result.rows}) == [1, 3]
-    again = sweep(settings=hurt, resume=True)
-    assert again.reused == 2
-    assert set(again.failures) == set(result.failures)
-    assert json.loads((out / "manifest.json").read_text())["cells"]["failed"] == again.failures
+    assert json.loads((out / "manifest.json").read_text())["cells"]["failed"] == result.failures
 
 
 def test_what_changed_is_refused_by_name(sweep, out, numbers, in_this_process) -> None:
