@@ -86,7 +86,7 @@ def _locked(path: Path) -> Iterator[dict[str, str]]:
         raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     with lock(path):
         dataset = RecordedDataset(path)
-        yield {dataset[k].sample.id: dataset.as_recorded(k).sample.id for k in range(len(dataset))}
+        yield {dataset[k].id: dataset.as_recorded(k).id for k in range(len(dataset))}
 
 
 def _recorded(now: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:
