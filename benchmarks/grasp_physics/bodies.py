@@ -288,17 +288,7 @@ _COUPLED: Final = 0.00805 / 0.00705  # of MFJ0 to MFJ1, as the model's tendon
 _STIFF_NM, _DAMPED_NMS = 3.0, 0.06
 _TIP_ENDS: Final = (0.012, 0.013)  # from the middle of a distal capsule to that of its end
 _PALM_M: Final = (0.0, 0.01, 0.29)  # of the palm in the mount, wrist neutral
-_SIGNS: Final = (
-    -1,
-    1,
-    1,
-    1,
-    1,
-    1,
-    1,
-    -1,
-    -1,
-)  # of the joints' angles in the MuJoCo model, against those of Shadow's URDF
+_SIGNS: Final = (-1, 1, 1, 1, 1, 1, 1, -1, -1)  # of the joints' angles in the model, against Shadow's URDF
 _WAY: Final = 17  # postures from opened to beyond the contacts
 
 

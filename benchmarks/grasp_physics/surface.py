@@ -20,9 +20,7 @@ _SAMPLES, _LINES = 20000, 6000
 _TILT_DEG: Final = 25.0  # of a line from the normal that it starts at, at most
 _SPARE: Final = 0.8  # of the friction angle
 _ARM_M: Final = 0.02
-_SMOOTHED: Final = (
-    150  # of the candidates, ranked by the normals of faces: mean normals around the contacts decide among them
-)
+_SMOOTHED: Final = 150  # candidates, ranked by the normals of faces; mean normals around the contacts decide
 _SMOOTH_M: Final = 0.003  # around a contact
 
 

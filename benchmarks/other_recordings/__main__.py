@@ -62,9 +62,8 @@ def main() -> None:
     held = np.array([record.outcome == "success" for record in labelled])
     objects = np.array([sample.object for sample in labelled])
     model, refused = calibrated(readings, held, folds_of(objects, _FOLDS, 0), 0)
-    rows = [
-        row for row in read_csv(arguments.results) if row.get("what", "hold") == "hold"
-    ]  # before 0.3.1: others, too
+    # Tables of before 0.3.1 hold other rows, too.
+    rows = [row for row in read_csv(arguments.results) if row.get("what", "hold") == "hold"]
     facts = {
         "summary": "whether a grasp of three BioTac SP holds when it is lifted, from one reading; read skill and limits first",
         "config": {**CONFIG, "fingers": list(FINGERS)},

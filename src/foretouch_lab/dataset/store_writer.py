@@ -168,8 +168,13 @@ def build_store(
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
     A sample whose id a sample of an earlier source has gets the number after the highest so far, as in a
-    recording that is continued; `about.sources` in the manifest lists the new ids by the old ones. `attach` makes text
-    files to add to the store, such as splits, by name, from the samples.
+    recording that is continued; `about.sources` in the manifest lists the new ids by the old ones.
+
+    Args:
+        sources: Paths of datasets; of one sensor.
+        out: Path of the store.
+        attach: From the samples to text files that are added to the store, such as splits, by name.
+        progress: Called for each sample.
 
     Raises:
         FileError: If `out` exists, or a source is not a dataset or damaged.

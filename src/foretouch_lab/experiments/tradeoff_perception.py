@@ -94,7 +94,12 @@ def _pipeline(variant: Variant) -> Pipeline:
 
 
 def overlaps(labels: Int32, truth: Int32) -> list[float]:
-    """Return the intersection over union of each true object with the found one that covers it most."""
+    """Return the intersection over union of each true object with the found one that covers it most.
+
+    Args:
+        labels: (H, W) labels of a segmentation, objects from 1 on.
+        truth: (H, W) true labels, objects from `FIRST_OBJECT` on.
+    """
     shares = []
     for label in range(FIRST_OBJECT, int(truth.max()) + 1):
         true = truth == label

@@ -19,11 +19,8 @@ from foretouch_lab.learning.data import Dataset, labels_of, make_folds
 from foretouch_lab.learning.evaluation.metrics import error_rows
 from foretouch_lab.learning.training.contact import ContactTrainingConfig
 
-_SPLITS: Final = {
-    "known": "time",
-    "new": "object",
-    "one_block": "time",
-}  # folds of each skill; the last: the first alone
+# Folds of each skill; of the last one, the first fold alone.
+_SPLITS: Final = {"known": "time", "new": "object", "one_block": "time"}
 _PREDICTED: Final = 10  # test samples that a fit predicts, when it is timed
 
 

@@ -51,9 +51,7 @@ class TimedReadings:
         tares = np.array([np.full(len(rest), np.nan) if s.tare is None else tare_offset(s.tare, rest) for s in samples])
         objects = np.array([sample.object for sample in samples], np.str_)
         stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-        read_as = [
-            (sample.extra, sample.touch.channels) for sample in samples if sample.touch is not None
-        ]  # all of them
+        read_as = [(sample.extra, sample.touch.channels) for sample in samples if sample.touch is not None]
         tdc, tare_tdc = (np.array([tdc_of(*reading, prefix) for reading in read_as]) for prefix in ("", "tare_"))
         read = {"tares": tares, "tdc": tdc, "tare_tdc": tare_tdc}
         some = {name: None if np.isnan(rows).all() else rows for name, rows in read.items()}

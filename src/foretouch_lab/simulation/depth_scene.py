@@ -149,6 +149,11 @@ def stereo_shadow(depth: Float64, focal_px: float, baseline_m: float = D415_BASE
 
     A pixel at column u of the depth (H, W) [m] is seen there at u - f·B/z. It is hidden if a pixel to its right, hence
     of something nearer, is seen at the same place or farther left.
+
+    Args:
+        depth: (H, W) of the first imager [m].
+        focal_px: Focal length [px].
+        baseline_m: Distance of the second imager [m].
     """
     seen_at = np.arange(depth.shape[1]) - focal_px * baseline_m / depth
     leftmost = np.minimum.accumulate(seen_at[:, ::-1], axis=1)[:, ::-1]
@@ -296,7 +301,12 @@ def random_scene(
 
 
 def table_depth(view: CameraView, rays: Float64) -> Float64:
-    """Return the depth of the table along rays (..., 3) of a view, inf beside it [m]."""
+    """Return the depth of the table along rays (..., 3) of a view, inf beside it [m].
+
+    Args:
+        view: The camera.
+        rays: (..., 3) in the world, one metre deep.
+    """
     depth = -view.eye[2] / _downwards(rays)
     at = view.eye[:2] + depth[..., None] * rays[..., :2]
     return np.where((np.abs(at) <= TABLE_M / 2.0).all(axis=-1), depth, np.inf)

@@ -44,9 +44,7 @@ class SampleState:
     plan: GraspPlan  # result of GeoGrasp
     grasp: Grasp  # the grasp that is executed, in the camera frame
     fingers: tuple[ContactFrame, ContactFrame]  # where both fingers close, in the world
-    pad_angles: (
-        Float64  # (2, 2), pitch and roll of the place of each pad that the hand's posture turns to the object [rad]
-    )
+    pad_angles: Float64  # (2, 2), pitch and roll of the place of each pad that the hand turns to the object [rad]
     turn: Float64  # (3, 3), by which the hand is turned against where it was sent, in the world
     target: float  # what both fingers are commanded to reach, [N] or [m] by the scene's `control`
     axial_load_n: float  # how much more the middle finger pushes than the thumb [N]
@@ -59,9 +57,7 @@ class SampleState:
     contacts: tuple[ContactSolution, ContactSolution]  # solved contacts of both fingers
     campaign_time: CampaignTime  # when in the campaign the grasp is executed
     sensors: tuple[Finger, Finger]  # the fingertips that are mounted
-    readings: (
-        Float64  # (2, 2, V) at rest and in contact, ideal, not rounded; V = 25, PDC then electrodes, of a BioTac SP
-    )
+    readings: Float64  # (2, 2, V) at rest and in contact, ideal, not rounded; V of a BioTac SP is 25: PDC, electrodes
     times: Float64  # (T,) [s] of the messages; without a timeline two, for tare and touch, at one time
     load: Float64  # (T,), 0 without contact and 1 in full contact
     hold_row: int  # the message that is the touch; the tare is the median of those before the first load

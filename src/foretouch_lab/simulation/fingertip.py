@@ -74,7 +74,15 @@ def ou_noise(
 ) -> Float64:
     """Return (rows, channels) Ornstein-Uhlenbeck noise, stationary from its first row.
 
-    x_t = a x_{t-1} + √(1 - a²) ε_t with a = exp(-1 / (rate · memory)), of standard deviation `counts`.
+    x_t = a x_{t-1} + √(1 - a²) ε_t with a = exp(-1 / (rate · memory)).
+
+    Args:
+        rows: Number of messages.
+        channels: Number of independent processes.
+        counts: Standard deviation [counts].
+        memory_s: Time in which the correlation falls to 1/e [s].
+        rate_hz: Of the messages [Hz].
+        rng: Of the noise.
     """
     a = float(np.exp(-1.0 / (rate_hz * memory_s)))
     steps = counts * rng.standard_normal((rows, channels))
@@ -100,7 +108,13 @@ def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s
     """Delay a series as the skin does, a standard linear solid: y = (1 - share) x + share · z, with dz/dt = (x - z) / time, at rest at first.
 
     A constant load creeps on, a released one leaves a rest that fades, and a cycle of load encloses an area:
-    relaxation and hysteresis are one effect. `series` (T, ...) is the response x of an ideal fingertip, T at least 1.
+    relaxation and hysteresis are one effect.
+
+    Args:
+        series: (T, ...) response x of an ideal fingertip, T at least 1.
+        rate_hz: Of the messages [Hz].
+        share: Part of the response that comes late.
+        time_s: Time constant of that part [s].
     """
     late = np.array(series[0], np.float64)
     pull = -np.expm1(-1.0 / (rate_hz * time_s))
@@ -247,7 +261,13 @@ def electrode_weights(pad: PadConfig, window: PadWindow) -> Float64:
 
 
 def electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
-    """Return counts (..., 24) of electrodes, not yet rounded, by the approach of the skin [m] and the counts without contact."""
+    """Return counts (..., 24) of electrodes, not yet rounded, by the approach of the skin [m] and the counts without contact.
+
+    Args:
+        approach: (..., 24) how much closer the skin is [m].
+        rest: (..., 24) counts without contact.
+        gain: Factor on the approach.
+    """
     impedance_kohm = to_kohm(rest) * np.exp(np.clip(gain * approach / THINNING_M, -_MAX_EXPONENT, _MAX_EXPONENT))
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
 

@@ -78,7 +78,14 @@ class TaxelArray:
 
     @classmethod
     def of(cls, sensor: Sensor, config: TaxelConfig, pad: PadConfig, rng: np.random.Generator) -> Self:
-        """Return the fingertips of one hand; a `ConfigError` as of `require_channels`."""
+        """Return the fingertips of one hand; a `ConfigError` as of `require_channels`.
+
+        Args:
+            sensor: The description.
+            config: What it does not state.
+            pad: Layer and grid.
+            rng: Draws what differs from taxel to taxel.
+        """
         size = _sizes(sensor)
         middle, curvature, half = _shape(sensor, size)
         pad = pad.replace(window_m=2.0 * float(half.max()))
@@ -111,7 +118,13 @@ class TaxelArray:
         return ContactFrame(self.middle.points(x, y, -_depth(self.curvature, x, y)), rotation)
 
     def aligned(self, frame: ContactFrame, point: Float64, normal: Float64) -> ContactFrame:
-        """Return the pad's frame after it has turned about the point where it touches a surface of this outward normal."""
+        """Return the pad's frame after it has turned about the point where it touches a surface of this outward normal.
+
+        Args:
+            frame: Of the pad, in the world.
+            point: (3,) where it touches the surface [m].
+            normal: (3,) outward normal of the surface there.
+        """
         share = self.config.alignment
         towards = (1.0 - share) * frame.normal - share * normal
         towards /= np.linalg.norm(towards)
@@ -121,7 +134,12 @@ class TaxelArray:
         return ContactFrame(point + turn @ (frame.origin - point), turn @ frame.rotation)
 
     def read(self, finger: int, tractions: Float64) -> Float64:
-        """Return (V,) values of a finger, 0 or 1, by the tractions (N, N, 3) on its window [Pa], before noise and rounding."""
+        """Return (V,) values of a finger, 0 or 1, by the tractions (N, N, 3) on its window [Pa], before noise and rounding.
+
+        Args:
+            finger: 0 or 1.
+            tractions: (N, N, 3) on the window of the pad [Pa].
+        """
         forces = self.weights @ (tractions.reshape(-1, 3) * self.pad.step_m**2) @ self.middle.rotation.T
         along = np.einsum("ni,nai->an", forces, self.axes) * [[1.0], [1.0], [-1.0]]
         parts = [along[axis] if of_taxels else along[axis, :].sum(keepdims=True) for axis, _, of_taxels in self._parts]

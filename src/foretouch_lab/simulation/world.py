@@ -80,7 +80,12 @@ class CampaignTime:
 
 
 def object_index(scene: SceneConfig, slot: int) -> int:
-    """Return which object a slot shows: objects take turns, in a campaign visit by visit and in an order that changes."""
+    """Return which object a slot shows: objects take turns, in a campaign visit by visit and in an order that changes.
+
+    Args:
+        scene: The scene.
+        slot: Number of the sample.
+    """
     count = len(scene.objects)
     if scene.campaign is None:
         return slot % count
@@ -118,7 +123,12 @@ class Campaign:
         return thumb, middle
 
     def kelvin(self, session: int, visit: int) -> tuple[Float64, float]:
-        """Return (2,) temperature of both fingers at power-on, and the temperature of a visit's object minus theirs [K]."""
+        """Return (2,) temperature of both fingers at power-on, and the temperature of a visit's object minus theirs [K].
+
+        Args:
+            session: From 0.
+            visit: How many objects were grasped before, in the whole campaign.
+        """
         shared, *own = SampleKey(self.scene.seed, session).stream("temperature of a session").standard_normal(3)
         rng = SampleKey(self.scene.seed, visit).stream("temperature of an object")
         start = calendar.SESSION_KELVIN * shared + calendar.FINGER_KELVIN * np.array(own)

@@ -249,7 +249,12 @@ def _of_panel(rows: Sequence[Row], panel: Panel) -> list[Row]:
 
 
 def frontier(rows: Sequence[Row], panel: Panel) -> list[Row]:
-    """Return rows that no other beats in both skill and time, by ascending time."""
+    """Return rows that no other beats in both skill and time, by ascending time.
+
+    Args:
+        rows: Of the table.
+        panel: Whose skill and size of request count.
+    """
     skill, shown = panel.skill, _of_panel(rows, panel)
     column, skills = _time_column(shown), {row["variant"]: float(row[skill]) for row in shown}
 

@@ -115,7 +115,13 @@ def prepare_simulated(settings: Any, source: Path | None, out: Path) -> Path:
 
 
 def prepared(data: Dataset, model: ModelConfig, count: int) -> PresampledSet:
-    """Return all samples as input of a network, `count` points of each cloud; the clouds are prepared once per process."""
+    """Return all samples as input of a network, `count` points of each cloud; the clouds are prepared once per process.
+
+    Args:
+        data: The samples.
+        model: Configuration of the network.
+        count: Points of each cloud.
+    """
     return replace(_prepared(data, model.channels, model.metric_inputs, count), config=model)
 
 

@@ -67,7 +67,14 @@ def _trees(baseline: Callable[..., Float64], training_fraction: float) -> Baseli
 def contact_predictor(
     training_fraction: float, train: Sequence[Sample], labels: Float64, seed: int
 ) -> ContactPredictor:
-    """Return the default model, which has its own adaptation to touches, with a share of its trees."""
+    """Return the default model, which has its own adaptation to touches, with a share of its trees.
+
+    Args:
+        training_fraction: Share of its trees.
+        train: Samples to fit to.
+        labels: (S, D) their labels [counts].
+        seed: Of the trees.
+    """
     from foretouch_lab.learning.training.run_config import load_run_config
 
     config: Any = load_run_config("contact-v3").contact

@@ -58,7 +58,12 @@ def pivot(
 ) -> list[list[str]]:
     """Return a line of a table for each value of a column, and in it a cell for each of the `names` of the modalities.
 
-    `text` is given the rows of the cell, usually one, as arguments; a cell without a row is empty.
+    Args:
+        rows: Of one table.
+        line: Column whose values name the lines.
+        text: From the rows of a cell, usually one, as arguments to its text; a cell without a row is empty.
+        names: Of the modalities, in order.
+        label: From a value of the column to the name of its line.
     """
     body = []
     for name, own in grouped(rows, line):

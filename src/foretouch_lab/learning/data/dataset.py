@@ -12,7 +12,7 @@ import numpy as np
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import only_finite
-from foretouch.dataset.store import Store, sample_digest
+from foretouch.dataset.store import Store, content_sha256, sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError, none_of
 from foretouch.tactile.channels import BIOTAC_SP
@@ -214,11 +214,6 @@ def dataset_of(
     if sensor is None:
         known = labels[0].channels.sensor if labels else BIOTAC_SP.config.name
         sensor = packaged_sensor(known) if known in sensor_files() else BIOTAC_SP
-    if sha256 is None:
-        content = hashlib.sha256()
-        for sample in samples:
-            content.update(sample_digest(sample))
-        sha256 = content.hexdigest()
     facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
     stored = path is not None and (path / SPLITS_FILE).is_file()
     parts, omitted = read_splits(path) if stored and path else parse_splits(make_splits(facts).encode())
@@ -226,7 +221,7 @@ def dataset_of(
     splits = {kind: [_fold(part, places) for part in parts[kind]] for kind in parts}
     values = [touch.values for touch in labels if touch.channels == sensor.channels]
     sensor = with_dead_taxels(sensor, np.array(values)) if values else sensor
-    return Dataset(name, tuple(samples), sha256, splits, omitted=omitted, sensor=sensor)
+    return Dataset(name, tuple(samples), sha256 or content_sha256(samples), splits, omitted=omitted, sensor=sensor)
 
 
 def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:

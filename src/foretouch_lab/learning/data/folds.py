@@ -57,6 +57,10 @@ def predict_folds(jobs: Mapping[str, tuple[HoldOut, Sequence[Fold]]], workers: i
     """Return (S, D) held-out predictions by name: each sample's is from the one fold that tests it [counts].
 
     With several workers, folds run in processes of one thread each; the results are the same.
+
+    Args:
+        jobs: By name, what predicts a fold, and the folds, which test each sample once.
+        workers: Number of processes.
     """
     parts = zip(*[(predict, fold) for predict, folds in jobs.values() for fold in folds], strict=True)
     with process_pool(workers, _one_thread) if workers > 1 else nullcontext() as pool:
@@ -81,6 +85,11 @@ def _one_thread() -> None:
 
 def make_folds(samples: Sequence[Sample | SampleFacts], split: str, seed: int | np.random.Generator) -> list[Fold]:
     """Return the folds of one of `SPLITS`; the random split uses the seed.
+
+    Args:
+        samples: The samples.
+        split: One of `SPLITS`.
+        seed: Of the random split.
 
     Raises:
         DatasetError: If there is no such split, or there are too few samples for it.

@@ -170,7 +170,13 @@ def _label(sample: Sample) -> Float64:
 
 
 def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
-    """Return (T, M) predictions [counts] of some samples, each on the points that prediction chooses."""
+    """Return (T, M) predictions [counts] of some samples, each on the points that prediction chooses.
+
+    Args:
+        net: The network.
+        data: Samples prepared for it.
+        index: (T,) samples to predict.
+    """
     import torch
 
     device = net.target_mean.device

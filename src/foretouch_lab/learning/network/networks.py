@@ -79,7 +79,12 @@ class TouchNet(nn.Module):
         return self.regress(self.features(points), grasp)
 
     def regress(self, features: Tensor, grasp: Tensor | None = None) -> Tensor:
-        """Apply the head alone: (B, F) features and (B, G) grasps to (B, M) scaled predictions."""
+        """Apply the head alone: (B, F) features and (B, G) grasps to (B, M) scaled predictions.
+
+        Args:
+            features: (B, F) of the clouds.
+            grasp: (B, G) as fed to the head, if any.
+        """
         x = features if grasp is None else torch.cat([features, grasp], dim=-1)
         scaled: Tensor = self.output(self.dropout(self.head(x)))
         return scaled

@@ -116,7 +116,13 @@ def rest_level(samples: Sequence[Sample]) -> tuple[Float64, bool]:
 
 
 def resting_labels(samples: Sequence[Sample], labels: Float64, rest: Float64) -> Float64:
-    """Return (S, D) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
+    """Return (S, D) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any.
+
+    Args:
+        samples: S samples.
+        labels: (S, D) their labels [counts].
+        rest: (D,) rest level [counts].
+    """
     shifted = labels.copy()
     for k, sample in enumerate(samples):
         if sample.tare is not None:
@@ -184,6 +190,10 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
 
     With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects
     only; and B of the scalars of a finger, such as a pressure, of which one heavy object may make up most, is at most `_MOST_SHARE` of W.
+
+    Args:
+        held_out: Predictions of models that did not see the samples.
+        new: Whether the group is for objects outside of the training.
 
     Raises:
         DatasetError: If there is no sample, or a residual is not finite or beyond `Channels.most`.

@@ -161,7 +161,12 @@ def _describe_thinned(samples: Sequence[Sample], config: ContactTrainingConfig) 
 
 
 def ranges_of(config: ContactTrainingConfig, channels: Channels) -> Ranges:
-    """Return ranges of the values of a sensor: for the BioTac SP from the settings, for others from the description."""
+    """Return ranges of the values of a sensor: for the BioTac SP from the settings, for others from the description.
+
+    Args:
+        config: Whose ranges are of the BioTac SP.
+        channels: Of the sensor.
+    """
     return config.ranges.ranges if channels == BIOTAC else Ranges.of_sensor(channels)
 
 
@@ -198,9 +203,8 @@ def fit_contact(
     # Of a value that never changes, such as the force of a taxel beyond all contacts.
     deviation = np.where(deviation > 0.0, deviation, channels.resolution)
     same = np.ptp(labels, axis=0) == 0.0
-    noisy = channels.by_modality(
-        [channel.noise > 0.0 for channel in channels.channel_of.values()]
-    )  # and so never the same
+    # A noisy value is never the same.
+    noisy = channels.by_modality([channel.noise > 0.0 for channel in channels.channel_of.values()])
     constant = same & (noisy | same.all())
     if constant.any():
         raise DatasetError(f"contact model: value {int(np.argmax(constant))} of the touch is the same in all samples")
@@ -282,6 +286,10 @@ class ContactPredictor:
 
     def predict_after(self, touched: Sequence[Sample], samples: Sequence[Sample]) -> tuple[Float64, Float64]:
         """Return predictions after touches of the same object, without tares, as `TouchModel.predict` gives them.
+
+        Args:
+            touched: Labelled samples of the object, in any order.
+            samples: Grasps to predict.
 
         Returns:
             The predictions and the half widths of their intervals, both (S, D) [counts].

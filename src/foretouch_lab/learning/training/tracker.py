@@ -208,9 +208,7 @@ def _with_intervals(parameters: TrackerParameters, recording: TimedReadings) -> 
     scores = np.abs(recording.readings - played.counts) / played.deviation
     statistics = [innovation_statistics(row, parameters.channels) for row in innovations / played.deviation]
     _, index, counts = np.unique(recording.objects, return_inverse=True, return_counts=True)
-    weights = np.repeat(1.0 / counts[index], parameters.channels.size).reshape(
-        scores.shape
-    )  # every object weighs the same
+    weights = np.broadcast_to(1.0 / counts[index][:, None], scores.shape)  # every object weighs the same
     factor = [
         np.quantile(scores[:, own], 1.0 - MISS_RATE, weights=weights[:, own], method="inverted_cdf")
         for own in parameters.channels.modality_columns.values()
@@ -220,7 +218,12 @@ def _with_intervals(parameters: TrackerParameters, recording: TimedReadings) -> 
 
 
 def fit_places(parameters: TrackerParameters, recording: TimedReadings) -> TrackerParameters:
-    """Return the same parameters with the most likely length and ratios of the features of grasps."""
+    """Return the same parameters with the most likely length and ratios of the features of grasps.
+
+    Args:
+        parameters: Of the tracker.
+        recording: Of at least one object, with features of the grasps.
+    """
     where, runs = np.asarray(recording.where), recording.runs()
     deviation = np.sqrt(np.mean([where[runs == run].var(axis=0) for run in np.unique(runs)], axis=0))
     unit = np.maximum(deviation, _LEAST_SCALE) * np.sqrt(len(deviation))

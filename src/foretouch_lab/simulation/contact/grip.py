@@ -41,6 +41,11 @@ def solve_contact(problem: ContactProblem, command: Command, level: str = "auto"
     The bed of springs is right for one thin layer, the skin on its core pressed on something rigid. Soft objects are thick:
     their cells influence each other.
 
+    Args:
+        problem: The two surfaces.
+        command: Force or depth.
+        level: `auto` or one of `LEVELS`.
+
     Raises:
         ContactError: If the level refuses the problem.
     """

@@ -95,7 +95,12 @@ def pad_window(config: PadConfig, direction: Float64) -> PadWindow:
 
 
 def pad_direction(pitch_rad: float, roll_rad: float) -> Float64:
-    """Return (3,) unit vector, fingertip frame: from the middle of the pad, `pitch` towards the tip, `roll` towards +y."""
+    """Return (3,) unit vector, fingertip frame: from the middle of the pad, `pitch` towards the tip, `roll` towards +y.
+
+    Args:
+        pitch_rad: From the middle of the pad towards the tip [rad].
+        roll_rad: From there towards +y [rad].
+    """
     across = math.cos(pitch_rad)
     return np.array([math.sin(pitch_rad), across * math.sin(roll_rad), -across * math.cos(roll_rad)])
 
@@ -128,6 +133,12 @@ def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) ->
     """Return the depth of the undeformed skin below its tangent plane [m], shape of x; infinite beside the pad.
 
     The first meeting of the line o + x t_x + y t_y - s n with the ellipsoid, a quadratic in s.
+
+    Args:
+        config: The pad.
+        frame: Tangent frame of the place that is touched first.
+        x: Places along its x [m].
+        y: Places along its y [m].
     """
     inverse = 1.0 / config.skin_axes
     o = frame.points(x, y, 0.0) * inverse

@@ -107,6 +107,11 @@ def no_contact(problem: ContactProblem, depth_m: float = 0.0) -> ContactSolution
 def refuse_overload(problem: ContactProblem, displacement: Float64, depth_m: float) -> None:
     """Refuse a solution that is deeper than the window is wide, or presses a layer through its base.
 
+    Args:
+        problem: The two surfaces.
+        displacement: (L, N, N) how far each surface is pushed in [m].
+        depth_m: Approach of the bodies [m].
+
     Raises:
         ContactError: Names the depth, or the layer and its strain, and the limit.
     """
@@ -173,7 +178,12 @@ STEEPEST: Final = 1.0  # slope beyond which an edge counts as one of 45 degrees
 
 
 def skin_slopes(depth: Float64, step_m: float) -> Float64:
-    """Return (N, N, 2) slope of a surface along x and y from its depth (N, N) below a plane; 0 beside it, where depth is not finite."""
+    """Return (N, N, 2) slope of a surface along x and y from its depth (N, N) below a plane; 0 beside it, where depth is not finite.
+
+    Args:
+        depth: (N, N) below a plane; not finite beside the surface [m].
+        step_m: Side of a cell [m].
+    """
     height = np.where(np.isfinite(depth), -depth, np.nan)
     slopes = np.zeros((*depth.shape, 2))
     for k, axis in enumerate((1, 0)):

@@ -240,7 +240,13 @@ def pad_of(job: Job) -> PadConfig:
 
 
 def surface_behind(window: PadWindow, body: Body, frame: ContactFrame) -> Float64:
-    """Return (N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf without a surface."""
+    """Return (N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf without a surface.
+
+    Args:
+        window: Places on the tangent plane.
+        body: The object.
+        frame: The tangent plane, in the world.
+    """
     starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
     return body.cast(starts, np.broadcast_to(frame.normal, starts.shape)).t.reshape(window.x.shape) - _BACK_M
 

@@ -73,7 +73,15 @@ def _tare_and_touch(_job: Job, state: SampleState) -> None:
 
 
 def start(state: SampleState, times: Float64, load: Float64, low: Float64, high: Float64) -> None:
-    """Start with messages at times (T,) [s] that go from `low` to `high` (2, V) with the load (T,); nothing else is added yet."""
+    """Start with messages that go from `low` to `high` with the load; nothing else is added yet.
+
+    Args:
+        state: Of the sample.
+        times: (T,) of the messages [s].
+        load: (T,) from 0 without contact to 1 in full contact.
+        low: (2, V) values without contact.
+        high: (2, V) values in full contact.
+    """
     state.times, state.load = times, load
     state.series = low + load[:, None, None] * (high - low)
     state.others = np.zeros((len(load), 2, len(OTHERS)))
