@@ -119,7 +119,7 @@ def write_sample(folder: Path, rng: np.random.Generator) -> None:
 
 def ids(path: Path) -> list[str]:
     """Of the samples of a recorded dataset."""
-    return [stored.sample.id for stored in RecordedDataset(path)]
+    return [sample.id for sample in RecordedDataset(path)]
 
 
 def read_folder(path: Path) -> list[Sample]:

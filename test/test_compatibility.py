@@ -115,7 +115,7 @@ def test_other_format_versions_are_refused_by_name(tmp_path: Path) -> None:
                 reader()
         path.write_text(kept)
 
-    identity = RecordedDataset(recording)[0].identity
+    identity = RecordedDataset(recording).identity
     openers = [lambda: RecordedDataset(recording), lambda: open_samples(recording), lambda: verify_dataset(recording)]
     files_and_readers = [
         (recording / "manifest.json", *openers, lambda: RecordingWriter(recording, identity)),

@@ -49,8 +49,7 @@ def contents(folder: Path) -> dict[str, int]:
     if not (folder / "manifest.json").exists():
         return {}
     result = {}
-    for stored in RecordedDataset(folder):
-        sample = stored.sample
+    for sample in RecordedDataset(folder):
         number = int(sample.grasp.score)
         same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
         result[sample.id] = number if same else -1

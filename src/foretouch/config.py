@@ -146,9 +146,14 @@ class Settings:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
-        """Make settings from plain data, such as a YAML document; keys may be nested or dotted, absent ones keep defaults.
+        """Make settings from plain data, such as a YAML document.
 
-        A `ConfigError`, which names the `source`, for an unknown key, a wrong type or a value out of bounds.
+        Args:
+            mapping: Values by nested or dotted keys; what is absent keeps its default.
+            source: Where they are from, for errors.
+
+        Raises:
+            ConfigError: Names source and key: it is unknown, or its value of another type or out of bounds.
         """
         return _build(cls, _nested(mapping, source), f"{source}: " if source else "", "")
 
@@ -157,7 +162,15 @@ class Settings:
         return dataclasses.replace(self, **changes)
 
     def updated(self, changes: Mapping[str, Any], source: str = "") -> Self:
-        """Return a copy with the settings of a mapping changed; keys and errors as in `from_mapping`."""
+        """Return a copy with some settings changed.
+
+        Args:
+            changes: New values by nested or dotted keys.
+            source: Where they are from, for errors.
+
+        Raises:
+            ConfigError: Names source and key: it is unknown, or its value of another type or out of bounds.
+        """
         merged = self.to_mapping()
         _merge(merged, _nested(changes, source))
         return self.from_mapping(merged, source)

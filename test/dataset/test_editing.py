@@ -116,7 +116,7 @@ def test_edits_of_a_session_set_outcomes_and_notes_and_an_object_that_is_undone_
             Edit(action="outcome", ids=(second,), text="success"),
         ):
             writer.edit(edit)
-    one, two = (RecordedDataset(dataset)[k].sample for k in range(2))
+    one, two = (RecordedDataset(dataset)[k] for k in range(2))
     assert (one.outcome, one.note) == ("failure", "a note; slipped")
     assert (two.id, two.object, two.outcome) == ("bowl/000002", "bowl", "success")
     described = describe(dataset)
@@ -132,7 +132,7 @@ def test_edits_of_a_session_set_outcomes_and_notes_and_an_object_that_is_undone_
     ]
     assert undo(dataset) == 7
     assert undo(dataset) == 2  # what changes no sample is not an edit to undo later
-    assert RecordedDataset(dataset)[0].sample.note == "a note"
+    assert RecordedDataset(dataset)[0].note == "a note"
     append_edit(dataset, Edit(action="outcome", ids=(first,), text="perhaps"))
     with pytest.raises(FileError, match="text: 'perhaps' is not one of unknown, success, failure"):
         read_edits(dataset)

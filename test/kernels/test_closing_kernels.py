@@ -25,6 +25,8 @@ SOLIDS = {
     "lying bar": (box(0.2, 0.03, 0.03), Camera(60.0)),
     "plate": (box(0.05, 0.08, 0.012), Camera(70.0)),
 }
+BLOCK = np.mgrid[-0.0298:0.0303:0.001, -0.0198:0.0203:0.001, 0.001:0.08:0.002].reshape(3, -1).T.copy()  # filled
+LINES = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])  # settings of `closing_lines`
 
 
 class Recorder:
@@ -118,15 +120,11 @@ def test_lines_and_completed_objects(monkeypatch: pytest.MonkeyPatch, rng: np.ra
 
 def test_an_ideal_box_is_as_wide_as_it_is() -> None:
     """A block of points that is filled from 0 to 80 mm: worked by hand."""
-    axis = np.arange(-0.03, 0.0301, 0.001)
-    x, y, z = np.meshgrid(axis + 0.0002, np.arange(-0.02, 0.0201, 0.001) + 0.0002, np.arange(0.001, 0.08, 0.002))
-    points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    settings = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])
     turns = np.array([[0.0, 0.0, np.nan], [np.pi / 2.0, 0.0, np.nan], [0.0, 0.004, np.nan]])
     others = np.array([[0.05, 0.0, 0.04], [0.0, -0.03, 0.04], [0.08, 0.0, 0.04], [0.05, 0.0, 0.02]])
     found = np.empty((3, 3, 8))
     completed._closing_lines(
-        *(points, np.ones(len(points)), len(points), turns, 3, 3, settings, unseen()),
+        *(BLOCK, np.ones(len(BLOCK)), len(BLOCK), turns, 3, 3, LINES, unseen()),
         *(others, len(others), np.zeros(2), 0, 0, found),
     )
     np.testing.assert_allclose(found[0, :, 0], -0.0298, atol=0.0006)
@@ -145,16 +143,12 @@ def test_an_ideal_box_is_as_wide_as_it_is() -> None:
 
 def test_a_line_is_raised_where_a_palm_would_meet_the_object() -> None:
     """A block of 60 x 40 x 80 mm, worked by hand: its line is 6 mm below half of 76 mm, and the palm reaches down to the free depth over it."""
-    axis = np.arange(-0.03, 0.0301, 0.001)
-    x, y, z = np.meshgrid(axis + 0.0002, np.arange(-0.02, 0.0201, 0.001) + 0.0002, np.arange(0.001, 0.08, 0.002))
-    points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    settings = np.array([0.004, 0.008, 0.01, 0.001, 1.0, 0.0, 0.038])
 
     def line(beside_middle: float, middle: float, tilts: tuple[float, ...] = (0.0,), lift: float = 0.0) -> Any:
         found = np.empty((1, 1, 8))
         palm = np.array([0.03, 0.01, *tilts, *[lift] * len(tilts), *[beside_middle] * 20, *[middle] * 20])
         completed._closing_lines(
-            *(points, np.ones(len(points)), len(points), np.array([[0.0, 0.0, np.nan]]), 1, 1, settings, unseen()),
+            *(BLOCK, np.ones(len(BLOCK)), len(BLOCK), np.array([[0.0, 0.0, np.nan]]), 1, 1, LINES, unseen()),
             *(np.empty((0, 3)), 0),
             *(palm, len(tilts), 20, found),
         )

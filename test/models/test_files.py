@@ -25,7 +25,7 @@ def test_arrays_come_back_to_the_bit_and_make_the_same_bytes(tmp_path: Path) -> 
     path = tmp_path / "a.safetensors"
     content, sha256 = packed(TENSORS)
     path.write_bytes(content)
-    found = read_tensors(path, sha256, "a.json")
+    _, found = read_tensors(tmp_path / "a.json", {"weights": path.name, "sha256": sha256})
     assert sha256 == file_sha256(path)
     assert set(found) == set(TENSORS)
     for name, array in TENSORS.items():
@@ -39,7 +39,7 @@ def test_a_file_of_another_kind_is_damaged_in_one_line(tmp_path: Path) -> None:
     for content in (b"", b"\x80\x04K\x01.", b"\xff" * 100, b"\x02\x00\x00\x00\x00\x00\x00\x00{}junk"):
         path.write_bytes(content)
         with pytest.raises(ModelError, match=r"a.safetensors: damaged: ") as caught:
-            read_tensors(path, file_sha256(path), "a.json")
+            read_tensors(tmp_path / "a.json", {"weights": path.name, "sha256": file_sha256(path)})
         assert "\n" not in str(caught.value)
 
 

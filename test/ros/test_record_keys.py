@@ -40,7 +40,7 @@ def execute(terminal, robot, name, number):
 
 
 def samples(path):
-    return [(one.sample.id, one.sample.outcome, one.sample.note) for one in RecordedDataset(path)]
+    return [(one.id, one.outcome, one.note) for one in RecordedDataset(path)]
 
 
 def test_keys_label_relabel_note_drop_pause_undo_and_quit_and_are_acknowledged_at_once(record, tmp_path):
@@ -98,6 +98,6 @@ def test_ctrl_z_is_ignored_and_what_was_acknowledged_is_kept_after_a_kill(record
         terminal.process.wait(10.0)
     repair_dataset(tmp_path / "set")
     (one,) = RecordedDataset(tmp_path / "set")
-    assert (one.sample.outcome, one.sample.flags) == ("failure", ("discarded",))
+    assert (one.outcome, one.flags) == ("failure", ("discarded",))
     assert [edit.action for edit in read_edits(tmp_path / "set").edits] == ["outcome", "drop"]
     assert undo(tmp_path / "set") == 2

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics `mask` and `clicked_point` of perception, over DDS."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from cloud.segmentation.test_background import SHELF, room
 from geometry_msgs.msg import Point, PointStamped
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
@@ -58,13 +55,6 @@ def image(mask, stamp_ns, encoding="mono8"):
     header = Header(frame_id="camera", stamp=stamp_to_msg(stamp_ns))
     step = width * data.itemsize
     return Image(header=header, height=height, width=width, encoding=encoding, step=step, data=data.tobytes())
-
-
-def test_the_nearest_of_several_planes_carries_the_objects_where_that_is_chosen(graph, model_card):
-    cloud, _ = room(*SHELF, tilt_deg=35.0, distance_m=0.9)
-    table = Table(graph, model=model_card, **{"segmentation.plane.table": "nearest"})
-    (object_,) = table.send(replace(cloud, frame_id="camera", stamp_ns=START))["objects"].objects
-    assert abs(object_.centroid.x - 0.255) < 0.01  # on the top of the box, not the can on the table
 
 
 def test_a_clicked_object_is_the_target_until_another_is_clicked_and_bad_clicks_change_nothing(

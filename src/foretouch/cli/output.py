@@ -5,13 +5,13 @@ import json
 import os
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
+from foretouch.bounded_queue import BoundedQueue
 from foretouch.errors import escaped
 
 
@@ -30,59 +30,50 @@ class JsonLines:
         waiting: Number of items that may wait; further ones are dropped and counted.
 
     Attributes:
-        dropped: Number of items that were not printed.
         fault: Why no more can be printed, such as that the reader (`| head`) has exited.
     """
 
     def __init__(self, record: Callable[[Any], Mapping[str, Any]] = lambda item: item, waiting: int = 100) -> None:
-        self.dropped = 0
         self.fault: OSError | None = None
-        self._record, self._most = record, waiting
-        self._changed = threading.Condition()
-        self._items: deque[Any] = deque()
-        self._busy = self._closed = False
+        self._record = record
+        self._items: BoundedQueue[Any] = BoundedQueue(waiting, when_full="reject")
+        self._in_print = 0  # taken from the queue, and not printed yet
         self._utf8 = (sys.stdout.encoding or "").lower() in {"utf-8", "utf8"}
         sys.stdout.flush()
         self._file = sys.stdout.fileno()
         self._thread = threading.Thread(target=self._run, name="json", daemon=True)
         self._thread.start()
 
+    @property
+    def dropped(self) -> int:
+        """Number of items that were not printed; of those that wait it is known after `close`."""
+        waits = self._in_print if self._items.closed else 0
+        return self._items.dropped.total() + waits
+
     def put(self, item: Any) -> None:
         """Let an item wait to be printed, or drop it."""
-        with self._changed:
-            if self._closed or self.fault is not None or len(self._items) >= self._most:
-                self.dropped += 1
-                return
-            self._items.append(item)
-            self._changed.notify_all()
+        self._items.put(item)
 
     def close(self, timeout_s: float) -> bool:
         """Print what waits, for a time at most [s]; what was not read by then is dropped. Returns whether all was printed."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-            done = self._changed.wait_for(lambda: not (self._items or self._busy) or self.fault is not None, timeout_s)
-            self.dropped += len(self._items) + self._busy
-            self._items.clear()
-            return done
+        self._items.close()
+        self._thread.join(timeout_s)
+        self._items.close("not read")
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._busy = False
-                self._changed.notify_all()
-                self._changed.wait_for(lambda: self._items or self._closed)
-                if not self._items:
-                    return
-                item, self._busy = self._items.popleft(), True
+        while (item := self._items.get()) is not None:
+            self._in_print = 1
             try:
                 line = json.dumps(_plain(self._record(item)), allow_nan=False, ensure_ascii=not self._utf8) + "\n"
                 rest = line.encode()
                 while rest:  # past sys.stdout: a thread that waits in it would keep Python from ending
                     rest = rest[os.write(self._file, rest) :]
             except OSError as err:
-                with self._changed:
-                    self.fault = err
+                self.fault = err
+                self._items.close("not read")
+                return
+            self._in_print = 0
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:

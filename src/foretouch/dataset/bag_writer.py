@@ -68,7 +68,17 @@ class BagWriter:
         return self._connections[topic]
 
     def write(self, topic: str, type_name: str, bag_time_ns: int, data: bytes | memoryview) -> None:
-        """Append a message, CDR with encapsulation header, that was received at a time [ns]; a `DatasetError` if its type is unknown."""
+        """Append a message.
+
+        Args:
+            topic: Its topic, which is declared if it is new.
+            type_name: Of the message, such as `sensor_msgs/msg/PointCloud2`.
+            bag_time_ns: When it was received [ns].
+            data: The message in CDR, with its encapsulation header.
+
+        Raises:
+            DatasetError: If its type is unknown or another than of its topic, or the time is before 1970.
+        """
         if bag_time_ns < 0:
             raise DatasetError(f"{self.path}: {topic}: time {bag_time_ns} ns is before 1970")
         self._writer.write(self.add_topic(topic, type_name), bag_time_ns, data)
@@ -80,7 +90,16 @@ class BagWriter:
 
 
 def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOPIC) -> int:
-    """Write clouds as a recording of one topic, and return their number; a `FileError` if it cannot be written."""
+    """Write clouds as a recording of one topic, and return their number.
+
+    Args:
+        path: A new folder.
+        clouds: With frame and stamp.
+        topic: Of the clouds.
+
+    Raises:
+        FileError: If the folder exists, or cannot be written.
+    """
     count = 0
     with BagWriter(path) as writer:
         writer.add_topic(topic, POINT_CLOUD_TYPE)

@@ -17,7 +17,12 @@ from foretouch.errors import DatasetError, FileError
 
 
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
-    """Assign samples to another object, which also changes their ids; gives the number of the edit.
+    """Assign samples to another object, which also changes their ids, and return the number of the edit.
+
+    Args:
+        path: The dataset.
+        ids: Of the samples.
+        label: Name of the object.
 
     Raises:
         DatasetError: If the label is not a plain name, a sample does not exist, or two would have the same id.
@@ -29,7 +34,17 @@ def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
 
 
 def merge(path: str | Path, label: str, into: str) -> int:
-    """Merge two objects: all samples of `label` become samples of `into`. A `DatasetError` or `FileError`, as of `relabel`."""
+    """Assign all samples of one object to another, and return the number of the edit.
+
+    Args:
+        path: The dataset.
+        label: Name of the object.
+        into: Name of the other.
+
+    Raises:
+        DatasetError: If there is no such sample, the name is not plain, or two samples would have the same id.
+        FileError: If the dataset is damaged, or a recorder is writing it.
+    """
     check_name(into, "object")
     with _locked(Path(path)) as now:
         ids = [name for name in now if name.partition("/")[0] == label]
@@ -39,7 +54,16 @@ def merge(path: str | Path, label: str, into: str) -> int:
 
 
 def drop(path: str | Path, ids: Sequence[str]) -> int:
-    """Discard samples: they stay in the recording, but builds and exports leave them out. A `DatasetError` if one does not exist."""
+    """Discard samples, which stay in the recording and are left out by builds and exports; return the number of the edit.
+
+    Args:
+        path: The dataset.
+        ids: Of the samples.
+
+    Raises:
+        DatasetError: If a sample does not exist.
+        FileError: If the dataset is damaged, or a recorder is writing it.
+    """
     with _locked(Path(path)) as now:
         return append_edit(Path(path), Edit(action="drop", ids=_recorded(now, ids)))
 
@@ -62,7 +86,7 @@ def _locked(path: Path) -> Iterator[dict[str, str]]:
         raise FileError(path, "is not a recorded dataset" if path.exists() else "does not exist")
     with lock(path):
         dataset = RecordedDataset(path)
-        yield {dataset[k].sample.id: dataset.as_recorded(k).sample.id for k in range(len(dataset))}
+        yield {dataset[k].id: dataset.as_recorded(k).id for k in range(len(dataset))}
 
 
 def _recorded(now: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:

@@ -68,8 +68,12 @@ def import_samples(
 ) -> WriteResult:
     """Import the samples at a path: vision2tactile folders, a store, a recorded dataset, or a bag.
 
-    The dataset `out` is created, or extended where it is of the same hand and camera, which `identity` may give instead of
-    the source; `topics` are for a bag without samples of foretouch.
+    Args:
+        source: What is imported.
+        out: The dataset, which is created, or extended where it is of the same hand and camera.
+        identity: Hand and camera, instead of what the source states.
+        topics: Of a bag without samples of foretouch.
+        progress: Called once a sample.
 
     Raises:
         FileError: If the source is damaged or holds nothing of the kind, or the dataset is of another kind.

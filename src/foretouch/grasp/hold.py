@@ -97,9 +97,7 @@ def _measure(cloud: Cloud) -> _Place:
     At a few pixels of an object's outline the camera measures the table in some images and the object in others. They
     change a standard deviation many times more than the mean deviation.
     """
-    xyz = cloud.xyz.reshape(-1, 3).astype(np.float64)
-    if not np.isfinite(xyz).all():
-        xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    xyz = cloud.finite.astype(np.float64)
     if len(xyz) == 0:
         return np.full(3, np.inf), np.full(3, np.inf)
     centroid, columns, _ = centred_columns(xyz)

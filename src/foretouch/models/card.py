@@ -17,7 +17,7 @@ import numpy as np
 from foretouch.errors import ConfigError, FileError, ModelError, TactileError, quoted, shown
 from foretouch.files import COUNT, Number, read_json, replace_files, require_schema
 from foretouch.models.calibration import Calibration
-from foretouch.models.files import file_beside, packed, read_part, read_tensors
+from foretouch.models.files import packed, read_part, read_tensors
 from foretouch.tactile.description import Sensor, require_same, sensor_in
 from foretouch.types import AnyArray
 from foretouch.types.channels import Channels
@@ -183,8 +183,7 @@ def load_calibration(
     for field in ("weights", "sha256"):
         if not isinstance(facts.get(field), str):
             raise ModelError(f"{card_path}: calibration.{field}: is missing")
-    path = file_beside(card_path, facts["weights"], "calibration.weights")
-    tensors = read_tensors(path, facts["sha256"], card_path.name)
+    path, tensors = read_tensors(card_path, facts, "calibration.")
     try:
         fallback = any(name.startswith(_FALLBACK) for name in tensors)
         own = {name: np.asarray(array) for name, array in tensors.items() if not name.startswith(_FALLBACK)}

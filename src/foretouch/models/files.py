@@ -2,7 +2,7 @@
 """Arrays in safetensors files that are verified against a SHA-256; such files hold numbers and no code."""
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
@@ -17,48 +17,42 @@ from foretouch.types import AnyArray
 from foretouch.types.channels import Channels
 
 
-def file_beside(card_path: Path, name: Any, field: str) -> Path:
-    """Return the file beside a card that a field of the card names; folders in the name are ignored.
-
-    Raises:
-        ModelError: If the field is not a valid file name.
-    """
-    base = Path(name).name if isinstance(name, str) else ""
-    if not base or "\0" in base:
-        raise ModelError(f"{shown(card_path)}: {field}: {shown(name)} is not a valid file name")
-    return card_path.with_name(base)
-
-
 def packed(tensors: Mapping[str, AnyArray]) -> tuple[bytes, str]:
     """Arrays as the content of a safetensors file, and its SHA-256; the same arrays make the same bytes."""
     content: bytes = save({name: np.asarray(value, order="C") for name, value in tensors.items()})
     return content, hashlib.sha256(content).hexdigest()
 
 
-def read_tensors(
-    path: Path, sha256: str, named_by: str, load: Callable[[bytes], dict[str, Any]] = load
-) -> dict[str, Any]:
-    """Arrays by name.
+def read_tensors(card_path: Path, facts: Mapping[str, Any], group: str = "") -> tuple[Path, dict[str, AnyArray]]:
+    """Read the file that a card names, which is beside it; folders in the name are ignored.
 
     Args:
-        path: The file.
-        sha256: Its expected hash.
-        named_by: Name of the card that holds the hash, for the message.
-        load: Reads the bytes that were hashed: `load` of `safetensors.numpy`, or of `safetensors.torch` for tensors.
+        card_path: The card.
+        facts: Name and hash of the file, `weights` and `sha256`: the card, or a group of it.
+        group: Name of that group with a dot, for the message.
+
+    Returns:
+        The path of the file, and its arrays by name.
 
     Raises:
-        ModelError: Names the file: absent, damaged, or with another hash.
+        ModelError: Names the field that is no file name, or the file: absent, damaged, or with another hash.
     """
+    name, sha256 = facts["weights"], facts["sha256"]
+    base = Path(name).name if isinstance(name, str) else ""
+    if not base or "\0" in base:
+        raise ModelError(f"{shown(card_path)}: {group}weights: {shown(name)} is not a valid file name")
+    path = card_path.with_name(base)
     try:
         content = read_bytes(path)
     except FileError as err:
         missing = isinstance(err.__cause__, FileNotFoundError)
-        raise ModelError(f"{shown(path)}: no such weights; {named_by} names them" if missing else str(err)) from err
+        rule = f"no such weights; {card_path.name} names them"
+        raise ModelError(f"{shown(path)}: {rule}" if missing else str(err)) from err
     digest = hashlib.sha256(content).hexdigest()
     if digest != sha256:
-        raise ModelError(f"{path}: sha256: {digest} is not {shown(sha256)} of {named_by}; damaged or replaced")
+        raise ModelError(f"{path}: sha256: {digest} is not {shown(sha256)} of {card_path.name}; damaged or replaced")
     try:
-        return load(content)
+        return path, load(content)
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:  # or an unknown dtype
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 

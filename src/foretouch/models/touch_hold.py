@@ -15,7 +15,7 @@ import numpy as np
 
 from foretouch.errors import ModelError
 from foretouch.models.card import read_card
-from foretouch.models.files import TensorRecord, file_beside, read_tensors
+from foretouch.models.files import TensorRecord, read_tensors
 from foretouch.types import Float64
 
 OUTSIDE: Final = 0.05
@@ -80,7 +80,7 @@ def load_touch_hold(card_path: Path | None = None) -> tuple[TouchHold, dict[str,
     card = read_card(path)
     if card["kind"] != "hold":
         raise ModelError(f"{path}: kind: {card['kind']} is not hold")
-    tensors = read_tensors(file_beside(path, card["weights"], "weights"), card["sha256"], path.name)
+    _, tensors = read_tensors(path, card)
     model, fingers = TouchHold.from_tensors(tensors), card["config"].get("fingers")
     if not isinstance(fingers, list) or not fingers or len(model.low) % len(fingers):
         raise ModelError(f"{path}: config.fingers: are not those of {len(model.low)} numbers")

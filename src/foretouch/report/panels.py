@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 Axes: TypeAlias = "matplotlib.axes.Axes"
 
 
+FINGER_COLOURS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")
+"""Of the fingers at g1 and g2, and of others that are recorded."""
+
 _MAX_POINTS: Final = 5000  # more make a scatter plot slower, not denser
 
 Rows = Sequence[Mapping[str, Any]]

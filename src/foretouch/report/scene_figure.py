@@ -11,8 +11,9 @@ import numpy as np
 
 from foretouch.errors import ConfigError
 from foretouch.report.hand_figure import COLOURS, hand_lines
-from foretouch.report.panels import Axes, new_figure, save, some_points
-from foretouch.tactile.channels import FINGER_NAMES
+from foretouch.report.panels import FINGER_COLOURS, Axes, new_figure, save, some_points
+from foretouch.tactile.channels import finger_label
+from foretouch.tactile.taxel_view import scalars_text
 from foretouch.types import Bool, Cloud, Float64, Grasp, Grasps, Prediction, Predictions
 from foretouch.types.scene import Object, Scene
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 _HEIGHT: Final = 3.4  # of a panel [inch]
 _COLOURS: Final = ("#ff8000", "#00a6d6", "#e6007e", "#7ab800", "#8f4fd1", "#d9b300", "#00a88f", "#d1495b")
-_FINGERS: Final = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others
 _DARK: Final = "#202020"
 _TABLE: Final = "#8a6d3b"
 _AROUND_M: Final = 0.06  # shown around object and grasp
@@ -124,7 +124,7 @@ def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
         ends = _pixels(scene.cloud, np.stack([grasp.g1, grasp.g2]))
         axes.plot(ends[:, 0], ends[:, 1], color="white", linewidth=2.5)
         axes.plot(ends[:, 0], ends[:, 1], color=_DARK, linewidth=1.0)
-        for (u, v), colour in zip(ends, _FINGERS, strict=False):
+        for (u, v), colour in zip(ends, FINGER_COLOURS, strict=False):
             axes.plot(u, v, "o", color=colour, markeredgecolor="white", markersize=6)
     left, right, top, bottom = _window(scene.labels > 0)
     axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[], aspect="equal")
@@ -189,7 +189,7 @@ def _draw_sides(above: Axes, side: Axes, target: Object, others: Sequence[Object
             axes.plot(edges[..., 0].T, edges[..., row].T, color=COLOURS[part], linewidth=0.9, alpha=0.8)
         if grasp is not None:
             axes.plot(ends[:, 0], ends[:, row], color=_DARK, linewidth=1.2)
-            for k, (finger, colour) in enumerate(zip(("g1", "g2"), _FINGERS, strict=False)):
+            for k, (finger, colour) in enumerate(zip(("g1", "g2"), FINGER_COLOURS, strict=False)):
                 outward = 1.0 if ends[k, 0] >= ends[1 - k, 0] else -1.0
                 tail = ends[k, 0] + outward * 26.0, ends[k, row]
                 axes.annotate("", (ends[k, 0], ends[k, row]), tail, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2.0})  # fmt: skip
@@ -223,10 +223,13 @@ def _draw_touch(axes: Axes, prediction: Prediction) -> None:
     for k, finger in enumerate(channels.fingers):
         shift = 0.16 * (2 * k - len(channels.fingers) + 1)
         bars = None if np.isnan(lower[k]).any() else np.abs(np.stack([value[k] - lower[k], upper[k] - value[k]]))
-        style: dict[str, Any] = {"fmt": "o", "markersize": 3.5, "linewidth": 1.2, "color": _FINGERS[k % len(_FINGERS)]}
-        axes.errorbar(
-            number + shift, value[k], bars, label=_finger_text(prediction, k, FINGER_NAMES.get(finger, finger)), **style
-        )
+        style: dict[str, Any] = {
+            "fmt": "o",
+            "markersize": 3.5,
+            "linewidth": 1.2,
+            "color": FINGER_COLOURS[k % len(FINGER_COLOURS)],
+        }
+        axes.errorbar(number + shift, value[k], bars, label=_finger_text(prediction, k, finger_label(finger)), **style)
     axes.set_xlabel(f"taxel of {channels.sensor}", fontsize=8)
     axes.set_ylabel(f"{shown.name} [{shown.unit}]" if shown.unit else shown.name, fontsize=8)
     axes.tick_params(labelsize=7)
@@ -242,14 +245,10 @@ def _draw_touch(axes: Axes, prediction: Prediction) -> None:
 
 def _finger_text(prediction: Prediction, finger: int, name: str) -> str:
     """Return the name and scalars of a finger, such as `thumb (g1): PDC 2779 ± 60`."""
-    texts = []
-    for channel in prediction.channels.channels:
-        if channel.size == 1:
-            value, lower, upper = (float(end[finger]) for end in prediction[channel.name])
-            half = "" if np.isnan(lower) else f" ± {channel.text((upper - lower) / 2.0)}"
-            texts.append(f"{channel.name} {channel.text(value)}{half}")
+    scalars = [channel for channel in prediction.channels.channels if channel.size == 1]
+    text = scalars_text(scalars, finger, prediction.value, prediction)
     at = f" (g{finger + 1})" if finger < 2 else ""
-    return f"{name}{at}: {', '.join(texts)}" if texts else f"{name}{at}"
+    return f"{name}{at}: {text}" if text else f"{name}{at}"
 
 
 def _folded(text: str, width: int) -> str:

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from foretouch.report.panels import new_figure, save, some_points
+from foretouch.report.panels import FINGER_COLOURS, new_figure, save, some_points
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
 from foretouch.tactile.taxel_view import TaxelView
 from foretouch.types import Bool, Cloud, Float64, Grasp, Prediction, Sample, Touch, assumed_table
 from foretouch.types.scene import Object
 
-_FINGER_COLOURS = ("#d1495b", "#00798c", "#6a4c93", "#b07d2b", "#4a7c3a")  # at g1, at g2, others that are recorded
 _ROW_INCH = 2.2  # height of a grasp
 _SCALE_INCH = 0.85  # height of the scale of colours
 _LINE = 140  # characters of a title
@@ -89,7 +88,7 @@ def save_touch_picture(
             drawn = draw_taxels(panel, view, finger, levels, outside, colours)
             scalars = view.scalars(finger, touch, grasp.prediction if what == "predicted" else None)
             title = f"{view.fingers[finger]} {what}\n{scalars}".rstrip()
-            panel.set_title(title, color=_FINGER_COLOURS[finger], fontsize=10)
+            panel.set_title(title, color=FINGER_COLOURS[finger], fontsize=10)
     if drawn is not None:
         label = taxel_label(view, tared=tared, ringed=ringed)
         figure.colorbar(drawn, label=label, cax=below.subplots(), orientation="horizontal")
@@ -183,9 +182,7 @@ def draw_taxels(
     across, along = sensor.layout.unrolled.T
     few = sensor.size <= _FEW
     size = _DOT if few else 2.0 * _DOT * _FEW / sensor.size
-    edges: dict[str, Any] = (
-        {"edgecolors": _FINGER_COLOURS[finger % len(_FINGER_COLOURS)]} if few else {"linewidths": 0.0}
-    )
+    edges: dict[str, Any] = {"edgecolors": FINGER_COLOURS[finger % len(FINGER_COLOURS)]} if few else {"linewidths": 0.0}
     drawn = axes.scatter(across[valid], along[valid], s=size, c=levels[valid], **edges, **colours)
     hollow: dict[str, Any] = {"facecolors": "none", "linewidths": 1.3 if few else 0.5}
     if not valid.all():
@@ -231,7 +228,7 @@ def _draw_front(axes: Axes, target: Cloud, grasp: Grasp, fingers: Sequence[str])
     upper = int(ends[1, 1] < ends[0, 1])  # y points down
     style: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "fontsize": 8, "fontweight": "bold"}
     style["bbox"] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
-    for k, (name, colour) in enumerate(zip(fingers, _FINGER_COLOURS, strict=False)):
+    for k, (name, colour) in enumerate(zip(fingers, FINGER_COLOURS, strict=False)):
         axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
         place, va = (0.97, "top") if k == upper else (0.03, "bottom")
         axes.text(0.5, place, name, va=va, color=colour, **style)  # within the axes, wherever the contact is

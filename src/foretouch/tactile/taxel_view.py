@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What markers, figures and Rerun show of a touch of any described sensor: one channel of the taxels, and the scalars as text."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from foretouch.tactile import Ranges
-from foretouch.tactile.channels import FINGER_NAMES
+from foretouch.tactile.channels import finger_label
 from foretouch.tactile.description import Sensor
 from foretouch.types import Float64, Index, Prediction, Touch
 from foretouch.types.channels import Channel
@@ -22,7 +23,7 @@ class TaxelView:
     @cached_property
     def fingers(self) -> list[str]:
         """Names of the fingers for people."""
-        return [FINGER_NAMES.get(name, name) for name in self.sensor.channels.fingers]
+        return [finger_label(name) for name in self.sensor.channels.fingers]
 
     @cached_property
     def channel(self) -> Channel:
@@ -104,10 +105,23 @@ class TaxelView:
 
     def scalars(self, finger: int, value: Touch, around: Prediction | None = None) -> str:
         """Return the scalars of a finger, such as `PDC 2779 ± 60`, with half widths of a prediction; "" without scalars."""
-        texts = []
-        for channel, column in zip(self.sensor.scalar_channels, self.sensor.scalar_columns[finger], strict=True):
-            half = ""
-            if around is not None and around.calibrated:
-                half = f" ± {channel.text((around.upper.values[column] - around.lower.values[column]) / 2.0)}"
-            texts.append(f"{channel.name} {channel.text(value.values[column])}{half}")
-        return ", ".join(texts)
+        return scalars_text(self.sensor.scalar_channels, finger, value, around)
+
+
+def scalars_text(channels: Sequence[Channel], finger: int, value: Touch, around: Prediction | None = None) -> str:
+    """Return numbers of a finger, such as `PDC 2779 ± 60`.
+
+    Args:
+        channels: With one number a finger each.
+        finger: Number of the finger.
+        value: The touch.
+        around: Prediction whose half widths are added, where it is calibrated.
+    """
+    texts = []
+    for channel in channels:
+        half = ""
+        if around is not None and around.calibrated:
+            _, lower, upper = around[channel.name]
+            half = f" ± {channel.text((upper[finger] - lower[finger]) / 2.0)}"
+        texts.append(f"{channel.name} {channel.text(value[channel.name][finger])}{half}")
+    return ", ".join(texts)

@@ -56,10 +56,10 @@ def records(path: Path) -> list[Any]:
 def numbers(path: Path) -> list[int]:
     """The numbers of the samples in a file, each of which equals the recorded one."""
     found = []
-    for stored in RecordedDataset(path):
-        found.append(int(stored.sample.grasp.id.removeprefix("grasp-")))
-        points = stored.sample.cloud.size
-        assert_same_sample(stored.sample, record(found[-1], points=points))
+    for sample in RecordedDataset(path):
+        found.append(int(sample.grasp.id.removeprefix("grasp-")))
+        points = sample.cloud.size
+        assert_same_sample(sample, record(found[-1], points=points))
     return found
 
 

@@ -49,9 +49,9 @@ def test_what_is_appended_is_read_back_and_a_resumed_dataset_continues_its_ids(t
     file = write_dataset(tmp_path / "ds", 2, name="sponge", first=3)
     dataset = RecordedDataset(tmp_path / "ds")
     assert len(dataset) == 5
-    for number, stored in enumerate(dataset):
-        assert_same_sample(stored.sample, record(number, "ball" if number < 3 else "sponge"))
-        assert stored.identity == IDENTITY
+    assert dataset.identity == IDENTITY
+    for number, sample in enumerate(dataset):
+        assert_same_sample(sample, record(number, "ball" if number < 3 else "sponge"))
     assert ids(tmp_path / "ds") == [*(f"ball/{n:06d}" for n in range(1, 4)), "sponge/000004", "sponge/000005"]
     files = sorted((tmp_path / "ds").glob("*.mcap"))
     assert [one.name for one in files] == ["session-0001.mcap", "session-0002.mcap"]

@@ -38,8 +38,7 @@ def rewrite(card: Path, name: str, value: Any, *, calibration: bool = False) -> 
     """Change a tensor and make the card's hash fit, so that only the deeper check can find it."""
     facts = json.loads(card.read_text())
     mine = facts["calibration"] if calibration else facts
-    path = card.with_name(mine["weights"])
-    tensors = read_tensors(path, mine["sha256"], card.name)
+    path, tensors = read_tensors(card, mine)
     tensors = {key: array for key, array in ({**tensors, name: value}).items() if array is not None}
     content, mine["sha256"] = packed(tensors)
     path.write_bytes(content)

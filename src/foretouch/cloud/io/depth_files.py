@@ -190,19 +190,15 @@ class Pairs:
                 continue
             depths.add(file)
             name = match[1] or match[2]
-            own = [
-                text
-                for word in _MASKS
-                for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")
-            ]
-            mask = first(own, MASK_SUFFIXES)
+            mask = first(_names_with(name, _MASKS), MASK_SUFFIXES)
             if mask is not None:
                 masks[file] = mask
-            own = [
-                text
-                for word in _INFOS
-                for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")
-            ]
-            if (info := first([*own, *_INFOS], _INFO_SUFFIXES)) is not None:
+            info = first([*_names_with(name, _INFOS), *_INFOS], _INFO_SUFFIXES)
+            if info is not None:
                 infos[file] = info
         return cls(masks, infos, frozenset(depths), frozenset((*masks.values(), *infos.values())))
+
+
+def _names_with(name: str, words: Iterable[str]) -> list[str]:
+    """Return the names of files that belong to a depth image by one of some words, the first word first."""
+    return [text for word in words for text in (f"{name}-{word}", f"{name}_{word}", f"{word}-{name}", f"{word}_{name}")]

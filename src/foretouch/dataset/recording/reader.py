@@ -25,40 +25,60 @@ from foretouch.dataset.samples import SampleSet
 from foretouch.errors import DatasetError, FileError, VersionError
 from foretouch.files import open_regular
 from foretouch.tactile.channels import BIOTAC_SP
+from foretouch.tactile.description import Sensor
+from foretouch.types import Sample
 
 
 class RecordedDataset:
     """The samples of a recorded dataset, or of one of its `.mcap` files.
 
     A `FileError` names file and position if the path is not a recorded dataset, or a manifest or recording is damaged.
+
+    Attributes:
+        edits: What is applied to the samples.
+        unfinished: Recordings that were cut off, which are read as far as they are intact.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         files = [RecordingFile(file) for file in recorded_files(self.path)]
-        self.stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
-        self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()  # which are applied to the samples
-        self.unfinished = [file.path for file in files if not file.finished]  # read as far as they are intact
+        self._stated_sensor = recorded_sensor(self.path) if self.path.is_dir() else None  # by the manifest
+        self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
+        self.unfinished = [file.path for file in files if not file.finished]
         self._samples = [(file, message) for file in files for message in samples_in(file)]
         self._files = files
 
     def __len__(self) -> int:
         return len(self._samples)
 
-    def __getitem__(self, index: int) -> StoredSample:
+    def __getitem__(self, index: int) -> Sample:
         """Read one sample with the edits applied, verified by its SHA-256; a `FileError` names the position of damage."""
-        stored = self.as_recorded(index)
-        return stored._replace(sample=self.edits.apply(stored.sample))
+        return self.edits.apply(self.as_recorded(index))
 
-    def __iter__(self) -> Iterator[StoredSample]:
+    def __iter__(self) -> Iterator[Sample]:
         for k in range(len(self)):
             yield self[k]
 
-    def as_recorded(self, index: int) -> StoredSample:
+    @property
+    def identity(self) -> Identity:
+        """Hand and camera, as the first sample states them."""
+        return self._read(0).identity if self._samples else Identity()
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor that was read."""
+        if self._stated_sensor is None and self._samples:
+            return self._read(0).sensor
+        return self._stated_sensor or BIOTAC_SP
+
+    def as_recorded(self, index: int) -> Sample:
         """Read one sample before any edit; a `FileError` names the position of damage."""
+        return self._read(index).sample
+
+    def _read(self, index: int) -> StoredSample:
         file, message = self._samples[index]
         try:
-            return decode_sample(file.content(message), self.stated_sensor)
+            return decode_sample(file.content(message), self._stated_sensor)
         except DatasetError as err:
             raise FileError(file.path, str(err), field=f"sample at byte {message.offset}") from err
 
@@ -93,18 +113,17 @@ def open_set(path: Path, unfinished: bool) -> SampleSet:
     cut = tuple(dataset.unfinished)
     if cut and not unfinished:
         raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
-    first = dataset[0] if len(dataset) else None
     return SampleSet(
         path=path,
         kind="recording",
         size=len(dataset),
-        read=lambda k: dataset[k].sample,
+        read=dataset.__getitem__,
         name=dataset.name,
-        identity=first.identity if first else Identity(),
+        identity=dataset.identity,
         unfinished=cut,
         message_counts=dataset.message_counts,
         edits=tuple(dataset.edits.descriptions()),
-        sensor=dataset.stated_sensor or (first.sensor if first else BIOTAC_SP),
+        sensor=dataset.sensor,
     )
 
 

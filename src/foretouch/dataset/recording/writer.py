@@ -138,9 +138,14 @@ class RecordingWriter:
         return max(0, self.output.free_bytes - int(self.config.min_free_mb * _MB))
 
     def add_topic(self, topic: str, type_name: str) -> None:
-        """Declare a topic of messages such as `sensor_msgs/msg/PointCloud2`, before its first message.
+        """Declare a topic, before its first message.
 
-        Raises a `DatasetError` if the type has no definition, or the topic another type.
+        Args:
+            topic: Its full name.
+            type_name: Of its messages, such as `sensor_msgs/msg/PointCloud2`.
+
+        Raises:
+            DatasetError: If the type has no definition, or the topic another type.
         """
         with self._guard:
             known = self.output.types.get(topic)
@@ -151,17 +156,33 @@ class RecordingWriter:
                 raise DatasetError(f"{topic}: holds {known}, not {type_name}")
 
     def receive(self, topic: str, count: int = 1) -> None:
-        """Count messages on arrival; each must later be written or dropped."""
+        """Count messages on arrival; each must later be written or dropped.
+
+        Args:
+            topic: That they came on.
+            count: Number of messages.
+        """
         with self._guard:
             self.counts.topic(topic).received += count
 
     def drop(self, topic: str, reason: str, count: int = 1) -> None:
-        """Count discarded messages under a short, constant reason such as "queue full"."""
+        """Count discarded messages.
+
+        Args:
+            topic: That they came on.
+            reason: A few constant words, such as "queue full".
+            count: Number of messages.
+        """
         with self._guard:
             self.counts.topic(topic).drop(reason, count)
 
     def lose(self, topic: str, total: int) -> None:
-        """Update the total of messages that the middleware lost before they were received; it never decreases."""
+        """Update the number of messages that the middleware lost before they were received.
+
+        Args:
+            topic: That they were sent on.
+            total: Number so far; a smaller one than before changes nothing.
+        """
         if total > 0:
             with self._guard:
                 counts = self.counts.topic(topic)
@@ -176,10 +197,14 @@ class RecordingWriter:
         publish_time_ns: int | None = None,
         sequence: int | None = None,
     ) -> None:
-        """Collect a serialised message, CDR with its encapsulation header; the next flush writes it to the file.
+        """Collect a serialised message; the next flush writes it to the file.
 
-        It was received and sent at these times [ns], by default the same; clocks may jump. Its sequence number is that of
-        the middleware, by default a count.
+        Args:
+            topic: A declared topic.
+            data: The message in CDR, with its encapsulation header.
+            log_time_ns: When it was received [ns]; clocks may jump.
+            publish_time_ns: When it was sent [ns]; by default when it was received.
+            sequence: Its number by the middleware; by default a count.
 
         Raises:
             DatasetError: If the topic is unknown or the time negative; the message is not counted.

@@ -34,7 +34,7 @@ from foretouch.models.contact.features import (
 )
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.estimator import Estimate
-from foretouch.models.files import TensorRecord, file_beside, read_part, read_tensors
+from foretouch.models.files import TensorRecord, read_part, read_tensors
 from foretouch.models.novelty import IN_DISTRIBUTION, standardisation
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import Ranges
@@ -368,8 +368,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     tracker = None if calibration is None else calibration.tracker_parameters
     if tracker and tracker.where_ratio.any() and tracker.where_scale.size != len(FEATURES) - len(CONDITIONS):
         raise ModelError(f"{card_path}: where_scale: {tracker.where_scale.size} features are not those of the model")
-    path = file_beside(card_path, card["weights"], "weights")
-    tensors = read_tensors(path, card["sha256"], card_path.name)
+    path, tensors = read_tensors(card_path, card)
     try:
         return TouchModel(ContactEstimator.from_tensors(tensors, ranges), card, calibration)
     except ModelError as err:

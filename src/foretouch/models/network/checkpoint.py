@@ -15,7 +15,7 @@ import numpy as np
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import card_sensor, load_calibration, read_card
 from foretouch.models.estimator import Estimate
-from foretouch.models.files import file_beside, read_tensors
+from foretouch.models.files import read_tensors
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import FoldedNetwork, fold, tensor_shapes
 from foretouch.models.network.preparation import LengthRangeCheck, grasp_lengths, prepare_cloud, prepare_grasps
@@ -103,8 +103,7 @@ def load_network(card_path: str | Path) -> tuple[ModelConfig, dict[str, AnyArray
         config = ModelConfig.from_mapping(settings, f"{card_path}: config")
     except ConfigError as err:
         raise ModelError(str(err)) from err
-    weights = file_beside(card_path, card["weights"], "weights")
-    tensors = read_tensors(weights, card["sha256"], card_path.name)
+    weights, tensors = read_tensors(card_path, card)
     _check_tensors(weights, tensor_shapes(config), tensors)
     return config, tensors, card
 
