@@ -62,7 +62,7 @@ class Planned(NamedTuple):
     width_m: float
 
 
-def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None) -> Take:  # fmt: skip
+def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None) -> Take:
     """Return whether a hand reaches a grasp and holds the object, at its pose (4, 4), object to world; the table is z = 0.
 
     Args:
@@ -181,7 +181,10 @@ class JawBody(Body):
 
     def __init__(self, item: Item, hand: Hand, friction: float) -> None:
         at = hand.at(0.0)
-        boxes = {part: [c for c, own in zip(at.corners, hand.parts, strict=True) if own == part] for part in (FINGER, THUMB, PALM)}  # fmt: skip
+        boxes = {
+            part: [c for c, own in zip(at.corners, hand.parts, strict=True) if own == part]
+            for part in (FINGER, THUMB, PALM)
+        }
         solid = 'contype="2" conaffinity="0"'
         rough = f'mass=".05" condim="4" priority="1" friction="{friction} {SPIN_M} .0001"'
         jaws = "".join(
@@ -189,7 +192,10 @@ class JawBody(Body):
             f"{''.join(_box(f'{part}{k}', box, f'{solid} {rough}') for k, box in enumerate(boxes[part]))}</body>"
             for part, axis in ((FINGER, 1), (THUMB, -1))
         )
-        palms = "".join(_box(f"palm{k}", corners, f'{solid} mass=".7" friction=".3 .005 .0001"') for k, corners in enumerate(boxes[PALM]))  # fmt: skip
+        palms = "".join(
+            _box(f"palm{k}", corners, f'{solid} mass=".7" friction=".3 .005 .0001"')
+            for k, corners in enumerate(boxes[PALM])
+        )
         meshes, scene = object_xml(item, NEAR_M)
         slides, inertial, drives = arm_xml(50000.0, 700.0)
         super().__init__(
@@ -202,7 +208,9 @@ class JawBody(Body):
 <actuator>{drives}<motor joint="{FINGER}"/><motor joint="{THUMB}"/></actuator></mujoco>""",
         )
         self.pads = tuple(self.model.geom(f"{name}0").id for name in (FINGER, THUMB))
-        self.fingers = tuple(np.flatnonzero(np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in (FINGER, THUMB)])))  # fmt: skip
+        self.fingers = tuple(
+            np.flatnonzero(np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in (FINGER, THUMB)]))
+        )
         self._palms = [self.model.geom(f"palm{k}").id for k in range(len(boxes[PALM]))]
         self._behind_m = self.model.geom_pos[self._palms, 2] - at.tool[2, 3]
         self._slides = [self.model.joint(name).qposadr[0] for name in (FINGER, THUMB)]
@@ -300,7 +308,9 @@ class ShadowBody(Body):
         mount = mount.replace('condim="4"', f'condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"')
         meshes, scene = object_xml(item, NEAR_M)
         slides, inertial, drives = arm_xml(100000.0, 1500.0)
-        others = "".join(f'<position name="{f}FJ{k}" joint="robot0:{f}FJ{k}" kp="5" kv=".2"/>' for f in "FRL" for k in range(4))  # fmt: skip
+        others = "".join(
+            f'<position name="{f}FJ{k}" joint="robot0:{f}FJ{k}" kp="5" kv=".2"/>' for f in "FRL" for k in range(4)
+        )
         wrist = "".join(f'<position joint="robot0:WRJ{k}" kp="300" kv="10"/>' for k in (0, 1))
         super().__init__(
             item,

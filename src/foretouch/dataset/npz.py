@@ -11,13 +11,13 @@ import numpy as np
 from foretouch.cloud.io.files import archived_cloud, read_arrays
 from foretouch.cloud.messages import cloud_fields, header_fields
 from foretouch.dataset.identity import Identity, check_id
-from foretouch.dataset.recording.sample_codec import OUTCOMES, StoredSample, sample_fields, stored_sample
+from foretouch.dataset.recording.sample_codec import StoredSample, sample_fields, stored_sample
 from foretouch.dataset.samples import ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError, ForetouchError, none_of
 from foretouch.grasp.messages import grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.description import Sensor
-from foretouch.types import AnyArray, Grasp, Sample
+from foretouch.types import OUTCOMES, AnyArray, Grasp, Sample
 
 _REQUIRED: Final = ("id", "object", "xyz", "g1", "g2", "rotation", "score", "sample_stamp_ns")
 _NAMES: Final = {

@@ -50,6 +50,11 @@ class CalibrationGroup(TensorRecord):
     spread: Float64
     half_width: Float64
 
+    def mean_factors(self) -> Float64:
+        """Return (M,) half widths over the deviations of the residuals, mean by modality."""
+        factor = self.half_width / np.sqrt(self.spread)
+        return np.array([factor[own].mean() for own in self.channels.modality_columns.values()])
+
     def _rules(self) -> Rules:
         most, least = max(1e12, float(self.channels.most.max()) ** 2), _MIN_VALUE * self.channels.resolution.min()
         variance = ("D", least**2 / _MIN_VALUE, most)
@@ -103,8 +108,7 @@ class Calibration:
         if self.tracker is not None:
             return self.tracker
         new, known = self.groups["new"], self.groups["known"]
-        factor = self.channels.modality_means @ (known.half_width / np.sqrt(known.spread))
-        new_factor = self.channels.modality_means @ (new.half_width / np.sqrt(new.spread))
+        factor, new_factor = known.mean_factors(), new.mean_factors()
         try:
             with np.errstate(all="ignore"):  # what is not finite is refused below
                 wider = self.channels.by_modality(new_factor / factor)

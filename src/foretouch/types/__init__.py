@@ -35,7 +35,7 @@ from foretouch.types.predictions import (
     Reference,
     Touch,
 )
-from foretouch.types.samples import APPROACH, DISCARDED, HOLD, REST, Outcome, Sample, TouchSeries
+from foretouch.types.samples import APPROACH, DISCARDED, HOLD, OUTCOMES, REST, Outcome, Sample, TouchSeries
 
 __all__ = [
     "APPROACH",
@@ -46,6 +46,7 @@ __all__ = [
     "NO_CLOUD",
     "NO_GRASP",
     "NO_GRASPS",
+    "OUTCOMES",
     "REST",
     "SECOND_NS",
     "SQUARABLE",

@@ -3,7 +3,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 
@@ -21,6 +21,9 @@ DISCARDED: Final = "discarded"
 """Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out."""
 
 Outcome = Literal["unknown", "success", "failure"]
+
+OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
+"""In the order of their numbers in messages."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,11 +24,11 @@ from foretouch.dataset.recording import folder
 from foretouch.dataset.recording.folder import restate, stated
 from foretouch.errors import DatasetError, FileError
 from foretouch.files import COUNT, TEXT_LIMIT, open_own, parse_json, read_bytes, require_schema, system_errors
-from foretouch.types import DISCARDED, Outcome, Sample
+from foretouch.types import DISCARDED, OUTCOMES, Outcome, Sample
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
-_ACTIONS: Final = ("relabel", "drop", "undo", "outcome", "note", "object", "pause")
+_Action = Literal["relabel", "drop", "undo", "outcome", "note", "object", "pause"]
 _VERSION: Final = 2  # 1, of foretouch 0.2, has no text and no stamp
 _SCHEMA: Final = {"action": str, "ids": [str], "object": str, "edit": COUNT, "text?": str, "stamp_ns?": COUNT}
 
@@ -41,7 +41,7 @@ class Edit:
     without samples is one on the session.
     """
 
-    action: Literal["relabel", "drop", "undo", "outcome", "note", "object", "pause"]
+    action: _Action
     ids: tuple[str, ...] = ()  # of the samples, as they were recorded
     object: str = (
         ""  # for `relabel` and `object`, the new one; for `undo` of `object`, the one before, of the samples since
@@ -181,12 +181,12 @@ def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
     require_schema("", content, _SCHEMA)
     names = {name.removesuffix("?") for name in _SCHEMA} & content.keys()
     edit = Edit(**{name: content[name] for name in names} | {"ids": tuple(content["ids"])})
-    if edit.action not in _ACTIONS:
-        raise DatasetError(f"action {edit.action!r} is not one of {', '.join(_ACTIONS)}")
+    if edit.action not in get_args(_Action):
+        raise DatasetError(f"action {edit.action!r} is not one of {', '.join(get_args(_Action))}")
     if edit.action in ("relabel", "object") or (edit.action == "undo" and edit.ids):
         check_name(edit.object, "object")
-    if edit.action == "outcome" and edit.text not in get_args(Outcome):
-        raise DatasetError(f"text: {edit.text!r} is not one of {', '.join(get_args(Outcome))}")
+    if edit.action == "outcome" and edit.text not in OUTCOMES:
+        raise DatasetError(f"text: {edit.text!r} is not one of {', '.join(OUTCOMES)}")
     if edit.action == "undo" and not 0 < edit.edit <= known:
         raise DatasetError(f"edit {edit.edit} is not one of the {known} before")
     return edit, digest

@@ -39,7 +39,7 @@ from foretouch.grasp.messages import decode_grasp, grasp_fields
 from foretouch.tactile.channels import BIOTAC_SP
 from foretouch.tactile.dead_taxels import is_storable
 from foretouch.tactile.description import Sensor, require_same, sensor_of
-from foretouch.types import Cloud, Grasp, Outcome, Sample, Touch, TouchSeries, stamp_ns
+from foretouch.types import OUTCOMES, Cloud, Grasp, Sample, Touch, TouchSeries, stamp_ns
 from foretouch.types.channels import Channels
 
 if TYPE_CHECKING:
@@ -57,7 +57,6 @@ OLD_VERSION: Final = (
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _DIGEST_SIZE: Final = 32
-OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
 _READINGS: Final = ("touch", "tare", "series")
 _FINITE: Final = (*_READINGS, "others", "extra_values")
 

@@ -33,11 +33,9 @@ from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.readers import make_reader
 from foretouch.tactile.messages.table import TactileReader
 from foretouch.topics import GRASPS_TOPIC
-from foretouch.types import Outcome, stamp_ns
+from foretouch.types import OUTCOMES, stamp_ns
 from foretouch_msgs.msg import RecorderStatus, TouchHold
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
-
-_OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +85,7 @@ class RecorderConfig(NodeConfig, TactileInput):
 
 def _decode_label(request: Any) -> Label:
     """Read the label in a request; a `ConfigError` or `DatasetError` if its outcome or the object's label is none."""
-    if request.outcome >= len(_OUTCOMES):
+    if request.outcome >= len(OUTCOMES):
         raise ConfigError(f"outcome: {request.outcome} is not one of UNKNOWN, SUCCESS, FAILURE")
     if request.object:
         check_name(request.object, "object")
@@ -97,7 +95,7 @@ def _decode_label(request: Any) -> Label:
         object=request.object,
         discard=request.discard,
         note=request.note,
-        outcome=_OUTCOMES[request.outcome],
+        outcome=OUTCOMES[request.outcome],
         interval=Interval(start=start, contact=contact, release=release) if contact or release else None,
     )
 

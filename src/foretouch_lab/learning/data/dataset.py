@@ -183,7 +183,7 @@ def load_dataset(path: str | Path) -> Dataset:
     public = opened.kind == "vision2tactile"
     data = dataset_of(samples, path.name, opened.sensor, path, content.hexdigest())
     if store is not None:
-        return replace(data, origin=_simulated(store), shapes=_shapes(store))
+        return replace(data, **_simulated(store))
     return replace(data, aliases=(folder_sha256(path),), origin=_VISION2TACTILE) if public else data
 
 
@@ -234,23 +234,18 @@ def _fold(part: Mapping[str, Any], places: Mapping[str, int]) -> Fold:
     return Fold(np.sort(train), test, part["name"], unlabelled)
 
 
-def _shapes(store: Store) -> dict[str, str]:
-    """Return the shape of each object of a store that `foretouch simulate` wrote; nothing of another store."""
-    scene = store.manifest.get("about", {}).get("scene", {})
-    return {item["name"]: item["shape"] for item in scene.get("objects", [])}
-
-
 def _simulated(store: Store) -> dict[str, Any]:
-    """Return the origin of a store that `foretouch simulate` wrote; nothing of another store."""
+    """Return `origin` and `shapes` of a store that `foretouch simulate` wrote; nothing of another store."""
     about = store.manifest.get("about", {})
     if "scene_sha256" not in about:
         return {}
-    scene = about.get("scene_file", "a scene")
-    hand = about.get("scene", {}).get("hand", "")
+    scene, file = about.get("scene", {}), about.get("scene_file", "a scene")
+    hand = scene.get("hand", "")
     touched = f"the posture of {hand} turns its pads" if hand else "its pads face each other"
-    known = f"it knows no real fingertip or camera, and no other objects than {scene} has."
-    return {
-        "source": f"foretouch simulate {scene} -n {len(store)}",
+    known = f"it knows no real fingertip or camera, and no other objects than {file} has."
+    origin = {
+        "source": f"foretouch simulate {file} -n {len(store)}",
         "scene_sha256": about["scene_sha256"],
         "limits": [f"For the simulated hand only, at whose contacts {touched}: {known}"],
     }
+    return {"origin": origin, "shapes": {item["name"]: item["shape"] for item in scene.get("objects", [])}}
