@@ -10,7 +10,6 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from command_answer import run_python
 from every_case import every_case
 
 from foretouch.cli.main import COMMANDS
@@ -48,13 +47,11 @@ def anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.ros
-def test_reference_pages_are_those_of_the_code() -> None:
+def test_reference_pages_are_those_of_the_code(reference, monkeypatch, capsys) -> None:
     """If not: make reference."""
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
-    done = run_python(
-        "import sys, reference_pages as r; sys.argv += ['--check']; sys.exit(r.main())", cwd=DOCS / "_ext"
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    monkeypatch.setattr(sys, "argv", ["reference_pages.py", "--check"])
+    assert reference.main() == 0, capsys.readouterr().out
     assert {"commands", "messages", "parameters", "settings", "topics"} <= {page.stem for page in reference_pages()}
 
 
@@ -79,7 +76,9 @@ def test_links_lead_to_files_and_headings() -> None:
 
 def test_the_files_that_the_architecture_names_exist() -> None:
     text = (DOCS / "architecture.md").read_text(encoding="utf-8")
-    there = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*") if path.suffix in (".py", ".c", ".md")]
+    folders = (ROOT / name for name in ("src", "docs", "test", "benchmarks", "launch", "examples"))
+    files = [*ROOT.glob("*"), *(path for folder in folders for path in folder.rglob("*"))]
+    there = [f"/{path.relative_to(ROOT)}" for path in files if path.suffix in (".py", ".c", ".md")]
     named = set(re.findall(r"`([\w/]+\.(?:py|c|md))`", text))
     assert len(named) > 50
     assert sorted(name for name in named if not any(path.endswith(f"/{name}") for path in there)) == []
