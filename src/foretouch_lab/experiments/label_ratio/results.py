@@ -95,10 +95,7 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]
             values = {"trial": first_run["trial"], "rmse": rmse.mean(), "sd": deviation, "percent": percent}
             row |= {f"{model}_{key}": value for key, value in values.items()}
         change, least, most = _change(srgan, pointnet, sizes, draws)
-        verdict = (
-            None if least is None or most is None else "better" if most < 0.0 else "worse" if least > 0.0 else "tie"
-        )
-        row |= {"change": change, "change_low": least, "change_high": most, "verdict": verdict}
+        row |= {"change": change, "change_low": least, "change_high": most, "verdict": _verdict(least, most)}
         row |= {"p2_change": P2_CHANGES[name].get(ratio), "mean_rmse": np.sqrt(np.mean(_samples(first, "reference")))}
         result.append(row | {"trees_rmse": np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None})
     return result
@@ -149,9 +146,20 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
     ]
 
 
+def _verdict(least: float | None, most: float | None) -> str | None:
+    """Return what an interval of the change says; None without an interval."""
+    if least is None or most is None:
+        return None
+    if most < 0.0:
+        return "better"
+    return "worse" if least > 0.0 else "tie"
+
+
 def _error(name: str, row: Row, *_: Row) -> str:
     error, deviation = row[f"{name}_rmse"], row.get(f"{name}_sd")
-    return "–" if error is None else f"{error:.1f}" + ("" if deviation is None else f" ± {deviation:.1f}")
+    if error is None:
+        return "–"
+    return f"{error:.1f}" if deviation is None else f"{error:.1f} ± {deviation:.1f}"
 
 
 def _change_text(row: Row) -> str:
