@@ -18,18 +18,15 @@ import numpy as np
 from benchmarks.grasp_physics.objects import Item
 from benchmarks.grasp_physics.simulation import (
     BESIDE,
-    HANGS,
+    END_S,
     HELD,
     LIFT,
-    LIFT_M,
+    LIFT_S,
     OUT,
     SHAKE,
-    SHAKE_HZ,
-    SHAKE_M,
     SPIN_M,
     STEP_S,
-    TABLE_SHARE,
-    UNSTABLE,
+    Body,
     arm_xml,
     object_xml,
     quaternion,
@@ -42,7 +39,6 @@ FORCES_N: Final = {SHADOW: 5.0, "franka_hand": 20.0, "robotiq_2f85": 20.0}
 OFF_M, OFF_DEG = 0.005, 4.0  # of a palm that is not where it should be
 NEAR_M: Final = 0.002  # what is nearer to the object, or to the table, is in the way
 _BACK_M: Final = (0.04, 0.08, 0.12)
-_LIFT_S, _SHAKE_S, _END_S = 0.5, 1.0, 1.5  # after closing
 _CLOSE_S, _SQUEEZE_S = 1.0, 0.4
 _BEYOND_M: Final = 0.012  # behind the planned contacts, where fingers that meet nothing stop
 
@@ -62,7 +58,7 @@ class Planned(NamedTuple):
     width_m: float
 
 
-def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None) -> Take:  # fmt: skip
+def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float = 0.8, off: int | None = None) -> Take:
     """Return whether a hand reaches a grasp and holds the object, at its pose (4, 4), object to world; the table is z = 0.
 
     Args:
@@ -90,32 +86,19 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
 
 
 @lru_cache(maxsize=8)
-def body_of(item: Item, hand: str, friction: float) -> "Body":
+def body_of(item: Item, hand: str, friction: float) -> "HandBody":
     """Return the simulated world of an object and a hand, built once."""
     return (ShadowBody if hand == SHADOW else JawBody)(item, load_hand(hand), friction)
 
 
-class Body:
-    """An object, the table and a hand whose mount is placed in the world."""
+class HandBody(Body):
+    """A hand on a mount that is placed in the world."""
+
+    fingers: tuple[int, ...]  # its shapes
 
     def __init__(self, item: Item, hand: Hand, xml: str) -> None:
-        self.hand, self.weight_n = hand, item.mass_kg * 9.81
-        self.model = mujoco.MjModel.from_xml_string(xml)
-        self.data = mujoco.MjData(self.model)
-        self.object, self.mount = self.model.body("object").id, self.model.body("mount").id
-        self.table = self.model.geom("table").id
-        self.of_object = self.model.geom_bodyid == self.object
-        self._free = self.model.jnt_qposadr[self.model.body_jntadr[self.object]]
-
-    def reset(self, pose: Float64) -> None:
-        """Put the object back."""
-        mujoco.mj_resetData(self.model, self.data)
-        at = self._free
-        self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = pose[:3, 3], quaternion(pose[:3, :3])
-
-    def place(self, mount: Float64) -> None:
-        """Put the hand's mount (4, 4) somewhere in the world."""
-        self.model.body_pos[self.mount], self.model.body_quat[self.mount] = mount[:3, 3], quaternion(mount[:3, :3])
+        super().__init__(item, xml)
+        self.hand = hand
 
     def near(self) -> str:
         """Return the part of the hand that is too near to the object or the table, by name; "" if none is."""
@@ -137,36 +120,6 @@ class Body:
         """Return what a shape of the hand belongs to."""
         return "finger" if geom in self.fingers else "palm or arm"
 
-    def touch(self) -> dict[int, float]:
-        """Return the normal force [N] on the object by the shape that touches it."""
-        force, forces = np.zeros(6), dict[int, float]()
-        for k in range(self.data.ncon):
-            pair = self.data.contact[k].geom1, self.data.contact[k].geom2
-            for mine, other in (pair, pair[::-1]):
-                if self.of_object[other] and not self.of_object[mine] and self.data.contact[k].dist < 0.0:
-                    mujoco.mj_contactForce(self.model, self.data, k, force)
-                    forces[mine] = forces.get(mine, 0.0) + float(force[0])
-        return forces
-
-    def lift(self, time_s: float) -> None:
-        """Set the arm's drives for a time after closing."""
-        raised = min(1.0, time_s / _LIFT_S)
-        self.data.ctrl[0] = LIFT_M * raised * raised * (3.0 - 2.0 * raised)
-        shaken = np.sin(2.0 * np.pi * SHAKE_HZ * (time_s - _LIFT_S)) if _LIFT_S <= time_s < _SHAKE_S else 0.0
-        self.data.ctrl[1:3] = np.multiply(SHAKE_M, shaken)
-
-    def ending(self) -> str:
-        """Return whether both fingers hold the object in the end, and the table carries less than a fifth of it."""
-        if not np.isfinite(self.data.qpos).all():
-            return UNSTABLE
-        touch = self.touch()
-        if not all(pad in touch for pad in self.pads):
-            return SHAKE
-        return HELD if touch.get(self.table, 0.0) < TABLE_SHARE * self.weight_n else HANGS
-
-    pads: tuple[int, ...]  # shapes of both fingers that hold: at the finger's contact, and at the thumb's
-    fingers: tuple[int, ...]
-
     def obstruction(self, pose: Float64, planned: Planned) -> str:
         """Return what is in the way; "" if nothing is."""
         raise NotImplementedError
@@ -176,12 +129,15 @@ class Body:
         raise NotImplementedError
 
 
-class JawBody(Body):
+class JawBody(HandBody):
     """Parallel jaws made of the boxes of a description."""
 
     def __init__(self, item: Item, hand: Hand, friction: float) -> None:
         at = hand.at(0.0)
-        boxes = {part: [c for c, own in zip(at.corners, hand.parts, strict=True) if own == part] for part in (FINGER, THUMB, PALM)}  # fmt: skip
+        boxes = {
+            part: [c for c, own in zip(at.corners, hand.parts, strict=True) if own == part]
+            for part in (FINGER, THUMB, PALM)
+        }
         solid = 'contype="2" conaffinity="0"'
         rough = f'mass=".05" condim="4" priority="1" friction="{friction} {SPIN_M} .0001"'
         jaws = "".join(
@@ -189,7 +145,10 @@ class JawBody(Body):
             f"{''.join(_box(f'{part}{k}', box, f'{solid} {rough}') for k, box in enumerate(boxes[part]))}</body>"
             for part, axis in ((FINGER, 1), (THUMB, -1))
         )
-        palms = "".join(_box(f"palm{k}", corners, f'{solid} mass=".7" friction=".3 .005 .0001"') for k, corners in enumerate(boxes[PALM]))  # fmt: skip
+        palms = "".join(
+            _box(f"palm{k}", corners, f'{solid} mass=".7" friction=".3 .005 .0001"')
+            for k, corners in enumerate(boxes[PALM])
+        )
         meshes, scene = object_xml(item, NEAR_M)
         slides, inertial, drives = arm_xml(50000.0, 700.0)
         super().__init__(
@@ -202,7 +161,9 @@ class JawBody(Body):
 <actuator>{drives}<motor joint="{FINGER}"/><motor joint="{THUMB}"/></actuator></mujoco>""",
         )
         self.pads = tuple(self.model.geom(f"{name}0").id for name in (FINGER, THUMB))
-        self.fingers = tuple(np.flatnonzero(np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in (FINGER, THUMB)])))  # fmt: skip
+        self.fingers = tuple(
+            np.flatnonzero(np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in (FINGER, THUMB)]))
+        )
         self._palms = [self.model.geom(f"palm{k}").id for k in range(len(boxes[PALM]))]
         self._behind_m = self.model.geom_pos[self._palms, 2] - at.tool[2, 3]
         self._slides = [self.model.joint(name).qposadr[0] for name in (FINGER, THUMB)]
@@ -226,12 +187,12 @@ class JawBody(Body):
         return ""
 
     def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
-        """See `Body`; both jaws push with the force."""
+        """Close both jaws with the force, lift and shake."""
         self._open(pose, planned, 0.0, opened=True)
         self.data.ctrl[3:5] = force_n
         mujoco.mj_forward(self.model, self.data)
         touched = False
-        for step in range(round((_SQUEEZE_S + 0.1 + _END_S) / STEP_S)):
+        for step in range(round((_SQUEEZE_S + 0.1 + END_S) / STEP_S)):
             time = step * STEP_S - _SQUEEZE_S - 0.1
             if time >= 0.0:
                 self.lift(time)
@@ -244,7 +205,7 @@ class JawBody(Body):
                 if time < 0.1 and not both:
                     return OUT if touched else BESIDE
                 if not any(pad in touch for pad in self.pads):
-                    return LIFT if time < _LIFT_S else SHAKE
+                    return LIFT if time < LIFT_S else SHAKE
         return self.ending()
 
 
@@ -292,7 +253,7 @@ _SIGNS: Final = (-1, 1, 1, 1, 1, 1, 1, -1, -1)  # of the joints' angles in the m
 _WAY: Final = 17  # postures from opened to beyond the contacts
 
 
-class ShadowBody(Body):
+class ShadowBody(HandBody):
     """The Shadow Hand, driven in its thumb and middle finger; the others are straight."""
 
     def __init__(self, item: Item, hand: Hand, friction: float) -> None:
@@ -300,7 +261,9 @@ class ShadowBody(Body):
         mount = mount.replace('condim="4"', f'condim="4" priority="1" friction="{friction} {SPIN_M} 0.0001"')
         meshes, scene = object_xml(item, NEAR_M)
         slides, inertial, drives = arm_xml(100000.0, 1500.0)
-        others = "".join(f'<position name="{f}FJ{k}" joint="robot0:{f}FJ{k}" kp="5" kv=".2"/>' for f in "FRL" for k in range(4))  # fmt: skip
+        others = "".join(
+            f'<position name="{f}FJ{k}" joint="robot0:{f}FJ{k}" kp="5" kv=".2"/>' for f in "FRL" for k in range(4)
+        )
         wrist = "".join(f'<position joint="robot0:WRJ{k}" kp="300" kv="10"/>' for k in (0, 1))
         super().__init__(
             item,
@@ -365,7 +328,7 @@ class ShadowBody(Body):
         mujoco.mj_forward(model, data)
         touch = self.touch()
         closed, jacobian = np.inf, np.zeros((3, model.nv))
-        for step in range(round((_CLOSE_S + _SQUEEZE_S + _END_S) / STEP_S) + 50):
+        for step in range(round((_CLOSE_S + _SQUEEZE_S + END_S) / STEP_S) + 50):
             time = step * STEP_S
             if step % 2 == 0:
                 touch = self.touch()
@@ -385,8 +348,8 @@ class ShadowBody(Body):
             if lifted >= 0.0:
                 self.lift(lifted)
                 if step % 50 == 0 and not any(pad in touch for pad in self.pads):
-                    return LIFT if lifted < _LIFT_S else SHAKE
-            if lifted > _END_S:
+                    return LIFT if lifted < LIFT_S else SHAKE
+            if lifted > END_S:
                 break
             torque = _STIFF_NM * (wanted - data.qpos[self._places]) - _DAMPED_NMS * data.qvel[self._speeds]
             if closed < np.inf:

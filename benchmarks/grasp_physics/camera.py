@@ -35,7 +35,9 @@ class Surface(Body):
         mesh = item.at(pose)
         low, high = mesh.bounds
         triangles = np.ascontiguousarray(mesh.triangles, np.float32)
-        return cls(shape="", variant=0, size=high - low, position=(low + high) / 2.0, rotation=np.eye(3), triangles=triangles)  # fmt: skip
+        return cls(
+            shape="", variant=0, size=high - low, position=(low + high) / 2.0, rotation=np.eye(3), triangles=triangles
+        )
 
     @cached_property
     def _tree(self) -> Any:

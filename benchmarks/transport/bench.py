@@ -186,8 +186,19 @@ def measure(
             lost = len(stamps) - (bench.received() - received)
             ages = [(bench.answers[stamp][0] - stamp) / 1e6 for stamp in stamps if bench.answers.get(stamp, (0, []))[1]]
             p50, p95 = np.percentile(ages, (50, 95)) if ages else (np.nan, np.nan)
-            counts = {"rate_hz": f"{rate:g}", "seconds": f"{seconds:g}", "sent": len(stamps), "lost": lost, "superseded": len(stamps) - lost - len(ages)}  # fmt: skip
-            times = {"p50_ms": p50, "p95_ms": p95, "cpu_ms": 1e3 * cpu / max(1, len(ages)), "rest_percent": 100.0 * rest}  # fmt: skip
+            counts = {
+                "rate_hz": f"{rate:g}",
+                "seconds": f"{seconds:g}",
+                "sent": len(stamps),
+                "lost": lost,
+                "superseded": len(stamps) - lost - len(ages),
+            }
+            times = {
+                "p50_ms": p50,
+                "p95_ms": p95,
+                "cpu_ms": 1e3 * cpu / max(1, len(ages)),
+                "rest_percent": 100.0 * rest,
+            }
             rows.append(condition._asdict() | counts | {name: f"{value:.4g}" for name, value in times.items()})
     finally:
         for process in (graph, *beside):
@@ -217,7 +228,18 @@ def in_turns(
 
 def write_table(rows: Sequence[dict[str, Any]]) -> None:
     """All conditions as a table of the README: what was lost and superseded in all turns, and the median of the turns' times."""
-    columns = ["a second", "busy", "input", "transport", "version", "sent", "lost", "superseded", "p50, p95 [ms]", "CPU an answer [ms]"]  # fmt: skip
+    columns = [
+        "a second",
+        "busy",
+        "input",
+        "transport",
+        "version",
+        "sent",
+        "lost",
+        "superseded",
+        "p50, p95 [ms]",
+        "CPU an answer [ms]",
+    ]
     cells: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
         cells.setdefault(tuple(row[key] for key in ("rate_hz", "busy", "input", "transport", "version")), []).append(
@@ -235,14 +257,26 @@ def write_table(rows: Sequence[dict[str, Any]]) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--before", type=Path, metavar="CHECKOUT", help="version of 0.3 whose kernels are built, measured in turns with this one")  # fmt: skip
+    parser.add_argument(
+        "--before",
+        type=Path,
+        metavar="CHECKOUT",
+        help="version of 0.3 whose kernels are built, measured in turns with this one",
+    )
     parser.add_argument("--seconds", type=float, default=5.0, help="length of each run [s]")
     parser.add_argument("--rates", type=float, nargs="*", default=RATES, help="inputs a second, in turn [Hz]")
     parser.add_argument("--turns", type=int, default=1, help="how often all is measured")
     parser.add_argument("--busy", type=int, default=0, metavar="N", help="processes that compute meanwhile")
     parser.add_argument("--add", action="store_true", help="keep the rows that the table has already")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="table that is written (default: the committed one, and the page)")  # fmt: skip
-    parser.add_argument("--requests", type=Path, metavar="CHECKOUT", help="only measure predict_touch, in turns with an older checkout that has an environment of its own")  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, default=RESULTS, help="table that is written (default: the committed one, and the page)"
+    )
+    parser.add_argument(
+        "--requests",
+        type=Path,
+        metavar="CHECKOUT",
+        help="only measure predict_touch, in turns with an older checkout that has an environment of its own",
+    )
     options = parser.parse_args()
     if options.requests:
         write_csv(REQUESTS, compare(options.requests.resolve(), ROOT, DOMAIN + 1))

@@ -76,7 +76,9 @@ def serve() -> None:
             if not future.done():
                 raise SystemExit(f"predict_touch: no answer within {TIMEOUT_S:g} s")
             batch = future.result().batch
-            print(json.dumps({"ms": took, "values": [*map(float, batch.scalars), *map(float, batch.values)]}), flush=True)  # fmt: skip
+            print(
+                json.dumps({"ms": took, "values": [*map(float, batch.scalars), *map(float, batch.values)]}), flush=True
+            )
     finally:
         graph.terminate()
         graph.wait(30.0)

@@ -242,14 +242,9 @@ def shapes() -> str:
     """Return the shapes of simulated objects, each with what it looks like."""
     from foretouch_lab.simulation.objects import shapes as module
 
-    rows = [(f"`{name}`", cell(_summary(builder))) for name, builder in module._BUILDERS.items()]
-    rows.append(
-        (
-            "`random`",
-            "Between box, cylinder and ellipsoid, or a vase, or a wavy ball: another one for each `first_variant`.",
-        )
-    )
-    rows.append(("`mesh`", "The surface of a [mesh file](#objects-from-mesh-files)."))
+    random = "Between box, cylinder and ellipsoid, or a vase, or a wavy ball: another one for each `first_variant`."
+    rows = [(f"`{name}`", cell(_summary(builder))) for name, builder in module.BUILDERS.items()]
+    rows += [("`random`", random), ("`mesh`", "The surface of a [mesh file](#objects-from-mesh-files).")]
     return table(["shape", "body"], rows)
 
 
@@ -325,6 +320,9 @@ _PURPOSES = {  # of topics and services whose types have no comment of their own
 def topics() -> str:
     """Return topics, services and the action, from nodes that are configured for it, each alone, without discovery."""
     ends_of = graph()
+    comments = {
+        interface.name: interface.comment for kind in ("msg", "srv", "action") for interface in interfaces(kind)
+    }
     parts = []
     for title, kind, ends in (
         ("Topics", "topic", ["publisher", "subscriber"]),
@@ -334,29 +332,14 @@ def topics() -> str:
         rows = []
         for name, (type_name, nodes) in sorted(ends_of[kind].items()):
             users = [", ".join(f"`{node}`" for node in nodes.get(end, [])) or "–" for end in ends]
-            package, _, own = (
-                type_name.replace("/msg/", "/").replace("/srv/", "/").replace("/action/", "/").partition("/")
-            )
+            package, _, own = type_name.split("/")
             link = f"[`{own}`](messages.md#{own.lower()})" if package == "foretouch_msgs" else f"`{package}/{own}`"
-            rows.append((f"`{name}`", link, *users, cell(_purpose(name, own))))
+            rows.append((f"`{name}`", link, *users, cell(_PURPOSES.get(name) or comments.get(own, ""))))
         parts += [
             f"## {title}",
             table([kind, "type", *(f"{end}s" if end != "server" else "node" for end in ends), "content"], rows),
         ]
     return sections(parts)
-
-
-def _purpose(name: str, type_name: str) -> str:
-    own = next(
-        (
-            interface
-            for kind in ("msg", "srv", "action")
-            for interface in interfaces(kind)
-            if interface.name == type_name
-        ),
-        None,
-    )
-    return _PURPOSES.get(name, own.comment if own is not None else "")
 
 
 Ends = dict[str, tuple[str, dict[str, list[str]]]]

@@ -91,11 +91,9 @@ def _accuracy(split: str, settings: TradeoffSettings, data: Dataset) -> dict[str
     errors: dict[str, list[Row]] = {}
     for fold in folds:
         train, test = fold.sides(samples)
-        for name, predicted in _predictions(data, folds, fold):
-            rows = error_rows(
-                [sample.object for sample in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
-            )
-            errors.setdefault(name, []).extend({"part": fold.name, **row} for row in rows)
+        names, mean = [sample.object for sample in test], labels_of(train).mean(axis=0)
+        for variant, predicted in _predictions(data, folds, fold):
+            errors.setdefault(variant, []).extend(error_rows(names, predicted, labels_of(test), mean))
     return skill_rows(split, errors, settings.bootstrap)
 
 

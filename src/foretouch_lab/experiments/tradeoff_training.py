@@ -62,19 +62,13 @@ def _accuracy(skill: str, settings: TrainingSettings, data: Dataset) -> dict[str
     for variant in VARIANTS:
         if ("epochs" in variant.values and skill != "one_block") or ("objects" in variant.values and skill != "new"):
             continue
-        rows = []
         for fold in folds:
             train, test = fold.sides(samples)
             chosen = _chosen(variant.values, train)
             counts.setdefault(variant.name, []).append(len(chosen))
             predicted = _predict(variant.values, settings, data, chosen, test)
-            rows += [
-                {"part": fold.name, **row}
-                for row in error_rows(
-                    [sample.object for sample in test], predicted, labels_of(test), labels_of(train).mean(axis=0)
-                )
-            ]
-        errors[variant.name] = rows
+            names, mean = [sample.object for sample in test], labels_of(train).mean(axis=0)
+            errors.setdefault(variant.name, []).extend(error_rows(names, predicted, labels_of(test), mean))
     hours = _robot_seconds(samples) / 3600.0
     scored = skill_rows(skill, errors, settings.bootstrap)
     return {name: row | {f"robot_h_{skill}": hours * float(np.mean(counts[name]))} for name, row in scored.items()}

@@ -82,6 +82,16 @@ def test_an_arm_from_the_border_enters_the_view_and_is_an_obstacle_not_a_target(
     assert not (found.labels.ravel()[found.background[0].pixels] > 0).any()
 
 
+def test_a_table_that_the_image_cuts_off_goes_on_beyond_it() -> None:
+    """So that a thing whose foot is out of view enters the view, and is not beyond the table."""
+    cloud, labels = room(
+        ((0.10, 0.10, 0.0), (0.15, 0.15, 0.08)), ((-0.04, -0.30, 0.0), (0.04, -0.23, 0.10)), distance_m=0.6
+    )
+    found = segment(cloud)
+    assert labelled(found, labels) == [3]
+    assert reasons(found, labels) == {4: "enters_view"}
+
+
 def test_what_stands_behind_the_edge_of_the_table_is_beyond_it() -> None:
     chair = ((-0.15, 0.50, -0.7), (0.10, 0.60, 0.10))  # on the floor, as high as the table and a little more
     cloud, labels = room(CAN, chair, tilt_deg=45.0, distance_m=1.0)

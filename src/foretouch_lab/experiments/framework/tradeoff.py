@@ -121,17 +121,16 @@ class Area(Experiment):
         """Return what the area summarises, and a table of the skills and times of all variants."""
         rows = _best_state(rows)
         skills = list(dict.fromkeys(panel.skill for panel in self.panels if panel.skill in rows[0]))
-        lines = {skill: {row["variant"] for panel in self.panels if panel.skill == skill for row in frontier(rows, panel)}
-                 for skill in skills}  # fmt: skip
+        best: dict[str, set[str]] = {skill: set() for skill in skills}
+        for panel in self.panels:
+            if panel.skill in best:
+                best[panel.skill].update(row["variant"] for row in frontier(rows, panel))
         requests = sorted({row["request"] for row in rows if row["request"]})
         times = {(row["variant"], row["request"]): times_text(row, rows) for row in rows}
         body = [
             [
                 row["variant"] + (" *" if row["factor"] == "shipped" else ""),
-                *(
-                    f"{'• ' if row['variant'] in lines[skill] else ''}{_interval(row, skill) or '–'}"
-                    for skill in skills
-                ),
+                *(f"{'• ' if row['variant'] in best[skill] else ''}{_interval(row, skill) or '–'}" for skill in skills),
                 *(times.get((row["variant"], request), "–") for request in requests),
             ]
             for row in {row["variant"]: row for row in rows}.values()

@@ -101,6 +101,15 @@ def compare_models(rows: Sequence[Row], ranges: Ranges, draws: int) -> list[Row]
     return result
 
 
+def _verdict(least: float | None, most: float | None) -> str | None:
+    """Return whether a change of the error in an interval is `better`, `worse` or a `tie`; None without an interval."""
+    if least is None or most is None:
+        return None
+    if most < 0.0:
+        return "better"
+    return "worse" if least > 0.0 else "tie"
+
+
 def _change(
     srgan: Float64, pointnet: Float64, sizes: Sequence[int], draws: int
 ) -> tuple[float, float | None, float | None]:

@@ -75,11 +75,15 @@ class _Scored(NamedTuple):
 def _joined(rows: Sequence[Row]) -> _Scored:
     """Join the rows of all runs."""
     rows = sorted(rows, key=lambda row: row["run"])
-    numbers, readings = [len(row["readings"]) for row in rows], np.concatenate([row["readings"] for row in rows])
+    numbers = [len(row["readings"]) for row in rows]
+    readings = np.concatenate([row["readings"] for row in rows])
     objects, runs = (np.repeat([row[key] for row in rows], numbers) for key in ("name", "run"))
-    unknown = np.full((numbers[0], readings.shape[1]), np.nan)
-    counts, half = ({name: np.concatenate([unknown, *(row[what][name] for row in rows[1:])]) for name in rows[-1][what]}
-                    for what in ("counts", "half"))  # fmt: skip
+    unknown = np.full((numbers[0], readings.shape[1]), np.nan)  # of the first run nothing is predicted
+
+    def joined(what: str) -> dict[str, Float64]:
+        return {name: np.concatenate([unknown, *(row[what][name] for row in rows[1:])]) for name in rows[-1][what]}
+
+    counts, half = joined("counts"), joined("half")
     return _Scored(TimedReadings(runs, objects.astype(np.str_), readings, counts[NOTHING]), counts, half)
 
 

@@ -111,11 +111,11 @@ def _volleyball() -> TriangleMesh:
     return _star_shaped(0.5 - seams)
 
 
-_BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
+BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
     build.__name__[1:]: build for build in (_ball, _box, _can, _flat_ball, _minion, _sponge, _volleyball)
 }
 #: Names that a scene may use; `random` is a family with a member for each number.
-SHAPES: Final = (*_BUILDERS, "random")
+SHAPES: Final = (*BUILDERS, "random")
 
 
 @lru_cache(maxsize=256)
@@ -133,8 +133,8 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
     if shape == "random":
         rng = np.random.default_rng([0x5EED, variant])
         mesh = (_superquadric, _vase, _blob)[rng.integers(3)](rng)
-    elif shape in _BUILDERS:
-        mesh = _BUILDERS[shape]()
+    elif shape in BUILDERS:
+        mesh = BUILDERS[shape]()
     else:
         sha256, _, path = shape.partition(":")
         mesh, digest = read_mesh_file(path)

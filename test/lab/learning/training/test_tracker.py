@@ -84,8 +84,8 @@ def placed(rng: np.random.Generator, recording: TimedReadings) -> TimedReadings:
 
 def test_the_fit_finds_what_places_say_and_nothing_in_others(rng) -> None:
     """Shuffled within the objects, the same features say nothing: neither the fit nor the predictions take them up."""
-    first, second = (placed(rng, campaign(rng, 0.0, objects=8, each=24)) for _ in range(2))
-    order = np.concatenate([24 * k + rng.permutation(24) for k in range(8)])
+    first, second = (placed(rng, campaign(rng, 0.0, objects=8, each=16)) for _ in range(2))
+    order = np.concatenate([16 * k + rng.permutation(16) for k in range(8)])
     level = fitted(replace(first, where=None))
     found, shuffled = (fit_places(level, replace(first, where=rows)) for rows in (first.where, first.where[order]))
     assert found.where_ratio.min() > 0.0
