@@ -155,15 +155,6 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
     ]
 
 
-def _verdict(least: float | None, most: float | None) -> str | None:
-    """Return what an interval of the change says; None without an interval."""
-    if least is None or most is None:
-        return None
-    if most < 0.0:
-        return "better"
-    return "worse" if least > 0.0 else "tie"
-
-
 def _error(name: str, row: Row, *_: Row) -> str:
     error, deviation = row[f"{name}_rmse"], row.get(f"{name}_sd")
     if error is None:
