@@ -61,6 +61,23 @@ def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
         print("  ".join([first.ljust(widths[0]), *cells]), flush=True)
 
 
+def show_tables(tables: Mapping[str, Sequence[Mapping[str, Any]]], head: str, page: Path | None = None) -> None:
+    """Print tables, and write them between the marks of a page.
+
+    Args:
+        tables: By title.
+        head: First line of what is written.
+        page: The page; None only prints.
+    """
+    text = [head]
+    for title, rows in tables.items():
+        print(f"\n{title}")
+        print_rows(rows)
+        text.append(f"{title}:\n\n{markdown(list(rows[0]), [list(row.values()) for row in rows])}")
+    if page is not None:
+        replace_marked(page, "\n\n".join(text).strip())
+
+
 def _text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
 

@@ -13,7 +13,7 @@ from typing import Any, Final, get_args
 import numpy as np
 import yaml
 
-from benchmarks.common import add_data, markdown, print_rows, replace_marked, write_csv
+from benchmarks.common import add_data, show_tables, write_csv
 from benchmarks.grasp_physics.camera import VIEWS, see
 from benchmarks.grasp_physics.figure import Case, draw
 from benchmarks.grasp_physics.objects import Item, read_items
@@ -24,7 +24,7 @@ from foretouch.grasp.config import GraspMethod
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Float64
 from foretouch.types.scene import Object
-from foretouch_lab.experiments.shared.tables import select
+from foretouch_lab.experiments.shared.tables import grouped, select, unique
 
 HERE: Final = Path(__file__).parent
 RULE: Final = "simple rule"
@@ -122,11 +122,6 @@ def simple_rule(target: Object) -> Float64:
 # --- tables: intervals are over objects ------------------------------------------------------------------------------
 
 
-def values(rows: Sequence[Row], *names: str) -> list[tuple[Any, ...]]:
-    """Return what the columns hold, in order of appearance."""
-    return list(dict.fromkeys(tuple(row[name] for name in names) for row in rows))
-
-
 def mean(rows: Sequence[Row], what: str) -> float:
     """Return the share of grasps that are held, or held and strict."""
     return float(np.mean([row[what] for row in rows]))
@@ -134,7 +129,7 @@ def mean(rows: Sequence[Row], what: str) -> float:
 
 def share(rows: Sequence[Row], what: str) -> str:
     """Return the mean over objects with its interval of 95 %, by drawing as many objects again, with replacement."""
-    means = np.array([mean(select(rows, object=name), what) for (name,) in values(rows, "object")])
+    means = np.array([mean(own, what) for _, own in grouped(rows, "object")])
     again = means[np.random.default_rng(0).integers(len(means), size=(_DRAWS, len(means)))].mean(axis=1)
     low, high = np.quantile(again, [0.025, 0.975])
     return f"{means.mean():.2f} [{low:.2f}, {high:.2f}]"
@@ -143,14 +138,14 @@ def share(rows: Sequence[Row], what: str) -> str:
 def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
     """Return lines of what is held and strict by view, of the best on the true surface, and time beside that of the reference."""
     lines, reference = [], [row["ms"] for row in select(rows, method=REFERENCE)]
-    for (method,) in values(rows, "method"):
+    for method, own in grouped(rows, "method"):
         line = {"first grasp": f"{method} (default)" if method == DEFAULT else method}
-        for (view,) in values(rows, "view"):
-            mine, best = (select(rows, method=name, view=view) for name in (method, BEST))
+        for view, mine in grouped(own, "view"):
+            best = select(rows, method=BEST, view=view)
             line |= {f"{view}: {what}": share(mine, what) for what in ("held", "strict")}
             if any(row["held"] for row in best):
                 line[f"{view}: of the best"] = f"{mean(mine, 'held') / mean(best, 'held'):.2f}"
-        times = [row["ms"] for row in select(rows, method=method)]
+        times = [row["ms"] for row in own]
         if reference:
             ratios = (np.nanquantile(times, q) / np.nanquantile(reference, q) for q in (0.5, 0.95))
             line["time, median (p95)"] = "" if np.isnan(times).all() else "{:.2f} ({:.2f})".format(*ratios)
@@ -158,35 +153,34 @@ def by_method(rows: Sequence[Row]) -> list[dict[str, str]]:
     return lines
 
 
-def by_method_and(rows: Sequence[Row], names: Sequence[str], cell: Callable[[list[Row]], str]) -> list[dict[str, str]]:
-    """Return a line for each value of some columns, and in it a cell of the rows of each method."""
+def by_method_and(rows: Sequence[Row], column: str, cell: Callable[[list[Row]], str]) -> list[dict[str, str]]:
+    """Return a line for each value of a column, and in it a cell of the rows of each method."""
+    methods = unique(rows, "method")
     return [
-        {", ".join(names): ", ".join(map(str, value))}
-        | {method: cell(select(own, method=method)) for (method,) in values(rows, "method")}
-        for value in values(rows, *names)
-        for own in [select(rows, **dict(zip(names, value, strict=True)))]
+        {column: str(value)} | {method: cell(select(own, method=method)) for method in methods}
+        for value, own in grouped(rows, column)
     ]
 
 
 def tables(rows: Sequence[Row]) -> dict[str, list[dict[str, str]]]:
     """Return all tables by what they hold; but for the last one, under the first conditions."""
-    tip, friction = values(rows, "tip_mm", "friction")[0]
-    first = select(rows, tip_mm=tip, friction=friction)
+    (tip, friction), first = grouped(rows, "tip_mm", "friction")[0]
+    conditions = [{**row, "tip_mm, friction": f"{row['tip_mm']}, {row['friction']}"} for row in rows]
     often = Counter(row["reason"] for row in first)
     ended = sorted(first, key=lambda row: (not row["reason"].startswith("held"), -often[row["reason"]]))
     both = lambda own: f"{mean(own, 'held'):.2f} / {mean(own, 'strict'):.2f}"  # noqa: E731
     return {
         f"Tips of {tip:g} mm radius, friction {friction:g}": by_method(first),
-        "What became of the grasps": by_method_and(ended, ["reason"], lambda own: str(len(own))),
-        "Held, by object": by_method_and(first, ["object"], lambda own: f"{mean(own, 'held'):.2f}"),
-        "Held / strict under all conditions": by_method_and(rows, ["tip_mm", "friction"], both),
+        "What became of the grasps": by_method_and(ended, "reason", lambda own: str(len(own))),
+        "Held, by object": by_method_and(first, "object", lambda own: f"{mean(own, 'held'):.2f}"),
+        "Held / strict under all conditions": by_method_and(conditions, "tip_mm, friction", both),
     }
 
 
 def pictured(rows: Sequence[Row], items: Sequence[Item], settings: Mapping[str, Any] | None = None) -> Iterator[Case]:
     """Iterate over a grasp that holds and one of each kind of failure, planned again; of the default method and seen obliquely where there is one."""
-    tip, friction = values(rows, "tip_mm", "friction")[0]
-    planned = [row for row in select(rows, tip_mm=tip, friction=friction) if row["method"] != BEST]
+    (tip, _), first = grouped(rows, "tip_mm", "friction")[0]
+    planned = [row for row in first if row["method"] != BEST]
     reasons = {row["reason"] for row in planned} - {NO_GRASP, NO_OBJECT}
     for reason in sorted(reasons, key=lambda text: (text != HELD, HELD not in text, text)):
         order = lambda row: (row["method"] != DEFAULT, row["method"] == RULE, row["view"] != VIEWS[0])  # noqa: E731
@@ -223,17 +217,9 @@ def main() -> None:
     rows = [row for item in items for row in rows_of(item, *chosen, settings)]
     if options.rows:
         write_csv(options.rows, rows)
-    results = tables(rows)
-    for title, lines in results.items():
-        print(f"\n{title}")
-        print_rows(lines)
+    head = f"{len(items)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."
+    show_tables(tables(rows), head, HERE / "README.md" if options.renew else None)
     if options.renew:
-        text = [f"{len(items)} objects, {options.poses} poses each, opening {1e3 * OPENING_M:g} mm."]
-        text += [
-            f"{title}:\n\n{markdown(list(lines[0]), [list(line.values()) for line in lines])}"
-            for title, lines in results.items()
-        ]
-        replace_marked(HERE / "README.md", "\n\n".join(text).strip())
         draw(list(pictured(rows, items, settings)), HERE / "grasps.png")
 
 

@@ -18,18 +18,15 @@ import numpy as np
 from benchmarks.grasp_physics.objects import Item
 from benchmarks.grasp_physics.simulation import (
     BESIDE,
-    HANGS,
+    END_S,
     HELD,
     LIFT,
-    LIFT_M,
+    LIFT_S,
     OUT,
     SHAKE,
-    SHAKE_HZ,
-    SHAKE_M,
     SPIN_M,
     STEP_S,
-    TABLE_SHARE,
-    UNSTABLE,
+    Body,
     arm_xml,
     object_xml,
     quaternion,
@@ -42,7 +39,6 @@ FORCES_N: Final = {SHADOW: 5.0, "franka_hand": 20.0, "robotiq_2f85": 20.0}
 OFF_M, OFF_DEG = 0.005, 4.0  # of a palm that is not where it should be
 NEAR_M: Final = 0.002  # what is nearer to the object, or to the table, is in the way
 _BACK_M: Final = (0.04, 0.08, 0.12)
-_LIFT_S, _SHAKE_S, _END_S = 0.5, 1.0, 1.5  # after closing
 _CLOSE_S, _SQUEEZE_S = 1.0, 0.4
 _BEYOND_M: Final = 0.012  # behind the planned contacts, where fingers that meet nothing stop
 
@@ -90,32 +86,19 @@ def take(item: Item, pose: Float64, planned: Planned, hand: str, friction: float
 
 
 @lru_cache(maxsize=8)
-def body_of(item: Item, hand: str, friction: float) -> "Body":
+def body_of(item: Item, hand: str, friction: float) -> "HandBody":
     """Return the simulated world of an object and a hand, built once."""
     return (ShadowBody if hand == SHADOW else JawBody)(item, load_hand(hand), friction)
 
 
-class Body:
-    """An object, the table and a hand whose mount is placed in the world."""
+class HandBody(Body):
+    """A hand on a mount that is placed in the world."""
+
+    fingers: tuple[int, ...]  # its shapes
 
     def __init__(self, item: Item, hand: Hand, xml: str) -> None:
-        self.hand, self.weight_n = hand, item.mass_kg * 9.81
-        self.model = mujoco.MjModel.from_xml_string(xml)
-        self.data = mujoco.MjData(self.model)
-        self.object, self.mount = self.model.body("object").id, self.model.body("mount").id
-        self.table = self.model.geom("table").id
-        self.of_object = self.model.geom_bodyid == self.object
-        self._free = self.model.jnt_qposadr[self.model.body_jntadr[self.object]]
-
-    def reset(self, pose: Float64) -> None:
-        """Put the object back."""
-        mujoco.mj_resetData(self.model, self.data)
-        at = self._free
-        self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = pose[:3, 3], quaternion(pose[:3, :3])
-
-    def place(self, mount: Float64) -> None:
-        """Put the hand's mount (4, 4) somewhere in the world."""
-        self.model.body_pos[self.mount], self.model.body_quat[self.mount] = mount[:3, 3], quaternion(mount[:3, :3])
+        super().__init__(item, xml)
+        self.hand = hand
 
     def near(self) -> str:
         """Return the part of the hand that is too near to the object or the table, by name; "" if none is."""
@@ -137,36 +120,6 @@ class Body:
         """Return what a shape of the hand belongs to."""
         return "finger" if geom in self.fingers else "palm or arm"
 
-    def touch(self) -> dict[int, float]:
-        """Return the normal force [N] on the object by the shape that touches it."""
-        force, forces = np.zeros(6), dict[int, float]()
-        for k in range(self.data.ncon):
-            pair = self.data.contact[k].geom1, self.data.contact[k].geom2
-            for mine, other in (pair, pair[::-1]):
-                if self.of_object[other] and not self.of_object[mine] and self.data.contact[k].dist < 0.0:
-                    mujoco.mj_contactForce(self.model, self.data, k, force)
-                    forces[mine] = forces.get(mine, 0.0) + float(force[0])
-        return forces
-
-    def lift(self, time_s: float) -> None:
-        """Set the arm's drives for a time after closing."""
-        raised = min(1.0, time_s / _LIFT_S)
-        self.data.ctrl[0] = LIFT_M * raised * raised * (3.0 - 2.0 * raised)
-        shaken = np.sin(2.0 * np.pi * SHAKE_HZ * (time_s - _LIFT_S)) if _LIFT_S <= time_s < _SHAKE_S else 0.0
-        self.data.ctrl[1:3] = np.multiply(SHAKE_M, shaken)
-
-    def ending(self) -> str:
-        """Return whether both fingers hold the object in the end, and the table carries less than a fifth of it."""
-        if not np.isfinite(self.data.qpos).all():
-            return UNSTABLE
-        touch = self.touch()
-        if not all(pad in touch for pad in self.pads):
-            return SHAKE
-        return HELD if touch.get(self.table, 0.0) < TABLE_SHARE * self.weight_n else HANGS
-
-    pads: tuple[int, ...]  # shapes of both fingers that hold: at the finger's contact, and at the thumb's
-    fingers: tuple[int, ...]
-
     def obstruction(self, pose: Float64, planned: Planned) -> str:
         """Return what is in the way; "" if nothing is."""
         raise NotImplementedError
@@ -176,7 +129,7 @@ class Body:
         raise NotImplementedError
 
 
-class JawBody(Body):
+class JawBody(HandBody):
     """Parallel jaws made of the boxes of a description."""
 
     def __init__(self, item: Item, hand: Hand, friction: float) -> None:
@@ -234,12 +187,12 @@ class JawBody(Body):
         return ""
 
     def grip(self, pose: Float64, planned: Planned, force_n: float) -> str:
-        """See `Body`; both jaws push with the force."""
+        """Close both jaws with the force, lift and shake."""
         self._open(pose, planned, 0.0, opened=True)
         self.data.ctrl[3:5] = force_n
         mujoco.mj_forward(self.model, self.data)
         touched = False
-        for step in range(round((_SQUEEZE_S + 0.1 + _END_S) / STEP_S)):
+        for step in range(round((_SQUEEZE_S + 0.1 + END_S) / STEP_S)):
             time = step * STEP_S - _SQUEEZE_S - 0.1
             if time >= 0.0:
                 self.lift(time)
@@ -252,7 +205,7 @@ class JawBody(Body):
                 if time < 0.1 and not both:
                     return OUT if touched else BESIDE
                 if not any(pad in touch for pad in self.pads):
-                    return LIFT if time < _LIFT_S else SHAKE
+                    return LIFT if time < LIFT_S else SHAKE
         return self.ending()
 
 
@@ -300,7 +253,7 @@ _SIGNS: Final = (-1, 1, 1, 1, 1, 1, 1, -1, -1)  # of the joints' angles in the m
 _WAY: Final = 17  # postures from opened to beyond the contacts
 
 
-class ShadowBody(Body):
+class ShadowBody(HandBody):
     """The Shadow Hand, driven in its thumb and middle finger; the others are straight."""
 
     def __init__(self, item: Item, hand: Hand, friction: float) -> None:
@@ -375,7 +328,7 @@ class ShadowBody(Body):
         mujoco.mj_forward(model, data)
         touch = self.touch()
         closed, jacobian = np.inf, np.zeros((3, model.nv))
-        for step in range(round((_CLOSE_S + _SQUEEZE_S + _END_S) / STEP_S) + 50):
+        for step in range(round((_CLOSE_S + _SQUEEZE_S + END_S) / STEP_S) + 50):
             time = step * STEP_S
             if step % 2 == 0:
                 touch = self.touch()
@@ -395,8 +348,8 @@ class ShadowBody(Body):
             if lifted >= 0.0:
                 self.lift(lifted)
                 if step % 50 == 0 and not any(pad in touch for pad in self.pads):
-                    return LIFT if lifted < _LIFT_S else SHAKE
-            if lifted > _END_S:
+                    return LIFT if lifted < LIFT_S else SHAKE
+            if lifted > END_S:
                 break
             torque = _STIFF_NM * (wanted - data.qpos[self._places]) - _DAMPED_NMS * data.qvel[self._speeds]
             if closed < np.inf:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.common import add_data, markdown, print_rows, replace_marked
+from benchmarks.common import add_data, show_tables
 from benchmarks.grasp_physics.bodies import FORCES_N, Planned, take
 from benchmarks.grasp_physics.camera import VIEWS, Seen, see
 from benchmarks.grasp_physics.objects import Item, read_items
@@ -18,6 +18,7 @@ from benchmarks.grasp_physics.simulation import held
 from foretouch.camera.device import ensure_libusb
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Grasp
+from foretouch_lab.experiments.shared.tables import grouped
 
 HERE: Final = Path(__file__).parent
 FRICTIONS: Final = (0.8, 0.5)
@@ -64,8 +65,7 @@ def rows_of(item: Item, hand: str, poses: int) -> Iterator[Row]:
 def table(rows: Sequence[Row]) -> list[dict[str, str]]:
     """Return a line for each hand."""
     lines = []
-    for hand in dict.fromkeys(row["hand"] for row in rows):
-        own = [row for row in rows if row["hand"] == hand]
+    for hand, own in grouped(rows, "hand"):
         reached = [row for row in own if row.get("reached")]
 
         def count(name: str, among: Sequence[Row] = own) -> str:
@@ -94,11 +94,10 @@ def by_object(rows: Sequence[Row]) -> list[dict[str, str]]:
     return [
         {"object": name}
         | {
-            hand: "{} of {}".format(sum(bool(r.get("held")) for r in own), len(own))
-            for hand in dict.fromkeys(row["hand"] for row in rows)
-            for own in [[row for row in rows if (row["object"], row["hand"]) == (name, hand)]]
+            hand: f"{sum(bool(row.get('held')) for row in own)} of {len(own)}"
+            for hand, own in grouped(of_object, "hand")
         }
-        for name in dict.fromkeys(row["object"] for row in rows)
+        for name, of_object in grouped(rows, "object")
     ]
 
 
@@ -115,18 +114,10 @@ def main() -> None:
     items = read_items(options.objects or Path(options.data or "") / "ycb")
     rows = [row for hand in options.hands for item in items for row in rows_of(item, hand, options.poses)]
     tables = {"First grasps": table(rows), "Taken and held, by object": by_object(rows)}
-    for title, lines in tables.items():
-        print(f"\n{title}")
-        print_rows(lines)
-    if options.renew:
-        text = [
-            f"{len(items)} objects, {options.poses} poses each, two views; friction {FRICTIONS[0]:g} where it is not named."
-        ]
-        text += [
-            f"{title}:\n\n{markdown(list(lines[0]), [list(line.values()) for line in lines])}"
-            for title, lines in tables.items()
-        ]
-        replace_marked(HERE / "HANDS.md", "\n\n".join(text).strip())
+    head = (
+        f"{len(items)} objects, {options.poses} poses each, two views; friction {FRICTIONS[0]:g} where it is not named."
+    )
+    show_tables(tables, head, HERE / "HANDS.md" if options.renew else None)
 
 
 if __name__ == "__main__":

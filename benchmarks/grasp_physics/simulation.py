@@ -25,7 +25,10 @@ OUTSIDE_M: Final = 0.03  # from a planned contact to the middle of its tip, at f
 LIFT_M: Final = 0.10
 SHAKE_M: Final = (0.005, 0.0025)
 SHAKE_HZ: Final = 4.0
-CLOSED_S, LIFTED_S, SHAKEN_S, END_S = 0.5, 1.0, 1.5, 2.0
+CLOSED_S: Final = 0.5
+LIFT_S: Final = 0.5  # after closing, as the next two: the hand rises
+SHAKE_S: Final = 1.0  # shakes until then
+END_S: Final = 1.5  # and rests
 SPIN_M: Final = 0.005  # friction against a turn of the tip about its normal, torque over force
 TABLE_SHARE: Final = 0.2  # of the weight
 OPENING_M: Final = 0.10  # largest distance of the contacts
@@ -81,8 +84,65 @@ def grip(item: Item, tip_radius_m: float, friction: float) -> "Grip":
     return Grip(item, tip_radius_m, friction)
 
 
-class Grip:
-    """One object, the table and two tips.
+class Body:
+    """An object, the table and what holds the object: a mount that is placed in the world, on an arm that lifts and shakes it.
+
+    Args:
+        item: The object.
+        xml: The model of MuJoCo.
+    """
+
+    pads: tuple[int, ...]  # shapes of both sides that hold
+
+    def __init__(self, item: Item, xml: str) -> None:
+        self.weight_n = item.mass_kg * 9.81
+        self.model = mujoco.MjModel.from_xml_string(xml)
+        self.data = mujoco.MjData(self.model)
+        self.object, self.mount = self.model.body("object").id, self.model.body("mount").id
+        self.table = self.model.geom("table").id
+        self.of_object = self.model.geom_bodyid == self.object
+        self._free = self.model.jnt_qposadr[self.model.body_jntadr[self.object]]
+
+    def reset(self, pose: Float64) -> None:
+        """Put the object back."""
+        mujoco.mj_resetData(self.model, self.data)
+        at = self._free
+        self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = pose[:3, 3], quaternion(pose[:3, :3])
+
+    def place(self, mount: Float64) -> None:
+        """Put the mount (4, 4) somewhere in the world."""
+        self.model.body_pos[self.mount], self.model.body_quat[self.mount] = mount[:3, 3], quaternion(mount[:3, :3])
+
+    def touch(self) -> dict[int, float]:
+        """Return the normal force [N] on the object by the shape that touches it."""
+        force, forces = np.zeros(6), dict[int, float]()
+        for k in range(self.data.ncon):
+            pair = self.data.contact[k].geom1, self.data.contact[k].geom2
+            for mine, other in (pair, pair[::-1]):
+                if self.of_object[other] and not self.of_object[mine] and self.data.contact[k].dist < 0.0:
+                    mujoco.mj_contactForce(self.model, self.data, k, force)
+                    forces[mine] = forces.get(mine, 0.0) + float(force[0])
+        return forces
+
+    def lift(self, time_s: float) -> None:
+        """Set the arm's drives for a time after closing."""
+        raised = min(1.0, time_s / LIFT_S)
+        self.data.ctrl[0] = LIFT_M * raised * raised * (3.0 - 2.0 * raised)
+        shaken = np.sin(2.0 * np.pi * SHAKE_HZ * (time_s - LIFT_S)) if LIFT_S <= time_s < SHAKE_S else 0.0
+        self.data.ctrl[1:3] = np.multiply(SHAKE_M, shaken)
+
+    def ending(self) -> str:
+        """Return whether both sides hold the object in the end, and the table carries less than a fifth of it."""
+        if not np.isfinite(self.data.qpos).all():
+            return UNSTABLE
+        touch = self.touch()
+        if not all(pad in touch for pad in self.pads):
+            return SHAKE
+        return HELD if touch.get(self.table, 0.0) < TABLE_SHARE * self.weight_n else HANGS
+
+
+class Grip(Body):
+    """Two tips without a hand, which collide with the object alone.
 
     Args:
         item: The object.
@@ -91,26 +151,32 @@ class Grip:
     """
 
     def __init__(self, item: Item, tip_radius_m: float, friction: float) -> None:
-        self.radius_m, self.weight_n = tip_radius_m, item.mass_kg * 9.81
-        self.model = mujoco.MjModel.from_xml_string(_xml(item, tip_radius_m, friction))
-        self.data = mujoco.MjData(self.model)
-        self._object, self._hand = self.model.body("object").id, self.model.body("hand").id
+        super().__init__(item, _xml(item, tip_radius_m, friction))
+        self.radius_m = tip_radius_m
+        self.pads = tuple(self.model.geom(name).id for name in ("tip1", "tip2"))
         self._bodies = [self.model.body(name).id for name in ("tip1", "tip2")]
-        self._tips = [self.model.geom(name).id for name in ("tip1", "tip2")]
-        self._table, self._joint = self.model.geom("table").id, self.model.joint("close1")
+        self._joint = self.model.joint("close1")
 
     def close(self, pose: Float64, g1: Float64, g2: Float64, opening_m: float = OPENING_M) -> Verdict:
-        """Close on the object from outside of two contacts (3,) in the world [m], lift and shake."""
+        """Close on the object from outside of two contacts, lift and shake.
+
+        Args:
+            pose: (4, 4) of the object in the world.
+            g1: (3,) contact in the world [m].
+            g2: (3,) the other contact [m].
+            opening_m: Largest distance of the contacts [m].
+        """
         if not float(np.linalg.norm(g2 - g1)) > 1e-4:
             return Verdict(False, False, BESIDE)
-        self._reset(pose, g1, g2)
+        self._start(pose, g1, g2)
         if self._starts_inside():
             return Verdict(False, False, INSIDE)
         clear = self._clearance()
         touched = False
         for _ in range(round(CLOSED_S / STEP_S) // _CHECKED):
             mujoco.mj_step(self.model, self.data, _CHECKED)
-            both = self._both_touch()
+            touch = self.touch()
+            both = all(pad in touch for pad in self.pads)
             touched |= both
         if not both:
             return Verdict(False, False, OUT if touched else BESIDE)
@@ -121,75 +187,45 @@ class Grip:
         faulty = [name for name, there in faults.items() if there]
         return Verdict(True, not faulty, ", ".join([HELD, *faulty]))
 
-    def _reset(self, pose: Float64, g1: Float64, g2: Float64) -> None:
-        model, data = self.model, self.data
-        mujoco.mj_resetData(model, data)
+    def _start(self, pose: Float64, g1: Float64, g2: Float64) -> None:
+        self.reset(pose)
         width = float(np.linalg.norm(g2 - g1))
         along = (g2 - g1) / width
         across = np.cross([0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0], along)
         across /= np.linalg.norm(across)
-        model.body_pos[self._hand] = (g1 + g2) / 2.0
-        model.body_quat[self._hand] = quaternion(np.stack([along, across, np.cross(along, across)], axis=1))
+        mount = np.eye(4)
+        mount[:3, :3] = np.stack([along, across, np.cross(along, across)], axis=1)
+        mount[:3, 3] = (g1 + g2) / 2.0
+        self.place(mount)
         for body, sign in zip(self._bodies, (-1.0, 1.0), strict=True):
-            model.body_pos[body] = [sign * (width / 2.0 + OUTSIDE_M), 0.0, 0.0]
-        data.qpos[:3], data.qpos[3:7] = pose[:3, 3], quaternion(pose[:3, :3])
-        data.ctrl[3:5] = FORCE_N
-        mujoco.mj_forward(model, data)
+            self.model.body_pos[body] = [sign * (width / 2.0 + OUTSIDE_M), 0.0, 0.0]
+        self.data.ctrl[3:5] = FORCE_N
+        mujoco.mj_forward(self.model, self.data)
 
     def _starts_inside(self) -> bool:
         contacts = (self.data.contact[i] for i in range(self.data.ncon))
-        return any(c.dist < -0.001 and not {c.geom1, c.geom2}.isdisjoint(self._tips) for c in contacts)
+        return any(c.dist < -0.001 and not {c.geom1, c.geom2}.isdisjoint(self.pads) for c in contacts)
 
     def _lift_and_shake(self) -> str:
-        model, data = self.model, self.data
+        data = self.data
         place = float(data.qpos[self._joint.qposadr[0]])
-        for step in range(round((END_S - CLOSED_S) / STEP_S)):
-            time = CLOSED_S + step * STEP_S
+        for step in range(round(END_S / STEP_S)):
             moved, speed = data.qpos[self._joint.qposadr[0]] - place, data.qvel[self._joint.dofadr[0]]
             data.ctrl[5] = -_HOLD_N_M * moved - _HOLD_NS_M * speed
-            raised = min(1.0, (time - CLOSED_S) / (LIFTED_S - CLOSED_S))
-            data.ctrl[0] = LIFT_M * raised * raised * (3.0 - 2.0 * raised)
-            shaken = np.sin(2.0 * np.pi * SHAKE_HZ * (time - LIFTED_S)) if LIFTED_S <= time < SHAKEN_S else 0.0
-            data.ctrl[1:3] = np.multiply(SHAKE_M, shaken)
-            mujoco.mj_step(model, data)
-            if step % (10 * _CHECKED) == 0 and not any(self._touches(tip) for tip in self._tips):
-                return LIFT if time < LIFTED_S else SHAKE
-        if not np.isfinite(data.qpos).all():
-            return UNSTABLE
-        if not self._both_touch():
-            return SHAKE
-        return HELD if self._load(self._table) < TABLE_SHARE * self.weight_n else HANGS
-
-    def _contacts(self, geom: int) -> list[int]:
-        """Return the contacts of a geom with the object."""
-        contacts = []
-        for i in range(self.data.ncon):
-            pair = self.data.contact[i].geom1, self.data.contact[i].geom2
-            if geom in pair and self._object in self.model.geom_bodyid[list(pair)]:
-                contacts.append(i)
-        return contacts
-
-    def _touches(self, geom: int) -> bool:
-        return bool(self._contacts(geom))
-
-    def _both_touch(self) -> bool:
-        return all(self._touches(tip) for tip in self._tips)
-
-    def _load(self, geom: int) -> float:
-        """Return the normal force between a geom and the object [N]."""
-        force, total = np.zeros(6), 0.0
-        for i in self._contacts(geom):
-            mujoco.mj_contactForce(self.model, self.data, i, force)
-            total += float(force[0])
-        return total
+            self.lift(step * STEP_S)
+            mujoco.mj_step(self.model, data)
+            if step % (10 * _CHECKED) == 0 and self.touch().keys().isdisjoint(self.pads):
+                return LIFT if step * STEP_S < LIFT_S else SHAKE
+        return self.ending()
 
     def _opening(self) -> float:
         """Return the distance of the contacts of both tips [m]."""
-        first, second = (np.mean([self.data.contact[i].pos for i in self._contacts(tip)], axis=0) for tip in self._tips)
+        contacts = [self.data.contact[i] for i in range(self.data.ncon)]
+        first, second = (np.mean([c.pos for c in contacts if tip in {c.geom1, c.geom2}], axis=0) for tip in self.pads)
         return float(np.linalg.norm(first - second))
 
     def _clearance(self) -> float:
-        return float(self.data.geom_xpos[self._tips, 2].min()) - self.radius_m
+        return float(self.data.geom_xpos[list(self.pads), 2].min()) - self.radius_m
 
 
 def quaternion(rotation: Float64) -> Float64:
@@ -246,7 +282,7 @@ def _xml(item: Item, tip_radius_m: float, friction: float) -> str:
 <worldbody>
 {scene}
 <body name="arm" gravcomp="1">{inertial}{slides}
-<body name="hand">{tips}</body></body>
+<body name="mount">{tips}</body></body>
 </worldbody>
 <actuator>{drives}<motor joint="close1"/><motor joint="close2"/><motor joint="close1"/></actuator>
 </mujoco>"""
