@@ -252,6 +252,7 @@ def _hdf5(path: Path, columns: dict[str, Any]) -> dict[str, Any]:
         return {name: file[f"data/demo_0/obs/{name}"][:] for name in columns}
 
 
+@pytest.mark.filterwarnings("ignore:no_contact")
 @settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_table_gives_the_numbers_in_it(tmp_path_factory: Any, data: Any) -> None:

@@ -130,7 +130,7 @@ def test_every_flipped_bit_is_found_and_costs_at_most_the_sample_in_whose_chunk_
     ends = chunks(file)
     near = {place + step for start, end in ends for place in (start, end) for step in range(-50, 20, 14)}
     edges = set(range(0, 60, 7)) | {len(good) - k for k in range(1, 60, 6)}
-    places = [place for place in near | edges | set(map(int, rng.integers(0, len(good), 60))) if place < len(good)]
+    places = [place for place in near | edges | set(map(int, rng.integers(0, len(good), 30))) if place < len(good)]
     cases = [(place, 1 << int(rng.integers(8))) for place in sorted(places)]
     # Another kind of record, and lengths that reach into records behind.
     cases += [(one.offset + k, bit) for one in records(file) for k, bit in ((0, 8), (2, 32), (3, 1)) if one.offset > 8]
