@@ -114,7 +114,7 @@ def test_a_file_of_the_kernel_that_waits_and_one_that_grows_are_refused(tmp_path
 
 
 def test_a_text_takes_a_few_times_its_size_and_long_lines_are_refused(tmp_path: Path) -> None:
-    path, points = tmp_path / "text.pcd", 400_000
+    path, points = tmp_path / "text.pcd", 100_000
     head = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {points}\nHEIGHT 1\nDATA ascii\n".encode()
     path.write_bytes(head + b"1 2 3\n" * points)
     read_cloud(path)
@@ -124,7 +124,7 @@ def test_a_text_takes_a_few_times_its_size_and_long_lines_are_refused(tmp_path: 
     tracemalloc.stop()
     assert (cloud.xyz == [1, 2, 3]).all()
     assert peak < 12 * path.stat().st_size
-    for body, rule in ((b"1 2 3\n" * (points + 1), "400001 lines"), (b"1 2 3 " * points, "a line of more than")):
+    for body, rule in ((b"1 2 3\n" * (points + 1), "100001 lines"), (b"1 2 3 " * points, "a line of more than")):
         path.write_bytes(head + body)
         with pytest.raises(FileError, match=rule):
             read_cloud(path)

@@ -33,15 +33,13 @@ def one_thread_each() -> Iterator[None]:
 
 
 @contextmanager
-def process_pool(
-    workers: int, initializer: Callable[..., object] | None = None, initargs: tuple[Any, ...] = ()
-) -> Iterator[ProcessPoolExecutor]:
+def process_pool(workers: int, initializer: Callable[[], object] | None = None) -> Iterator[ProcessPoolExecutor]:
     """Start processes that do not see Ctrl-C, which the terminal sends to them too, and that end with the context.
 
     `initializer`, a function of a module, is called first in each of them.
     """
     before = set(active_children())
-    pool = _Pool(workers, get_context("spawn"), initializer, initargs)
+    pool = _Pool(workers, get_context("spawn"), initializer)
     try:
         yield pool
     except BaseException:

@@ -42,7 +42,7 @@ class CameraStatus:
     failures: int = 0  # consecutive attempts without a frame
 
     def __str__(self) -> str:
-        return f"camera: {self.state}{self.reason and f': {self.reason}'}"
+        return f"camera: {self.state}: {self.reason}" if self.reason else f"camera: {self.state}"
 
     @property
     def is_ok(self) -> bool:

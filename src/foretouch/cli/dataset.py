@@ -137,14 +137,18 @@ def _info(arguments: argparse.Namespace) -> int:
     if arguments.json:
         return print_result("", {"path": arguments.path, **facts, "pairing_edges_ms": PAIRING_EDGES_MS}, as_json=True)
     counts = "{samples} ({labelled} labelled, {tared} with tare, {discarded} discarded)".format(**facts)
-    period = f"{_utc(facts['first_ns'])} to {_utc(facts['last_ns'])}"
+    period = ""
+    if facts["last_ns"]:
+        period = f"{_utc(facts['first_ns'])} to {_utc(facts['last_ns'])}"
+    elif facts["samples"]:
+        period = "simulated, without a clock"
     least, median, most = facts["points"]
     bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], facts["pairing_ms"], strict=False)
     rows = {
         "kind": facts["kind"],
         "samples": counts,
         **{name: facts[name] for name in ("objects", "outcomes", "flags")},
-        "time": period if facts["last_ns"] else "simulated, without a clock" if facts["samples"] else "",
+        "time": period,
         "points a cloud": f"{least} to {most} (median {median})" if facts["samples"] else "",
         "sensor": facts["sensor"],
         "dead taxels": facts["dead"],

@@ -112,7 +112,9 @@ def _predictions(predictions: Sequence[TouchPrediction], sensor: Sensor) -> Tabl
             ]
         )
     units = ", ".join(dict.fromkeys(sensor.channels.channel_of[name].unit for name in modalities))
-    title = f"last prediction ({units}){models and f' by {models}'}"
+    title = f"last prediction ({units})"
+    if models:
+        title += f" by {models}"
     return _table("object", "mm", *modalities, "based on", "flags", rows=rows, title=title)
 
 

@@ -355,12 +355,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if arguments.picture:
         _draw(graph.monitor.last_drawables(), arguments.picture, view.sensor)
     if graph.replay is None and not played:
-        source = "scene" if "hand" in graph.nodes else "camera" if "camera" in graph.nodes else arguments.source
-        state = getattr(arguments, "state", _source_state(graph))
-        cure = (
-            "; of a camera that is no RealSense, give the topic of its driver as --source" if source == "camera" else ""
-        )
-        warn(f"no cloud came from the {source}: {state}{cure}")
+        _warn_of_no_cloud(graph, arguments)
         return 3
     untouched = at_rest(view.executed and view.executed[1])
     if untouched:
@@ -370,9 +365,22 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
-    for cause in graph.nodes["camera"].reported().warnings if not predicted and "camera" in graph.nodes else ():
-        warn(f"no prediction: {cause}")
+    if not predicted and "camera" in graph.nodes:
+        for cause in graph.nodes["camera"].reported().warnings:
+            warn(f"no prediction: {cause}")
     return 0 if complete and not fault and not untouched and (predicted or not answered) else 1
+
+
+def _warn_of_no_cloud(graph: Graph, arguments: argparse.Namespace) -> None:
+    """Say which source gave no cloud, and in which state it is."""
+    source = arguments.source
+    if "hand" in graph.nodes:
+        source = "scene"
+    elif "camera" in graph.nodes:
+        source = "camera"
+    state = getattr(arguments, "state", _source_state(graph))
+    cure = "; of a camera that is no RealSense, give the topic of its driver as --source" if source == "camera" else ""
+    warn(f"no cloud came from the {source}: {state}{cure}")
 
 
 def _draw(drawables: Sequence[Drawable], path: str, sensor: Sensor) -> None:

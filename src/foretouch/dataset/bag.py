@@ -190,7 +190,8 @@ class Recording:
         runs = []
         for reader in self._readers:
             wanted = [channel for channel in reader.connections if topics is None or channel.topic in topics]
-            runs += [reader.messages(wanted)] if wanted or isinstance(reader, _McapFile) else []
+            if wanted or isinstance(reader, _McapFile):  # whose damage is found in any case
+                runs.append(reader.messages(wanted))
         with _known_failures(self.path):
             for connection, time_ns, raw in merge(*runs, key=itemgetter(1)):
                 topic, definition = connection.topic, _definition(connection)
@@ -200,10 +201,10 @@ class Recording:
                 counts[topic] += 1
         faults = [file.fault for file in self._readers if isinstance(file, _McapFile) and file.fault]
         if faults:
-            also = ", ".join(fault.path.name for fault in faults[1:])
-            raise FileError(
-                faults[0].path, f"{faults[0].rule}{also and '; also damaged: '}{also}", field=faults[0].field
-            )
+            rule = faults[0].rule
+            if len(faults) > 1:
+                rule += f"; also damaged: {', '.join(fault.path.name for fault in faults[1:])}"
+            raise FileError(faults[0].path, rule, field=faults[0].field)
         for topic in self.topics:
             if (topics is None or topic.name in topics) and counts[topic.name] != topic.count:
                 rule = f"declares {topic.count} messages, holds {counts[topic.name]}"

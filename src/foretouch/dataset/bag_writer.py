@@ -89,22 +89,21 @@ class BagWriter:
         self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
 
 
-def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOPIC) -> int:
-    """Write clouds as a recording of one topic, and return their number.
+def write_bag(path: str | Path, clouds: Iterable[Cloud]) -> int:
+    """Write clouds as a recording of the topic `/foretouch/points`, and return their number.
 
     Args:
         path: A new folder.
         clouds: With frame and stamp.
-        topic: Of the clouds.
 
     Raises:
         FileError: If the folder exists, or cannot be written.
     """
     count = 0
     with BagWriter(path) as writer:
-        writer.add_topic(topic, POINT_CLOUD_TYPE)
+        writer.add_topic(_CLOUD_TOPIC, POINT_CLOUD_TYPE)
         for cloud in clouds:
-            writer.write_cloud(cloud, topic)
+            writer.write_cloud(cloud)
             count += 1
     return count
 

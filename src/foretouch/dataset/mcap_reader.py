@@ -162,7 +162,8 @@ class McapReader:
                 runs.append(self._chunk_in_time(record, topics, faults))
             elif record.opcode == Opcode.MESSAGE:
                 message = self._message(self.data, record, None)
-                bare += [(message.log_time_ns, message)] if message.topic in topics else []
+                if message.topic in topics:
+                    bare.append((message.log_time_ns, message))
         bare.sort(key=itemgetter(0))
         in_file = ((time_ns, (message, self.content(message))) for time_ns, message in bare)
         for _, message in heapq.merge(in_file, *runs, key=itemgetter(0)):
@@ -213,7 +214,8 @@ class McapReader:
                 if isinstance(item, Damage):
                     break
                 if item.opcode == Opcode.DATA_END:
-                    yield from self._end_damage(item, index) if verified else ()
+                    if verified:
+                        yield from self._end_damage(item, index)
                     return
                 if (
                     item.opcode == Opcode.ATTACHMENT
@@ -238,8 +240,9 @@ class McapReader:
         source = self._unpack(record) if packed else self.data
         start, end = (0, len(source)) if packed else (head.start, record.end)
         for item in self._records(source, start, end, _IN_CHUNK):
-            if isinstance(item, Damage):  # where a chunk is cut off, so is its last message
-                yield from () if is_cut else [Damage(record.offset if packed else item.offset, item.rule)]
+            if isinstance(item, Damage):
+                if not is_cut:  # else its last message is cut off, too
+                    yield Damage(record.offset if packed else item.offset, item.rule)
             elif item.opcode == Opcode.MESSAGE:
                 message = self._message(source, item, packed)
                 if only and not packed and message.type not in only:
@@ -285,12 +288,14 @@ class McapReader:
             return f"a chunk unpacks to {head.size} bytes, more than {_MOST_UNPACKED}"
         if head.end > record.end:
             return ""
-        content = self._unpack(record) if unpacked else None
-        size = head.end - head.start if content is None else len(content)
-        crc = 0 if not head.crc else self.data.crc32(head.start, record.end) if content is None else zlib.crc32(content)
-        return (
-            "" if (size, crc) == (head.size, head.crc) else "damaged: a chunk that does not match its checksum or size"
-        )
+        if unpacked:
+            content = self._unpack(record)
+            size = len(content)
+            fits = not head.crc or head.crc == zlib.crc32(content)
+        else:
+            size = head.end - head.start
+            fits = not head.crc or head.crc == self.data.crc32(head.start, record.end)
+        return "" if fits and size == head.size else "damaged: a chunk that does not match its checksum or size"
 
     def _unpack(self, record: Record) -> bytes:
         """Return the content of a chunk, as far as it unpacks."""

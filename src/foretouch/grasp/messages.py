@@ -3,7 +3,7 @@
 
 import math
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
@@ -40,7 +40,7 @@ STATUSES: Final = {
 }
 """Names of the numbers in `foretouch_msgs/Status`."""
 
-REFERENCES: Final[tuple[Reference, ...]] = ("none", "tare", "touches", "history")
+REFERENCES: Final[tuple[Reference, ...]] = get_args(Reference)
 """Names of the numbers of `reference` in `foretouch_msgs/TouchPrediction`."""
 
 

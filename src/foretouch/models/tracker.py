@@ -230,10 +230,11 @@ class SensorTracker:
             known: Of another object, as of `start_object`.
             tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
-        kind = self._kind if same_object else (KNOWN if known else NEW)
+        kind = self._kind
         at = self._filter.copy()
         at.advance(self._seconds_to(stamp_ns))
         if not same_object:
+            kind = KNOWN if known else NEW
             at.start_object(self.parameters.object[kind])
         x = self._change(self._followed(tdc, stamp_ns)[0])
         mean, variance = at.predicted(x=x)

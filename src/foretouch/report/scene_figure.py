@@ -129,7 +129,9 @@ def _draw_image(axes: Axes, scene: Scene, grasp: Grasp | None) -> None:
     left, right, top, bottom = _window(scene.labels > 0)
     axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[], aspect="equal")
     count = len(scene.objects)
-    title = f"{count} object{'' if count == 1 else 's'} on the table" if count else f"{scene.status}: {scene.reason}"
+    title = f"{count} object{'' if count == 1 else 's'} on the table"
+    if not count:
+        title = f"{scene.status}: {scene.reason}"
     axes.set_title(_folded(title, 60), fontsize=9)
 
 

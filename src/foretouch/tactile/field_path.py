@@ -78,6 +78,6 @@ class FieldPath:
 
 def _step(match: re.Match[str]) -> _Step:
     name, index, part, key, wanted = match.groups()
-    if part is not None:
-        return slice(*(int(word) if word else None for word in part.split(":"))) if part else slice(None)
+    if part is not None:  # `[]` or `[A:B]`
+        return slice(*(int(word) if word else None for word in (part or ":").split(":")))
     return name or (int(index) if index else (key, wanted))

@@ -180,7 +180,9 @@ class DepthImage:
         if (height, width) != camera.shape:
             raise CloudError(f"depth: {width}x{height} is not the size of the camera, {camera.width}x{camera.height}")
         kind = depth.dtype.newbyteorder("=")
-        scale = (_MILLIMETRE if kind == np.uint16 else 1.0) if scale is None else _as_number("scale", scale)
+        if scale is None:
+            scale = _MILLIMETRE if kind == np.uint16 else 1.0
+        scale = _as_number("scale", scale)
         if not 0.0 < scale < np.inf:
             raise CloudError(f"scale: {scale} is not a number of metres above 0")
         _check_unit(depth, kind, scale)

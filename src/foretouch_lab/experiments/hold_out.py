@@ -143,7 +143,9 @@ def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
 
 def _table(count: int) -> str:
     """Return the name of the table after a number of touches."""
-    return "no touch" if count == 0 else f"after {count} touch" + ("es" if count > 1 else "")
+    if count == 0:
+        return "no touch"
+    return f"after {count} {'touch' if count == 1 else 'touches'}"
 
 
 def _tabulate(split: str, settings: HoldOutSettings, rows: Sequence[Row]) -> list[Row]:

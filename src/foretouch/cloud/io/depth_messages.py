@@ -72,9 +72,9 @@ def image_pixels(message: Any, pixel: str) -> AnyArray:
 
 def _compressed(message: Any) -> AnyArray:
     encoding, _, transport = (part.strip() for part in message.format.partition(";"))
-    words = transport.split()
-    codec = "png" if words == ["compressedDepth"] else words[-1] if words[:1] == ["compressedDepth"] else ""
-    if codec not in {"png", "rvl"}:
+    name, *codecs = transport.split() or [""]
+    codec = codecs[-1] if codecs else "png"
+    if name != "compressedDepth" or codec not in {"png", "rvl"}:
         raise CloudError(f"format: {shown(message.format)!r} is not `ENCODING; compressedDepth png` or `rvl`")
     is_metric = _pixel(encoding) == "f4"
     data = _bytes(message.data)

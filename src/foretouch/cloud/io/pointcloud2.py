@@ -53,7 +53,9 @@ def decode(message: Any) -> tuple[Float32, UInt8 | None]:
     if data.size != row_step * height:
         expected = f"row_step {row_step} x height {height} = {row_step * height}"
         raise CloudError(f"data: {data.size} bytes are not {expected}")
-    shape = ((height, width) if height > 1 else (width,)) if height * width else (0,)
+    shape = (height, width) if height > 1 else (width,)
+    if 0 in (height, width):
+        shape = (0,)
     strides = (row_step, message.point_step)[2 - len(shape) :]
 
     def view(dtype: str, offset: int, *last: int) -> AnyArray:

@@ -137,7 +137,8 @@ def samples_in(file: RecordingFile) -> list[RecordedMessage]:
         messages = []
         for item in file.messages(only):
             if isinstance(item, RecordedMessage):
-                messages += [item] if item.type in SAMPLE_TYPES else []
+                if item.type in SAMPLE_TYPES:
+                    messages.append(item)
             elif not file.finished and (item.rule.startswith("cut off") or len(file.data) < len(MAGIC)):
                 break
             else:

@@ -117,7 +117,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._status = self.advertise(RecorderStatus, "recorder_status")
         self._hold = self.advertise(TouchHold, "touch_hold")
         topics = sample_topics(self.config, points=self.config.points)
-        topics += depth_topics(self.config.depth) if self.config.depth else []
+        if self.config.depth:
+            topics += depth_topics(self.config.depth)
         others, missing = robot_topics()
         if missing:
             self.get_logger().info(f"not installed, so that its topics are not recorded: {', '.join(missing)}")
@@ -304,10 +305,15 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def _edit_grasp(self, request: Any, _: Any) -> str:
         label = _decode_label(request)
-        edits: list[tuple[Action, str]] = [("relabel", label.object)] if label.object else []
-        edits += [(label.outcome, "")] if label.outcome != "unknown" else []
-        edits += [("note", label.note)] if label.note else []
-        edits += [("drop", "")] if label.discard else []
+        edits: list[tuple[Action, str]] = []
+        if label.object:
+            edits.append(("relabel", label.object))
+        if label.outcome != "unknown":
+            edits.append((label.outcome, ""))
+        if label.note:
+            edits.append(("note", label.note))
+        if label.discard:
+            edits.append(("drop", ""))
         if not edits:
             raise ConfigError("the request changes nothing: set object, outcome, note or discard")
         return "; ".join(self.act(action, text, request.grasp_id) for action, text in edits)

@@ -139,7 +139,12 @@ def cost_of(rule: str, grasp: Grasp, pressed: Float64) -> float:
         grasp: The grasp.
         pressed: (F,) how hard each finger presses.
     """
-    cost = -grasp.score if rule == SCORE else float(np.max(pressed) if rule == HARDER_FINGER else np.mean(pressed))
+    if rule == SCORE:
+        cost = -grasp.score
+    elif rule == HARDER_FINGER:
+        cost = float(np.max(pressed))
+    else:
+        cost = float(np.mean(pressed))
     return cost if math.isfinite(cost) else math.inf
 
 

@@ -157,7 +157,9 @@ def summarise_models(rows: Sequence[Row]) -> list[Table]:
 
 def _error(name: str, row: Row, *_: Row) -> str:
     error, deviation = row[f"{name}_rmse"], row.get(f"{name}_sd")
-    return "–" if error is None else f"{error:.1f}" + ("" if deviation is None else f" ± {deviation:.1f}")
+    if error is None:
+        return "–"
+    return f"{error:.1f}" if deviation is None else f"{error:.1f} ± {deviation:.1f}"
 
 
 def _change_text(row: Row) -> str:

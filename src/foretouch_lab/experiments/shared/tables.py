@@ -107,7 +107,9 @@ def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
 def _cell(row: Row, references: Sequence[str], of_table: Sequence[Row]) -> str:
     """Return skill, signs of its comparisons and interval; the object with the lowest skill where there are several."""
     signs = "".join(SIGNS.get(row[f"vs_{name}_verdict"] or "", _ITSELF) for name in references)
-    text = f"{short(row['skill'])} {signs.strip(_ITSELF) and signs}".rstrip()
+    if not signs.strip(_ITSELF):
+        signs = ""
+    text = f"{short(row['skill'])} {signs}".rstrip()
     if row["modality"] == MEAN:
         return text
     if row["skill_low"] is not None and row["skill_low"] != row["skill_high"]:

@@ -211,7 +211,7 @@ def _first_touch(job: Job, state: SampleState) -> None:
 
 def _slope(cosine: float) -> float:
     """Return the tangent of the angle between approach and surface normal; infinite where the surface turns away."""
-    return math.sqrt(1.0 / cosine**2 - 1.0) if 0.0 < cosine < 1.0 else (math.inf if cosine <= 0.0 else 0.0)
+    return math.sqrt(max(0.0, 1.0 / cosine**2 - 1.0)) if cosine > 0.0 else math.inf
 
 
 def _meet(
