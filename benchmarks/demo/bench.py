@@ -21,13 +21,22 @@ from foretouch_lab.simulation.simulate import Simulation
 
 HERE = Path(__file__).parent
 OBJECTS = {"can": True, "figure": False}  # of the demo, with whether the model knows them
+FIGURE = "minion"  # shape of the figure
 TOUCHES = range(5)  # touches of the object before the grasps that are counted: all of the demo
 DRAWN = (0, 2)  # touches before the grasps that are drawn
 
 
-def demo_run(model: TouchModel, seed: int) -> ModelReplay:
-    """Return ten grasps of the demo, each predicted from all that was read before it."""
-    return replay_model(model, list(Simulation(scene("demo").replace(seed=seed)).samples(10)))
+def demo_run(model: TouchModel, seed: int, shape: str = FIGURE) -> ModelReplay:
+    """Return ten grasps of the demo, each predicted from all that was read before it.
+
+    Args:
+        model: The model.
+        seed: Of the scene.
+        shape: Of the object that the model does not know.
+    """
+    can, figure = scene("demo").objects
+    demo = scene("demo").replace(seed=seed, objects=(can, figure.replace(shape=shape)))
+    return replay_model(model, list(Simulation(demo).samples(10)))
 
 
 def inside(run: ModelReplay, name: str, touches: int) -> tuple[int, float]:
@@ -88,14 +97,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--model", default="simulated")
+    parser.add_argument(
+        "--shape", default=FIGURE, help="of the unknown object; of another than the demo's nothing is written"
+    )
     parser.add_argument("--out", type=Path, default=HERE / "demo.csv")
     parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "touch.png")
     options = parser.parse_args()
     model = load_model(options.model)
-    runs = [demo_run(model, seed) for seed in range(options.runs)]
-    draw(runs, options.picture)
+    runs = [demo_run(model, seed, options.shape) for seed in range(options.runs)]
     print_rows(demo_rows(runs))
-    write_csv(options.out, demo_rows(runs))
+    if options.shape == FIGURE:
+        draw(runs, options.picture)
+        write_csv(options.out, demo_rows(runs))
 
 
 if __name__ == "__main__":

@@ -69,9 +69,8 @@ class DepthCamera:
         depth = _as_depth(depth)
         try:
             height, width = check_image(depth)
-            stated = int(facts.get("width") or 0), int(facts.get("height") or 0)
-            if all(stated) and stated != (width, height):
-                raise CloudError(f"depth: {width}x{height} is not the size of the camera, {stated[0]}x{stated[1]}")
+            if facts.get("width") and facts.get("height"):
+                width, height = int(facts["width"]), int(facts["height"])  # of the camera, compared with the image
             model = CameraModel.of(_row_major(np.asarray(matrix, np.float64)), width, height, _distortion(facts))
             cloud = Cloud.from_depth(depth, model, self.scale if self.scale is not None else _scale(facts))
         except (CloudError, ValueError, TypeError, IndexError) as err:
