@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cloud.segmentation.test_background import ON_SHELF, SHELF, room
 from every_case import every_case
 from PIL import Image
 
@@ -97,18 +96,3 @@ def test_pictures_are_drawn_by_all_three(call, tmp_path):
         assert (answer.status, len(answer.records)) == (0, 1)
         with Image.open(path) as image:
             assert image.size[0] / image.size[1] > 0.6 * panels / 1.2
-
-
-def test_the_plane_that_carries_the_objects_is_chosen(call, tmp_path):
-    cloud, _ = room(*SHELF, tilt_deg=35.0, distance_m=0.9)
-    np.save(tmp_path / "shelf.npy", cloud.xyz)
-    point = f"segmentation.plane.point=[{','.join(map(str, ON_SHELF))}]"
-
-    def check(table, options, expected_x):
-        answer = call(
-            "segment", tmp_path / "shelf.npy", "--set", f"segmentation.plane.table={table}", *options, "--json"
-        )
-        (object_,) = answer.records[0]["objects"]
-        assert abs(object_["centroid"][0] - expected_x) < 0.01
-
-    every_case([("largest", (), -0.06), ("nearest", (), 0.255), ("point", ("--set", point), 0.255)], check)

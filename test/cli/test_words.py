@@ -219,16 +219,7 @@ def test_nodes_and_parameters_in_files_and_on_the_command_line(call, tmp_path) -
             check_parameters(["--ros-args", *words], KNOWN, ["grasp"], "/foretouch")
         assert text in str(err.value)
     check_parameters(["--ros-args", "-p", "grasp.count:=3"], KNOWN, ["grasp"], "/foretouch")
-
-
-def test_parameters_of_single_steps_are_refused_by_perception(tmp_path) -> None:
-    pytest.importorskip("rclpy")
-    from foretouch.errors import ConfigError
-    from foretouch.ros.nodes import NODES as KNOWN
-    from foretouch.ros.runtime.parameter_files import check_parameters
-
-    path = tmp_path / "old.yaml"
-    path.write_text("/foretouch/touch_predictor:\n  ros__parameters:\n    model: default\n")
+    path.write_text("/foretouch/touch_predictor:\n  ros__parameters:\n    model: default\n")  # of a single step
     arguments = ["--ros-args", "--params-file", str(path)]
     check_parameters(arguments, KNOWN, ["touch_predictor"], "/foretouch")
     with pytest.raises(ConfigError) as err:
