@@ -87,7 +87,17 @@ def test_an_object_is_found_by_its_pixel_and_by_a_point_and_what_is_there_else_i
             ([0.0, 0.0, 0.5],),
             r"point: no object within 0\.03 m of \(0, 0, 0\.5\); the nearest is 0\.\d+ m away",
         ),
-        (scene.near, ([0.0, np.nan, 0.5],), "point: .* is not three finite numbers"),
+        *(
+            (scene.near, (point,), "point: .* is not three finite")
+            for point in ([0.0, np.nan, 0.5], "here", [0, [0], 0])
+        ),
+        (scene.near, (scene.objects[0].centroid, np.nan), "point: no object within nan m"),
+        (scene.at, (True, False), r"pixel: \(True, False\) is not two whole numbers"),
+        (ft.Object.of, (3, scene.cloud, scene.table), "id: 3 is not a text, such as '1'"),
+        (ft.Object.of, ("3", scene.cloud.xyz, scene.table), "cloud: ndarray is not a Cloud"),
+        (ft.Object.of, ("3", scene.cloud, (0, 0, -1, 1)), "plane: tuple is not a Plane"),
+        (Pipeline().plan, (scene.cloud,), r"target: \w*Cloud is not an object of a scene"),
+        (ft.load_model().predict, (scene.cloud.xyz, []), "cloud: ndarray is neither an object of a scene, such as"),
         (ft.segment, (scene.cloud.xyz,), r"cloud: ndarray is not a Cloud, such as Cloud\.from_depth\(depth, K\)"),
         (Pipeline().run, (None,), "cloud: NoneType is not a Cloud"),
         (Pipeline().run, (scene.cloud.xyz,), "cloud: ndarray is not a Cloud"),
@@ -158,6 +168,9 @@ def test_predictions_adapt_to_touches_and_go_on_from_a_file(scene, tmp_path):
     np.testing.assert_array_equal(again.predict(target, grasps, stamp_ns=2 * second).value, after.value)
     other = hand.predict(scene.objects[1], ft.plan(scene.objects[1]), stamp_ns=2 * second)
     assert other[0].reference == "history"
+    for number, reference in enumerate(("touches", "history")):  # the model finds out which object it is, too
+        target = scene.objects[number]
+        assert model.predict(target, ft.plan(target), history=hand)[0].reference == reference
     with pytest.raises(TactileError):
         hand.tare(ft.Touch(np.full(50, -5.0), vision.channels), stamp_ns=2 * second)
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from foretouch.dataset.formats import open_samples
 from foretouch.dataset.samples import SampleSet
-from foretouch.errors import CloudError, TactileError
+from foretouch.errors import TactileError
 from foretouch.grasp.messages import decode_predictions
 from foretouch.laboratory import needs_laboratory
 from foretouch.models.touch_model import TouchModel
@@ -55,9 +55,6 @@ def plan(target: Object, *, count: int | None = None, config: PipelineConfig | N
     Raises:
         CloudError: If a scene or a cloud is passed for the object.
     """
-    if not isinstance(target, Object):
-        rule = "is not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
-        raise CloudError(f"target: {type(target).__name__} {rule}")
     pipeline = Pipeline(config)
     if count is not None:
         pipeline.config = pipeline.config.updated({"grasp.count": count}, "count")

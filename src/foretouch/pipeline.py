@@ -25,6 +25,7 @@ from foretouch.grasp import GeoGraspConfig, GraspPlan, HandConfig, HeldGrasp, ha
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import History, TouchModel, load_model
 from foretouch.types import Cloud, Float64, Grasp, Grasps, Plane, Predictions, Touch
+from foretouch.types.cloud import require_cloud
 from foretouch.types.scene import Object, Obstacles, Scene
 
 
@@ -59,13 +60,6 @@ class PipelineResult:
     scene: Scene | None  # none where the cloud holds only an object
     targets: tuple[TargetResult, ...]  # the objects to grasp with their predictions, best first
     ms: dict[str, float]  # wall time of the steps `segment`, `grasp`, `touch` that ran, and `total` [ms]
-
-
-def _require_cloud(cloud: object) -> None:
-    if not isinstance(cloud, Cloud):
-        raise CloudError(
-            f"cloud: {type(cloud).__name__} is not a Cloud, such as Cloud.from_depth(depth, K) or Cloud(xyz)"
-        )
 
 
 class Pipeline:
@@ -108,7 +102,7 @@ class Pipeline:
             CloudError: If the mask has another size than the image or no label, or its numbers are not whole; or an array
                 is passed for the cloud.
         """
-        _require_cloud(cloud)
+        require_cloud(cloud)
         if mask is not None:
             scene = segment_mask(cloud, mask, self.config.segmentation)
         else:
@@ -158,7 +152,13 @@ class Pipeline:
             rng: Draws a random shift instead, where given.
             held: Grasp of the previous cloud, which is kept unless another is better by more than `hold`.
             hold: In units of the score.
+
+        Raises:
+            CloudError: If a scene or a cloud is passed for the object.
         """
+        if not isinstance(target, Object):
+            rule = "is not an object of a scene, such as segment(cloud).objects[0]; Pipeline().run(cloud, plane) takes one object's points"
+            raise CloudError(f"target: {type(target).__name__} {rule}")
         plan = plan_grasps(
             target.cloud,
             target.plane,
@@ -238,7 +238,7 @@ class Pipeline:
         results: list[TargetResult] = []
         targets: tuple[Object, ...]
         if plane is not None:
-            _require_cloud(cloud)
+            require_cloud(cloud)
             targets = (Object.of("1", cloud, plane),)
         else:
             with timed(ms, "segment"):

@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
-from foretouch.errors import FileError, ModelError, TactileError
+from foretouch.errors import CloudError, FileError, ModelError, TactileError
 from foretouch.files import read_bytes, replace_files, system_errors
 from foretouch.grasp.pose import joined_faults, require_none, rotation_faults
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, reach_faults
@@ -153,8 +153,11 @@ class TouchModel:
                 raise ModelError("history: has tares and touches of its own")
             if history.tracker.parameters is not self._calibrated().tracker_parameters:
                 raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
-        if not isinstance(cloud, Cloud):
-            table, cloud = table or cloud.plane, cloud.cloud
+        cloud, own_table = _cloud_and_table(cloud)
+        table = table or own_table
+        if history is not None and history.same_object is None:
+            same = history.is_current(cloud, _SAME_OBJECT_M)
+            history = history.snapshot(history.stamp_ns, same_object=same, tare=history.tared, tdc=history.tdc)
         check_object(cloud.xyz, limits)
         columns = Grasps.of(grasps)
         faults = _faults(columns, cloud, reach.max_width_m, reach.max_distance_m)
@@ -282,6 +285,16 @@ class TouchModel:
         return predictions.put(~finite, refused)
 
 
+def _cloud_and_table(target: Cloud | Object) -> tuple[Cloud, Plane | None]:
+    """Return the cloud and the table of an object; of a cloud no table."""
+    if isinstance(target, Object):
+        return target.cloud, target.plane
+    if isinstance(target, Cloud):
+        return target, None
+    rule = "is neither an object of a scene, such as segment(cloud).objects[0], nor a Cloud of one"
+    raise CloudError(f"cloud: {type(target).__name__} {rule}")
+
+
 def place_and_size(cloud: Cloud) -> Float64:
     """Return (6,) float64 mean and standard deviation of the finite points of a cloud in x, y, z [m]; infinite without any."""
     points = cloud.finite.astype(np.float64)
@@ -305,7 +318,7 @@ class History:
         signature: Frame and `place_and_size` of the current object at its last touch; None before its first.
         restarts: How often each finger was restarted, since its readings showed a jump or another sensor.
         stamp_ns: Time of the predictions that are made from it [ns]; now if None.
-        same_object: Whether they are for the object that was touched last.
+        same_object: Whether they are for the object that was touched last; None for by place and size.
         tared: Whether a tare was taken after the last touch.
         tdc: (F,) TDC of the fingers at that time [counts]; the latest one if None.
     """
@@ -319,7 +332,7 @@ class History:
         self._forgotten = 0
         self.tared = False
         self.stamp_ns: int | None = None
-        self.same_object = True
+        self.same_object: bool | None = None
         self.tdc: Float64 | None = None
 
     @property
@@ -379,7 +392,7 @@ class History:
             CloudError: If the cloud cannot be used.
             GraspError: If no hand can execute the grasp.
         """
-        cloud, table = (target, None) if isinstance(target, Cloud) else (target.cloud, target.plane)
+        cloud, table = _cloud_and_table(target)
         same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
         values = self.model.usable_values(reading, "touched")
         if estimate is None:
@@ -415,18 +428,17 @@ class History:
         Raises:
             CloudError: If the cloud cannot be used.
         """
-        cloud = target if isinstance(target, Cloud) else target.cloud
-        same = self.is_current(cloud, _SAME_OBJECT_M) if same_object is None else same_object
-        return self.model.predict(target, grasps, history=self.snapshot(stamp_ns, same_object=same, tare=self.tared))
+        history = self.snapshot(stamp_ns, same_object=same_object, tare=self.tared)
+        return self.model.predict(target, grasps, history=history)
 
     def snapshot(
-        self, stamp_ns: int | None, *, same_object: bool, tare: bool = False, tdc: Float64 | None = None
+        self, stamp_ns: int | None, *, same_object: bool | None, tare: bool = False, tdc: Float64 | None = None
     ) -> Self:
         """Return a history of the same readings, for predictions at a time. Later readings do not change it.
 
         Args:
             stamp_ns: Time of the predictions [ns]; now if None.
-            same_object: Whether they are for the current object, else for one that was not touched.
+            same_object: Whether they are for the current object, else for one that was not touched; None for by place and size.
             tare: Whether a tare was taken shortly before.
             tdc: (F,) TDC at that time [counts]; where it is not known, the latest one counts.
         """
@@ -465,11 +477,11 @@ class History:
     @property
     def compares_places(self) -> bool:
         """Whether places on the object are compared with its earlier touches."""
-        return self.same_object and self.tracker.similar.enough
+        return self.same_object is not False and self.tracker.similar.enough
 
     @property
     def _touched(self) -> bool:
-        return self.same_object and self.touches > 0
+        return self.same_object is not False and self.touches > 0
 
     @property
     def _time_ns(self) -> int:

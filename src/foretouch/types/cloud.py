@@ -113,6 +113,14 @@ class Cloud:
         return Cloud(self.xyz.reshape(-1, 3).take(flat, axis=0), rgb, self.frame_id, self.stamp_ns)
 
 
+def require_cloud(cloud: object) -> None:
+    """Refuse what is no cloud, such as an array, with a `CloudError`."""
+    if not isinstance(cloud, Cloud):
+        raise CloudError(
+            f"cloud: {type(cloud).__name__} is not a Cloud, such as Cloud.from_depth(depth, K) or Cloud(xyz)"
+        )
+
+
 class DepthCloud(Cloud):
     """The cloud of a depth image, whose points are made when they are first asked for.
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError, shown
 from foretouch.types.arrays import Float32, Float64, Int32, Int64
-from foretouch.types.cloud import Cloud, Plane
+from foretouch.types.cloud import Cloud, Plane, require_cloud
 
 NEAR_M: Final = 0.03
 """How far from a point the object that is meant by it may be."""
@@ -57,6 +57,14 @@ class Object:
     obstacles: Obstacles | None = None  # all objects of the scene, if there are several
     background: str = ""  # why it is no object, one of `cloud.segmentation.background.REASONS`; "" for an object
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.id, str):
+            raise CloudError(f"id: {shown(self.id)} is not a text, such as '1'")
+        if not isinstance(self.plane, Plane):
+            raise CloudError(
+                f"plane: {type(self.plane).__name__} is not a Plane, such as Plane.from_coefficients((a, b, c, d))"
+            )
+
     @classmethod
     def of(cls, object_id: str, cloud: Cloud, plane: Plane, **others: Any) -> Self:
         """Make an object of its points.
@@ -66,7 +74,11 @@ class Object:
             cloud: Its points [m].
             plane: The table, in the cloud's frame.
             others: Further fields by name, such as `pixels`.
+
+        Raises:
+            CloudError: If the id is not a text, or cloud or table of another type.
         """
+        require_cloud(cloud)
         points = cloud.finite.astype(np.float64)
         if not len(points):
             return cls(object_id, cloud, plane, np.full(3, np.nan), np.full((2, 3), np.nan), **others)
@@ -122,7 +134,7 @@ class Scene:
         Raises:
             CloudError: If the pixel is outside the image, or no object is there; says what is. If it is not whole numbers.
         """
-        if not all(isinstance(value, int | np.integer) for value in (u, v)):
+        if not all(isinstance(value, int | np.integer) and not isinstance(value, bool) for value in (u, v)):
             raise CloudError(f"pixel: ({shown(u)}, {shown(v)}) is not two whole numbers, column and row; round a click")
         depth = self.cloud.xyz[..., 2]
         if depth.ndim != 2:
@@ -151,16 +163,19 @@ class Scene:
             tolerance_m: Largest distance of the nearest point [m].
 
         Raises:
-            CloudError: If no object is so near, or the position is not finite.
+            CloudError: If no object is so near, or the position is not three finite numbers.
         """
-        position = np.asarray(point, np.float64)
+        try:
+            position = np.asarray(point, np.float64)
+        except (TypeError, ValueError):
+            position = np.empty(0)
         if position.shape != (3,) or not np.isfinite(position).all():
-            raise CloudError(f"point: {position.tolist()} is not three finite numbers [m]")
+            raise CloudError(f"point: {shown(point)} is not three finite numbers [m]")
         away = [
             float(np.linalg.norm(object_.cloud.xyz.astype(np.float64) - position, axis=1).min())
             for object_ in self.objects
         ]
-        if not away or min(away) > tolerance_m:
+        if not away or not min(away) <= tolerance_m:
             nearest = f"; the nearest is {min(away):.3f} m away" if away else ""
             at = ", ".join(f"{value:g}" for value in position.tolist())
             raise CloudError(f"point: no object within {tolerance_m:g} m of ({at}){nearest}")
